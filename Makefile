@@ -1,0 +1,47 @@
+# The README's commands. Everything is installed into .venv; nothing else on the machine is touched.
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+
+.PHONY: demo test lint bench docs lock clean
+
+demo: $(VENV) ## build, install, run the main job on the recording inside the package
+	$(PIP) .
+	$(BIN)/linkside demo
+
+test: $(VENV) ## everything that must hold
+	$(PIP) ".[test,lint]"
+	cargo test --locked -p linkside-core
+	cargo test --locked -p linkside-core --release
+	$(BIN)/python -m mypy.stubtest linkside._core
+	$(BIN)/python -m pytest
+
+lint: $(VENV)
+	$(PIP) ".[test,lint]"
+	cargo fmt --all --check
+	cargo clippy --locked --workspace --all-targets -- -D warnings
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+bench: $(VENV)
+	$(PIP) ".[test]"
+	$(BIN)/python benches/python/run.py
+
+docs: $(VENV) ## API reference of both languages, into docs/api
+	$(PIP) ".[docs]"
+	RUSTDOCFLAGS="-D warnings" cargo doc --locked --no-deps -p linkside-core --target-dir target
+	rm -rf docs/api && mkdir -p docs/api && cp -r target/doc docs/api/rust
+	$(BIN)/pdoc --docformat numpy --math -o docs/api/python linkside
+
+lock: $(VENV) ## renew constraints.txt
+	$(PIP) uv
+	$(BIN)/uv pip compile --quiet --universal --python-version 3.10 --all-extras --no-emit-index-url --no-annotate \
+	    --custom-compile-command "make lock" pyproject.toml -o constraints.txt
+
+clean:
+	rm -rf $(VENV) target docs/api
+
+$(VENV):
+	$(PYTHON) -m venv $(VENV)
