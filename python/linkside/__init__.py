@@ -1,0 +1,1 @@
+"""Where the links of an elastic-joint robot really are."""

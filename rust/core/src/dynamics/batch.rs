@@ -1,0 +1,142 @@
+//! Whole arrays at once: one row a sample, `count` rows, row-major.
+
+use super::{Kinematics, Loads};
+use crate::robot::{Robot, Sensor};
+use crate::spatial::Vec3;
+
+/// Dynamics and sensor models of a robot over many samples; each output row is that sample's, flattened row-major.
+#[derive(Debug)]
+pub struct Batch<'a> {
+    robot: &'a Robot,
+    kinematics: Kinematics<f64>,
+    loads: Loads<f64>,
+    zero: Vec<f64>,
+}
+
+/// A state of the links, one row a sample, n columns.
+#[derive(Clone, Copy, Debug)]
+pub struct States<'a> {
+    /// q.
+    pub q: &'a [f64],
+    /// q̇.
+    pub dq: &'a [f64],
+    /// q̈.
+    pub ddq: &'a [f64],
+}
+
+impl<'a> Batch<'a> {
+    /// Scratch for `robot`.
+    pub fn new(robot: &'a Robot) -> Self {
+        let tree = &robot.tree;
+        Self { robot, kinematics: Kinematics::new(tree), loads: Loads::new(tree), zero: vec![0.0; tree.len()] }
+    }
+
+    /// Calls `f` with every sample's kinematics and its slice of `out`; `width` entries a sample.
+    fn each(&mut self, s: States<'_>, out: &mut [f64], width: usize, mut f: impl FnMut(&mut Self, &mut [f64])) {
+        let n = self.robot.len();
+        let rows = s.q.chunks_exact(n).zip(s.dq.chunks_exact(n)).zip(s.ddq.chunks_exact(n));
+        for (((q, dq), ddq), out) in rows.zip(out.chunks_exact_mut(width.max(1))) {
+            self.kinematics.set(&self.robot.tree, q, dq, ddq);
+            f(self, out);
+        }
+    }
+
+    /// As [`each`](Self::each), at rest.
+    fn each_position(&mut self, q: &[f64], out: &mut [f64], width: usize, mut f: impl FnMut(&mut Self, &mut [f64])) {
+        let n = self.robot.len();
+        for (q, out) in q.chunks_exact(n).zip(out.chunks_exact_mut(width.max(1))) {
+            self.kinematics.set(&self.robot.tree, q, &self.zero, &self.zero);
+            f(self, out);
+        }
+    }
+
+    /// τ: n a sample.
+    pub fn inverse_dynamics(&mut self, s: States<'_>, out: &mut [f64]) {
+        self.each(s, out, self.robot.len(), |b, tau| {
+            b.loads.inverse_dynamics_into(&b.robot.tree, &b.kinematics, tau);
+        });
+    }
+
+    /// g(q): n a sample.
+    pub fn gravity_torque(&mut self, q: &[f64], out: &mut [f64]) {
+        self.each_position(q, out, self.robot.len(), |b, tau| {
+            b.loads.inverse_dynamics_into(&b.robot.tree, &b.kinematics, tau);
+        });
+    }
+
+    /// M(q): n × n a sample.
+    pub fn mass_matrix(&mut self, q: &[f64], out: &mut [f64]) {
+        self.each_position(q, out, self.robot.len().pow(2), |b, mass| {
+            b.loads.mass_matrix_into(&b.robot.tree, &b.kinematics, mass);
+        });
+    }
+
+    /// C(q, q̇): n × n a sample.
+    pub fn coriolis_matrix(&mut self, s: States<'_>, out: &mut [f64]) {
+        self.each(s, out, self.robot.len().pow(2), |b, c| {
+            b.loads.coriolis_matrix_into(&b.robot.tree, &b.kinematics, c);
+        });
+    }
+
+    /// ∂τ/∂q, ∂τ/∂q̇ and M one after the other: 3 n × n a sample.
+    pub fn inverse_dynamics_derivatives(&mut self, s: States<'_>, out: &mut [f64]) {
+        let size = self.robot.len().pow(2);
+        let mut tau = vec![0.0; self.robot.len()];
+        self.each(s, out, 3 * size, |b, out| {
+            let (by_q, rest) = out.split_at_mut(size);
+            let (by_dq, mass) = rest.split_at_mut(size);
+            let (tree, k) = (&b.robot.tree, &b.kinematics);
+            b.loads.inverse_dynamics_derivatives_into(tree, k, &mut tau, by_q, by_dq, mass);
+        });
+    }
+
+    /// Specific force at every recorded accelerometer axis.
+    pub fn specific_force(&mut self, s: States<'_>, out: &mut [f64]) {
+        self.each(s, out, self.robot.acceleration_channels(), |b, out| {
+            read(&b.robot.accelerometers, out, |sensor| b.kinematics.specific_force(&sensor.frame));
+        });
+    }
+
+    /// Its derivatives in q, q̇ and q̈ one after the other: 3 channels × n a sample.
+    pub fn specific_force_derivatives(&mut self, s: States<'_>, out: &mut [f64]) {
+        let (n, channels) = (self.robot.len(), self.robot.acceleration_channels());
+        self.each(s, out, 3 * channels * n, |b, out| {
+            out.fill(0.0);
+            let mut row = 0;
+            for sensor in &b.robot.accelerometers {
+                b.kinematics.specific_force_derivatives(&b.robot.tree, &sensor.frame, |joint, columns| {
+                    for (which, column) in columns.iter().enumerate() {
+                        for (r, &axis) in sensor.axes.iter().enumerate() {
+                            out[(which * channels + row + r) * n + joint] = column.0[axis];
+                        }
+                    }
+                });
+                row += sensor.axes.len();
+            }
+        });
+    }
+
+    /// Angular rate at every recorded gyroscope axis.
+    pub fn angular_rate(&mut self, s: States<'_>, out: &mut [f64]) {
+        self.each(s, out, self.robot.gyroscope_channels(), |b, out| {
+            read(&b.robot.gyroscopes, out, |sensor| b.kinematics.angular_rate(&sensor.frame));
+        });
+    }
+
+    /// The tool centre point, 3 a sample; nothing is written when the robot has none.
+    pub fn tool_position(&mut self, q: &[f64], out: &mut [f64]) {
+        let Some(tool) = &self.robot.tool else { return };
+        self.each_position(q, out, 3, |b, out| out.copy_from_slice(&b.kinematics.position(tool).0));
+    }
+}
+
+/// The recorded axes of `sensors`, one after the other.
+fn read(sensors: &[Sensor], out: &mut [f64], sense: impl Fn(&Sensor) -> Vec3<f64>) {
+    let values = sensors.iter().flat_map(|s| {
+        let value = sense(s);
+        s.axes.iter().map(move |&axis| value.0[axis])
+    });
+    for (out, value) in out.iter_mut().zip(values) {
+        *out = value;
+    }
+}

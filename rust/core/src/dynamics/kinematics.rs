@@ -1,0 +1,112 @@
+//! Poses, axes, velocities and accelerations of all bodies, in the base frame.
+
+use crate::robot::{JointKind, Tree};
+use crate::scalar::Scalar;
+use crate::spatial::{Inertia, Mat3, Motion, Sym3, Vec3};
+
+/// One body's state.
+///
+/// With S the joint's axis and λ the carrying body: `axis_rate` = v_λ × S is how fast the axis moves, and
+/// `axis_acceleration` = a_λ × S + v_λ × (v_λ × S). They are all that derivatives in q and q̇ need
+/// (Singh, Russell and Wensing 2022).
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct BodyState<T> {
+    pub(crate) rotation: Mat3<T>,
+    pub(crate) origin: Vec3<T>,
+    pub(crate) axis: Motion<T>,
+    pub(crate) velocity: Motion<T>,
+    pub(crate) axis_rate: Motion<T>,
+    pub(crate) acceleration: Motion<T>,
+    pub(crate) axis_acceleration: Motion<T>,
+}
+
+/// Scratch for one robot's kinematics.
+#[derive(Clone, Debug)]
+pub struct Kinematics<T> {
+    pub(crate) bodies: Vec<BodyState<T>>,
+}
+
+impl<T: Scalar> Kinematics<T> {
+    /// Room for `tree`.
+    pub fn new(tree: &Tree) -> Self {
+        Self { bodies: vec![BodyState::default(); tree.len()] }
+    }
+
+    /// Positions, velocities and accelerations at once; each of length n, in the order of the log.
+    #[inline(always)]
+    pub fn set(&mut self, tree: &Tree, q: &[T], dq: &[T], ddq: &[T]) {
+        self.set_position(tree, q);
+        self.set_velocity(tree, dq);
+        self.set_acceleration(tree, dq, ddq);
+    }
+
+    /// Poses and axes at q.
+    #[inline(always)]
+    pub fn set_position(&mut self, tree: &Tree, q: &[T]) {
+        for (i, body) in tree.bodies.iter().enumerate() {
+            let (carrier, origin) = match body.parent {
+                Some(p) => {
+                    let parent = &self.bodies[p];
+                    let rotation = parent.rotation.mul_constant(&body.rotation);
+                    (rotation, parent.origin + parent.rotation.apply_constant(&body.translation))
+                }
+                None => (Mat3::constant(&body.rotation), Vec3::constant(&body.translation)),
+            };
+            let z = carrier.0[2];
+            let position = q[body.joint];
+            let state = &mut self.bodies[i];
+            match body.kind {
+                JointKind::Revolute => {
+                    state.rotation = carrier.turn_about_z(position.sin_cos());
+                    state.origin = origin;
+                    state.axis = Motion { angular: z, linear: origin.cross(&z) };
+                }
+                JointKind::Prismatic => {
+                    state.rotation = carrier;
+                    state.origin = origin + z.scale(position);
+                    state.axis = Motion { angular: Vec3::default(), linear: z };
+                }
+            }
+        }
+    }
+
+    /// Velocities at q̇; after [`set_position`](Self::set_position).
+    #[inline(always)]
+    pub fn set_velocity(&mut self, tree: &Tree, dq: &[T]) {
+        for (i, body) in tree.bodies.iter().enumerate() {
+            let carrier = body.parent.map_or_else(Motion::default, |p| self.bodies[p].velocity);
+            let state = &mut self.bodies[i];
+            state.axis_rate = carrier.cross(&state.axis);
+            state.velocity = carrier + state.axis.scale(dq[body.joint]);
+        }
+    }
+
+    /// Accelerations at q̇ and q̈, the base accelerated against gravity; after [`set_velocity`](Self::set_velocity).
+    #[inline(always)]
+    pub fn set_acceleration(&mut self, tree: &Tree, dq: &[T], ddq: &[T]) {
+        let lift = Motion { angular: Vec3::default(), linear: Vec3::constant(&-tree.gravity) };
+        for (i, body) in tree.bodies.iter().enumerate() {
+            let (velocity, carrier) = match body.parent {
+                Some(p) => (self.bodies[p].velocity, self.bodies[p].acceleration),
+                None => (Motion::default(), lift),
+            };
+            let state = &mut self.bodies[i];
+            state.axis_acceleration = carrier.cross(&state.axis) + velocity.cross(&state.axis_rate);
+            state.acceleration = carrier + state.axis.scale(ddq[body.joint]) + state.axis_rate.scale(dq[body.joint]);
+        }
+    }
+
+    /// The body's moments of mass about the base origin.
+    #[inline(always)]
+    pub(crate) fn inertia(&self, tree: &Tree, i: usize) -> Inertia<T> {
+        let local = &tree.bodies[i].inertia;
+        let BodyState { rotation, origin, .. } = &self.bodies[i];
+        let offset = rotation.apply_constant(&local.first);
+        let first = offset + *origin * local.mass;
+        let mut second = Sym3::rotated(&local.second, rotation);
+        // offset·oᵀ + o·(offset + m o)ᵀ, the parallel-axis terms, is symmetric only as a sum.
+        second += Sym3::outer(&offset, origin);
+        second += Sym3::outer(origin, &first);
+        Inertia { mass: T::constant(local.mass), first, second }
+    }
+}

@@ -1,0 +1,162 @@
+//! Torques and matrices of the equations of motion, from composite moments gathered towards the base.
+
+use super::Kinematics;
+use crate::robot::Tree;
+use crate::scalar::Scalar;
+use crate::spatial::{Coriolis, Force, Inertia};
+
+/// A body together with all that it carries.
+#[derive(Clone, Copy, Debug, Default)]
+struct Composite<T> {
+    inertia: Inertia<T>,
+    coriolis: Coriolis<T>,
+    force: Force<T>,
+}
+
+/// Scratch for the equations of motion M(q) q̈ + C(q, q̇) q̇ + g(q) = τ of one robot.
+#[derive(Clone, Debug)]
+pub struct Loads<T> {
+    composites: Vec<Composite<T>>,
+}
+
+impl<T: Scalar> Loads<T> {
+    /// Room for `tree`.
+    pub fn new(tree: &Tree) -> Self {
+        Self { composites: vec![Composite::default(); tree.len()] }
+    }
+
+    /// Inverse dynamics: τ (n) for the state of `k`. Recursive Newton–Euler, O(n).
+    #[inline(always)]
+    pub fn inverse_dynamics_into(&mut self, tree: &Tree, k: &Kinematics<T>, tau: &mut [T]) {
+        for i in 0..tree.len() {
+            let state = &k.bodies[i];
+            let inertia = k.inertia(tree, i);
+            let inertial = inertia.apply(&state.acceleration);
+            self.composites[i].force = inertial + state.velocity.cross_force(&inertia.apply(&state.velocity));
+        }
+        for i in (0..tree.len()).rev() {
+            let force = self.composites[i].force;
+            tau[tree.bodies[i].joint] = k.bodies[i].axis.dot(&force);
+            if let Some(p) = tree.bodies[i].parent {
+                self.composites[p].force += force;
+            }
+        }
+    }
+
+    /// Mass matrix M(q), n × n. Composite rigid bodies, O(n · depth).
+    #[inline(always)]
+    pub fn mass_matrix_into(&mut self, tree: &Tree, k: &Kinematics<T>, mass: &mut [T]) {
+        let n = tree.len();
+        mass.fill(T::default());
+        for i in 0..n {
+            self.composites[i].inertia = k.inertia(tree, i);
+        }
+        for j in (0..n).rev() {
+            let inertia = self.composites[j].inertia;
+            let momentum = inertia.apply(&k.bodies[j].axis);
+            for i in tree.path(j) {
+                let (a, b) = (tree.bodies[i].joint, tree.bodies[j].joint);
+                mass[a * n + b] = k.bodies[i].axis.dot(&momentum);
+                mass[b * n + a] = mass[a * n + b];
+            }
+            if let Some(p) = tree.bodies[j].parent {
+                self.composites[p].inertia += inertia;
+            }
+        }
+    }
+
+    /// Coriolis matrix C(q, q̇), n × n, by Christoffel symbols of the first kind: Ṁ − 2C is skew, and C(q, u) w = C(q, w) u.
+    ///
+    /// Each entry pairs a joint's axis with the Coriolis operator of what the outer joint carries
+    /// (Echeandia and Wensing 2021); ∂(C q̇)/∂q̇ = 2C. O(n · depth).
+    #[inline(always)]
+    pub fn coriolis_matrix_into(&mut self, tree: &Tree, k: &Kinematics<T>, coriolis: &mut [T]) {
+        let n = tree.len();
+        coriolis.fill(T::default());
+        self.gather_start(tree, k);
+        for j in (0..n).rev() {
+            let composite = self.composites[j];
+            let state = &k.bodies[j];
+            let outer = composite.inertia.apply(&state.axis_rate) + composite.coriolis.apply(&state.axis);
+            let momentum = composite.inertia.apply(&state.axis);
+            let turning = composite.coriolis.apply_transposed(&state.axis);
+            let b = tree.bodies[j].joint;
+            for i in tree.path(j) {
+                let a = tree.bodies[i].joint;
+                let carrier = &k.bodies[i];
+                coriolis[b * n + a] = carrier.axis_rate.dot(&momentum) + carrier.axis.angular.dot(&turning);
+                coriolis[a * n + b] = carrier.axis.dot(&outer);
+            }
+            self.gather(tree, j);
+        }
+    }
+
+    /// τ with its derivatives ∂τ/∂q, ∂τ/∂q̇ and ∂τ/∂q̈ = M, the last three n × n, at the cost of about three τ.
+    ///
+    /// Singh, Russell and Wensing (2022), with all quantities in the base frame.
+    #[inline(always)]
+    pub fn inverse_dynamics_derivatives_into(
+        &mut self,
+        tree: &Tree,
+        k: &Kinematics<T>,
+        tau: &mut [T],
+        by_q: &mut [T],
+        by_dq: &mut [T],
+        mass: &mut [T],
+    ) {
+        let n = tree.len();
+        for matrix in [&mut *by_q, &mut *by_dq, &mut *mass] {
+            matrix.fill(T::default());
+        }
+        self.gather_start(tree, k);
+        for j in (0..n).rev() {
+            let Composite { inertia, coriolis, force } = self.composites[j];
+            let state = &k.bodies[j];
+            let momentum = inertia.apply(&state.axis);
+            let turning = coriolis.apply_transposed(&state.axis);
+            let twice = |f: Force<T>| f + f;
+            let outer_q = state.axis.cross_force(&force)
+                + inertia.apply(&state.axis_acceleration)
+                + twice(coriolis.apply(&state.axis_rate));
+            let outer_dq = twice(inertia.apply(&state.axis_rate) + coriolis.apply(&state.axis));
+            let b = tree.bodies[j].joint;
+            tau[b] = state.axis.dot(&force);
+            for i in tree.path(j) {
+                let a = tree.bodies[i].joint;
+                let carrier = &k.bodies[i];
+                let (by_rate, by_axis) = (carrier.axis_rate.angular.dot(&turning), carrier.axis.angular.dot(&turning));
+                by_q[b * n + a] = carrier.axis_acceleration.dot(&momentum) + by_rate + by_rate;
+                by_q[a * n + b] = carrier.axis.dot(&outer_q);
+                let half = carrier.axis_rate.dot(&momentum) + by_axis;
+                by_dq[b * n + a] = half + half;
+                by_dq[a * n + b] = carrier.axis.dot(&outer_dq);
+                mass[a * n + b] = carrier.axis.dot(&momentum);
+                mass[b * n + a] = mass[a * n + b];
+            }
+            self.gather(tree, j);
+        }
+    }
+
+    /// Each body's own moments.
+    #[inline(always)]
+    fn gather_start(&mut self, tree: &Tree, k: &Kinematics<T>) {
+        for i in 0..tree.len() {
+            let state = &k.bodies[i];
+            let inertia = k.inertia(tree, i);
+            let coriolis = Coriolis::new(&inertia, &state.velocity);
+            let force = inertia.apply(&state.acceleration) + coriolis.apply(&state.velocity);
+            self.composites[i] = Composite { inertia, coriolis, force };
+        }
+    }
+
+    /// Hands body `j`'s composite to its carrier.
+    #[inline(always)]
+    fn gather(&mut self, tree: &Tree, j: usize) {
+        if let Some(p) = tree.bodies[j].parent {
+            let Composite { inertia, coriolis, force } = self.composites[j];
+            self.composites[p].inertia += inertia;
+            self.composites[p].coriolis += coriolis;
+            self.composites[p].force += force;
+        }
+    }
+}

@@ -1,0 +1,92 @@
+//! What sensors and the tool see, with derivatives. Rows are the frame's own x, y, z unless stated.
+
+use super::Kinematics;
+use crate::robot::{Frame, Tree};
+use crate::scalar::Scalar;
+use crate::spatial::{Mat3, Vec3};
+
+/// A frame's axes and position in the base frame.
+#[derive(Clone, Copy)]
+struct Placed<T> {
+    axes: Mat3<T>,
+    point: Vec3<T>,
+}
+
+impl<T: Scalar> Kinematics<T> {
+    #[inline(always)]
+    fn place(&self, frame: &Frame) -> Placed<T> {
+        let body = &self.bodies[frame.body];
+        Placed {
+            axes: body.rotation.mul_constant(&frame.rotation),
+            point: body.origin + body.rotation.apply_constant(&frame.translation),
+        }
+    }
+
+    /// Position in the base frame [m].
+    #[inline(always)]
+    pub fn position(&self, frame: &Frame) -> Vec3<T> {
+        self.place(frame).point
+    }
+
+    /// ∂position/∂q, handed to `put` column by column: joint, then the derivative in the base frame.
+    #[inline(always)]
+    pub fn position_jacobian(&self, tree: &Tree, frame: &Frame, mut put: impl FnMut(usize, Vec3<T>)) {
+        let point = self.place(frame).point;
+        for i in tree.path(frame.body) {
+            put(tree.bodies[i].joint, self.bodies[i].axis.at(&point));
+        }
+    }
+
+    /// Specific force of an ideal accelerometer in its own axes [m/s²]: Rᵀ(p̈ − gravity), the classical acceleration
+    /// of its point (De Luca, Schröder and Thümmel 2007, eqs. (8)–(9)). At rest it reads +9.81 m/s² upwards.
+    #[inline(always)]
+    pub fn specific_force(&self, frame: &Frame) -> Vec3<T> {
+        let body = &self.bodies[frame.body];
+        let Placed { axes, point } = self.place(frame);
+        let centripetal = body.velocity.angular.cross(&body.velocity.at(&point));
+        axes.apply_transposed(&(body.acceleration.at(&point) + centripetal))
+    }
+
+    /// Derivatives of [`specific_force`](Self::specific_force), handed to `put` joint by joint: in q, in q̇, and in q̈.
+    /// The last is the column of T_A of eq. (10); the specific force at q̈ = 0 is its W_A.
+    #[inline(always)]
+    pub fn specific_force_derivatives(&self, tree: &Tree, frame: &Frame, mut put: impl FnMut(usize, [Vec3<T>; 3])) {
+        let Placed { axes, point } = self.place(frame);
+        let velocity = self.bodies[frame.body].velocity.at(&point);
+        for i in tree.path(frame.body) {
+            let body = &self.bodies[i];
+            // Moving joint i carries the sensor along with its own axes; what remains is how the carried frame itself moves.
+            let twice = |v: Vec3<T>| v + v;
+            let by_q = body.axis_acceleration.at(&point) + twice(body.axis_rate.angular.cross(&velocity));
+            let by_dq = twice(body.axis_rate.at(&point) + body.axis.angular.cross(&velocity));
+            let by_ddq = body.axis.at(&point);
+            put(tree.bodies[i].joint, [by_q, by_dq, by_ddq].map(|v| axes.apply_transposed(&v)));
+        }
+    }
+
+    /// The columns of T_A alone.
+    #[inline(always)]
+    pub fn acceleration_map(&self, tree: &Tree, frame: &Frame, mut put: impl FnMut(usize, Vec3<T>)) {
+        let Placed { axes, point } = self.place(frame);
+        for i in tree.path(frame.body) {
+            put(tree.bodies[i].joint, axes.apply_transposed(&self.bodies[i].axis.at(&point)));
+        }
+    }
+
+    /// Angular velocity in the frame's own axes [rad/s]: an ideal gyroscope.
+    #[inline(always)]
+    pub fn angular_rate(&self, frame: &Frame) -> Vec3<T> {
+        self.place(frame).axes.apply_transposed(&self.bodies[frame.body].velocity.angular)
+    }
+
+    /// Derivatives of [`angular_rate`](Self::angular_rate), handed to `put` joint by joint: in q and in q̇.
+    #[inline(always)]
+    pub fn angular_rate_derivatives(&self, tree: &Tree, frame: &Frame, mut put: impl FnMut(usize, [Vec3<T>; 2])) {
+        let axes = self.place(frame).axes;
+        for i in tree.path(frame.body) {
+            let body = &self.bodies[i];
+            let columns = [body.axis_rate.angular, body.axis.angular];
+            put(tree.bodies[i].joint, columns.map(|v| axes.apply_transposed(&v)));
+        }
+    }
+}

@@ -1,0 +1,1 @@
+//! Estimators: a model and a method.

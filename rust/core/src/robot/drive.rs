@@ -1,0 +1,73 @@
+//! What is between a motor and its link.
+
+/// A joint's drive, reflected through the gear to the link side.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Drive {
+    /// False when the link follows the motor rigidly.
+    pub elastic: bool,
+    /// K [N m/rad].
+    pub stiffness: f64,
+    /// D [N m s/rad].
+    pub damping: f64,
+    /// B [kg m²].
+    pub motor_inertia: f64,
+    /// Hardening of the spring [N m/rad³].
+    pub cubic_stiffness: f64,
+    /// Stiffness that is missing around zero torsion [N m/rad], and how sharply it returns [1/rad²].
+    pub soft_windup: SoftWindup,
+    /// Friction between motor and ground.
+    pub motor_friction: MotorFriction,
+    /// γ₁ … γ₆ of the link's friction (Ulrich and Sasiadek 2011, eq. (14)).
+    pub link_friction: [f64; 6],
+}
+
+/// Soft wind-up of a harmonic drive: −k·exp(−a δ²)·δ (Ulrich and Sasiadek 2011, eqs. (10)–(13)).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SoftWindup {
+    /// k [N m/rad].
+    pub stiffness: f64,
+    /// a [1/rad²].
+    pub shape: f64,
+}
+
+/// Friction torque of a motor.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MotorFriction {
+    /// [N m s/rad].
+    pub viscous: f64,
+    /// [N m].
+    pub coulomb: f64,
+}
+
+/// Below this speed dry friction fades out [rad/s]: an encoder or an estimate cannot tell the direction of so slow a motion.
+const CREEP: f64 = 2e-3;
+
+impl Drive {
+    /// What the spring's torque has beyond K δ, at torsion δ [rad] [N m].
+    #[inline]
+    pub fn nonlinear_torque(&self, torsion: f64) -> f64 {
+        let square = torsion * torsion;
+        let missing = match self.soft_windup {
+            SoftWindup { stiffness: 0.0, .. } => 0.0,
+            SoftWindup { stiffness, shape } => stiffness * (-shape * square).exp(),
+        };
+        (self.cubic_stiffness * square - missing) * torsion
+    }
+
+    /// Slope of the spring's torque at torsion δ [rad] [N m/rad].
+    pub fn tangent_stiffness(&self, torsion: f64) -> f64 {
+        let square = torsion * torsion;
+        let SoftWindup { stiffness, shape } = self.soft_windup;
+        self.stiffness + 3.0 * self.cubic_stiffness * square
+            - stiffness * (-shape * square).exp() * (1.0 - 2.0 * shape * square)
+    }
+
+    /// Dry friction of the motor at speed `velocity` [rad/s] [N m].
+    #[inline]
+    pub fn dry_friction(&self, velocity: f64) -> f64 {
+        match self.motor_friction.coulomb {
+            0.0 => 0.0,
+            coulomb => coulomb * (velocity / CREEP).tanh(),
+        }
+    }
+}

@@ -1,0 +1,158 @@
+//! The kinematic tree, compiled: bodies in topological order, every joint along or about its own z axis.
+
+use crate::error::RobotError;
+use crate::spatial::{Inertia, Mat3, Sym3, Vec3};
+
+/// How a joint moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum JointKind {
+    /// Turns about its axis [rad].
+    Revolute,
+    /// Slides along its axis [m].
+    Prismatic,
+}
+
+/// One moving body as a modeller describes it.
+#[derive(Clone, Debug)]
+pub struct BodySpec {
+    /// The body that carries it; none for the base.
+    pub parent: Option<usize>,
+    /// Which entry of q moves it.
+    pub joint: usize,
+    /// How.
+    pub kind: JointKind,
+    /// Orientation of the joint frame in the parent's frame at q = 0.
+    pub rotation: Mat3<f64>,
+    /// Position of the joint frame in the parent's frame at q = 0 [m].
+    pub translation: Vec3<f64>,
+    /// Unit axis in the joint frame.
+    pub axis: Vec3<f64>,
+    /// Mass [kg].
+    pub mass: f64,
+    /// Centre of mass in the body's frame [m].
+    pub com: Vec3<f64>,
+    /// Rotational inertia about the centre of mass, in the body's axes [kg m²].
+    pub inertia: Mat3<f64>,
+}
+
+/// A body ready for the kernels: its frame turned so that the joint's axis is z.
+#[derive(Clone, Debug)]
+pub struct Body {
+    pub(crate) parent: Option<usize>,
+    pub(crate) joint: usize,
+    pub(crate) kind: JointKind,
+    pub(crate) rotation: Mat3<f64>,
+    pub(crate) translation: Vec3<f64>,
+    pub(crate) inertia: Inertia<f64>,
+    /// From the modeller's body frame to ours.
+    align: Mat3<f64>,
+}
+
+/// A point with axes, fixed to a body: a sensor or the tool.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    pub(crate) body: usize,
+    pub(crate) rotation: Mat3<f64>,
+    pub(crate) translation: Vec3<f64>,
+}
+
+/// A tree of rigid bodies on a fixed base.
+#[derive(Clone, Debug)]
+pub struct Tree {
+    pub(crate) bodies: Vec<Body>,
+    pub(crate) gravity: Vec3<f64>,
+}
+
+impl Tree {
+    /// Compiles `specs`, in topological order, under the acceleration of free fall `gravity` [m/s²] in the base frame.
+    ///
+    /// # Errors
+    /// A body before its parent, a joint that moves no body or two, an axis that is not of unit length, a negative mass.
+    pub fn new(gravity: Vec3<f64>, specs: &[BodySpec]) -> Result<Self, RobotError> {
+        if specs.is_empty() {
+            return Err(RobotError::NoBodies);
+        }
+        for joint in 0..specs.len() {
+            let count = specs.iter().filter(|s| s.joint == joint).count();
+            if count != 1 {
+                return Err(RobotError::Joint { joint, count });
+            }
+        }
+        let mut bodies: Vec<Body> = Vec::with_capacity(specs.len());
+        for (body, spec) in specs.iter().enumerate() {
+            let carrier = match spec.parent {
+                Some(parent) if parent >= body => return Err(RobotError::Order { body, parent }),
+                Some(parent) => bodies[parent].align,
+                None => Mat3::IDENTITY,
+            };
+            bodies.push(compile(body, spec, &carrier)?);
+        }
+        Ok(Self { bodies, gravity })
+    }
+
+    /// Number of joints.
+    pub fn len(&self) -> usize {
+        self.bodies.len()
+    }
+
+    /// Never true: a tree has a joint at least.
+    pub fn is_empty(&self) -> bool {
+        self.bodies.is_empty()
+    }
+
+    /// A frame at `translation` with axes `rotation`, both in the modeller's frame of `body`; `owner` names it in errors.
+    ///
+    /// # Errors
+    /// A body that does not exist.
+    pub fn frame(
+        &self,
+        owner: &str,
+        body: usize,
+        rotation: &Mat3<f64>,
+        translation: &Vec3<f64>,
+    ) -> Result<Frame, RobotError> {
+        let count = self.bodies.len();
+        let carrier = self.bodies.get(body).ok_or_else(|| RobotError::Body { owner: owner.into(), body, count })?;
+        let align = &carrier.align;
+        Ok(Frame { body, rotation: align.mul_constant(rotation), translation: align.apply(translation) })
+    }
+
+    /// The bodies from `body` to the base, itself first.
+    #[inline(always)]
+    pub(crate) fn path(&self, body: usize) -> impl Iterator<Item = usize> + '_ {
+        core::iter::successors(Some(body), |&b| self.bodies[b].parent)
+    }
+}
+
+fn compile(body: usize, spec: &BodySpec, carrier: &Mat3<f64>) -> Result<Body, RobotError> {
+    let length = spec.axis.norm();
+    if (length - 1.0).abs() > 1e-9 || length.is_nan() {
+        return Err(RobotError::Axis { body, length });
+    }
+    if spec.mass.is_nan() || spec.mass < 0.0 {
+        let owner = format!("body {body}");
+        return Err(RobotError::Range { what: "mass", owner, value: spec.mass, expected: "at least 0" });
+    }
+    let z_to_axis = Mat3::z_to(&spec.axis);
+    let align = z_to_axis.transpose();
+    Ok(Body {
+        parent: spec.parent,
+        joint: spec.joint,
+        kind: spec.kind,
+        rotation: carrier.mul_constant(&spec.rotation).mul_constant(&z_to_axis),
+        translation: carrier.apply(&spec.translation),
+        inertia: moments(spec, &align),
+        align,
+    })
+}
+
+/// Moments of mass about the joint frame's origin, in our axes.
+fn moments(spec: &BodySpec, align: &Mat3<f64>) -> Inertia<f64> {
+    let [x, y, z] = spec.inertia.0;
+    let half = 0.5 * spec.inertia.trace();
+    let about_com = Sym3([half - x.0[0], -y.0[0], -z.0[0], half - y.0[1], -z.0[1], half - z.0[2]]);
+    let com = align.apply(&spec.com);
+    let mut second = Sym3::rotated(&about_com, align);
+    second += Sym3::outer(&com, &(com * spec.mass));
+    Inertia { mass: spec.mass, first: com * spec.mass, second }
+}

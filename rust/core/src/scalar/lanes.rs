@@ -1,0 +1,108 @@
+//! Several samples or particles at once.
+
+use super::Scalar;
+use core::ops::{Add, AddAssign, Mul, Neg, Sub, SubAssign};
+
+/// `L` independent numbers that go through a kernel together, one vector register or two.
+///
+/// A plain array: the compiler chooses the instructions of whatever target the caller was compiled for.
+/// Every lane holds the same bits that `f64` alone would.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(align(32))]
+pub struct Lanes<const L: usize>(pub [f64; L]);
+
+impl<const L: usize> Lanes<L> {
+    #[inline(always)]
+    fn zip(self, other: Self, f: impl Fn(f64, f64) -> f64) -> Self {
+        Self(core::array::from_fn(|i| f(self.0[i], other.0[i])))
+    }
+
+    #[inline(always)]
+    fn each(self, f: impl Fn(f64) -> f64) -> Self {
+        Self(core::array::from_fn(|i| f(self.0[i])))
+    }
+}
+
+impl<const L: usize> Default for Lanes<L> {
+    fn default() -> Self {
+        Self::constant(0.0)
+    }
+}
+
+impl<const L: usize> Scalar for Lanes<L> {
+    #[inline(always)]
+    fn constant(value: f64) -> Self {
+        Self([value; L])
+    }
+
+    #[inline(always)]
+    fn sin_cos(self) -> (Self, Self) {
+        let mut out = (Self::default(), Self::default());
+        for i in 0..L {
+            (out.0.0[i], out.1.0[i]) = Scalar::sin_cos(self.0[i]);
+        }
+        out
+    }
+}
+
+impl<const L: usize> Add for Lanes<L> {
+    type Output = Self;
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        self.zip(other, |a, b| a + b)
+    }
+}
+
+impl<const L: usize> Sub for Lanes<L> {
+    type Output = Self;
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        self.zip(other, |a, b| a - b)
+    }
+}
+
+impl<const L: usize> Mul for Lanes<L> {
+    type Output = Self;
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        self.zip(other, |a, b| a * b)
+    }
+}
+
+impl<const L: usize> Neg for Lanes<L> {
+    type Output = Self;
+    #[inline(always)]
+    fn neg(self) -> Self {
+        self.each(|a| -a)
+    }
+}
+
+impl<const L: usize> Mul<f64> for Lanes<L> {
+    type Output = Self;
+    #[inline(always)]
+    fn mul(self, c: f64) -> Self {
+        self.each(|a| a * c)
+    }
+}
+
+impl<const L: usize> Add<f64> for Lanes<L> {
+    type Output = Self;
+    #[inline(always)]
+    fn add(self, c: f64) -> Self {
+        self.each(|a| a + c)
+    }
+}
+
+impl<const L: usize> AddAssign for Lanes<L> {
+    #[inline(always)]
+    fn add_assign(&mut self, other: Self) {
+        *self = *self + other;
+    }
+}
+
+impl<const L: usize> SubAssign for Lanes<L> {
+    #[inline(always)]
+    fn sub_assign(&mut self, other: Self) {
+        *self = *self - other;
+    }
+}

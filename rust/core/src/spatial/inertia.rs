@@ -1,0 +1,85 @@
+//! Mass as three moments, and what a moving mass does to a moving frame.
+
+use super::{Force, Mat3, Motion, Sym3, Vec3};
+use crate::scalar::Scalar;
+use core::ops::AddAssign;
+
+/// Moments of a body's mass about the base origin: ∫dm, ∫r dm and ∫r rᵀ dm. Bodies add.
+///
+/// The rotational inertia is `tr(second)·1 − second`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Inertia<T> {
+    /// ∫dm [kg].
+    pub mass: T,
+    /// ∫r dm [kg m].
+    pub first: Vec3<T>,
+    /// ∫r rᵀ dm [kg m²].
+    pub second: Sym3<T>,
+}
+
+impl<T: Scalar> Inertia<T> {
+    /// Momentum of the mass moving with twist `v`; or the force that gives it the spatial acceleration `v`.
+    #[inline(always)]
+    pub fn apply(&self, v: &Motion<T>) -> Force<T> {
+        let w = &v.angular;
+        Force {
+            moment: w.scale(self.second.trace()) - self.second.apply(w) + self.first.cross(&v.linear),
+            force: v.linear.scale(self.mass) + w.cross(&self.first),
+        }
+    }
+}
+
+impl<T: Scalar> AddAssign for Inertia<T> {
+    #[inline(always)]
+    fn add_assign(&mut self, o: Self) {
+        self.mass += o.mass;
+        self.first += o.first;
+        self.second += o.second;
+    }
+}
+
+/// First moments of a moving mass's velocity: ∫ẋ dm and ∫ẋ rᵀ dm. Bodies add.
+///
+/// In a frame that turns with angular velocity ω the mass needs the Coriolis force ∫2ω × ẋ dm. Half of that is the
+/// operator B of Echeandia and Wensing (2021); in these moments it has twelve numbers in place of thirty-six.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Coriolis<T> {
+    momentum: Vec3<T>,
+    /// tr(Y)·1 − Y with Y = ∫ẋ rᵀ dm.
+    turning: Mat3<T>,
+}
+
+impl<T: Scalar> Coriolis<T> {
+    /// Of the mass `inertia` moving with twist `v`.
+    #[inline(always)]
+    pub fn new(inertia: &Inertia<T>, v: &Motion<T>) -> Self {
+        let columns = inertia.second.columns();
+        let y = Mat3(core::array::from_fn(|k| v.angular.cross(&columns[k]) + v.linear.scale(inertia.first.0[k])));
+        let trace = y.trace();
+        let mut turning = Mat3(y.0.map(|c| -c));
+        for k in 0..3 {
+            turning.0[k].0[k] += trace;
+        }
+        Self { momentum: inertia.apply(v).force, turning }
+    }
+
+    /// `B · m`: ∫ω × ẋ dm and its moment, for the angular part ω of `m`.
+    #[inline(always)]
+    pub fn apply(&self, m: &Motion<T>) -> Force<T> {
+        Force { moment: self.turning.apply(&m.angular), force: m.angular.cross(&self.momentum) }
+    }
+
+    /// The angular part of `Bᵀ · m`; the linear part is zero.
+    #[inline(always)]
+    pub fn apply_transposed(&self, m: &Motion<T>) -> Vec3<T> {
+        self.turning.apply_transposed(&m.angular) + self.momentum.cross(&m.linear)
+    }
+}
+
+impl<T: Scalar> AddAssign for Coriolis<T> {
+    #[inline(always)]
+    fn add_assign(&mut self, o: Self) {
+        self.momentum += o.momentum;
+        self.turning = self.turning + o.turning;
+    }
+}

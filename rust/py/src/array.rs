@@ -1,0 +1,36 @@
+//! NumPy arrays in and out: float64, C order, one row a sample.
+
+use crate::error::EstimatorError;
+use linkside_core::spatial::{Mat3, Vec3};
+use numpy::{PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArray, PyUntypedArrayMethods, ndarray::Dimension};
+use pyo3::prelude::*;
+
+/// The contents of a C-contiguous array whose last dimension is `width`.
+pub(crate) fn rows<'a, D: Dimension>(
+    name: &str,
+    array: &'a PyReadonlyArray<'_, f64, D>,
+    width: usize,
+) -> PyResult<&'a [f64]> {
+    let found = array.shape().last().copied().unwrap_or(0);
+    if found != width {
+        return Err(EstimatorError::new_err(format!("{name} has {found} columns, expected {width}")));
+    }
+    array.as_slice().map_err(|_| EstimatorError::new_err(format!("{name} is not C-contiguous")))
+}
+
+/// Hands `values` to NumPy under `shape`, without a copy.
+pub(crate) fn shaped<'py>(
+    py: Python<'py>,
+    values: Vec<f64>,
+    shape: Vec<usize>,
+) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+    PyArray1::from_vec(py, values).reshape(shape)
+}
+
+pub(crate) fn vec3(v: [f64; 3]) -> Vec3<f64> {
+    Vec3(v)
+}
+
+pub(crate) fn mat3(rows: [[f64; 3]; 3]) -> Mat3<f64> {
+    Mat3::from_rows(rows)
+}

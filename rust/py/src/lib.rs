@@ -1,0 +1,15 @@
+//! The Python face of `linkside-core`: converts, calls, raises. No arithmetic here.
+
+mod array;
+mod error;
+mod gil;
+mod robot;
+
+use pyo3::prelude::*;
+
+/// Compiled kernels of linkside.
+#[pymodule]
+mod _core {
+    #[pymodule_export]
+    use crate::robot::Robot;
+}

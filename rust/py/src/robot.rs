@@ -1,0 +1,219 @@
+//! A compiled robot and its dynamics over arrays.
+
+use crate::array::{mat3, rows, shaped, vec3};
+use crate::error::IntoPyErr;
+use crate::gil::Release;
+use linkside_core::dynamics::{Batch, States};
+use linkside_core::error::RobotError;
+use linkside_core::robot::{self, BodySpec, JointKind, MotorFriction, SoftWindup, Tree};
+use numpy::{PyArrayDyn, PyReadonlyArray2, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+use std::sync::Arc;
+
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct Body {
+    parent: isize,
+    joint: usize,
+    prismatic: bool,
+    rotation: [[f64; 3]; 3],
+    translation: [f64; 3],
+    axis: [f64; 3],
+    mass: f64,
+    com: [f64; 3],
+    inertia: [[f64; 3]; 3],
+}
+
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct Drive {
+    elastic: bool,
+    stiffness: f64,
+    damping: f64,
+    motor_inertia: f64,
+    cubic_stiffness: f64,
+    soft_windup_stiffness: f64,
+    soft_windup_shape: f64,
+    friction_viscous: f64,
+    friction_coulomb: f64,
+    link_friction: [f64; 6],
+}
+
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct Sensor {
+    body: usize,
+    rotation: [[f64; 3]; 3],
+    translation: [f64; 3],
+    axes: Vec<usize>,
+    noise_std: f64,
+}
+
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct Tool {
+    body: usize,
+    rotation: [[f64; 3]; 3],
+    translation: [f64; 3],
+}
+
+impl Body {
+    fn spec(self) -> BodySpec {
+        BodySpec {
+            parent: usize::try_from(self.parent).ok(),
+            joint: self.joint,
+            kind: if self.prismatic { JointKind::Prismatic } else { JointKind::Revolute },
+            rotation: mat3(self.rotation),
+            translation: vec3(self.translation),
+            axis: vec3(self.axis),
+            mass: self.mass,
+            com: vec3(self.com),
+            inertia: mat3(self.inertia),
+        }
+    }
+}
+
+impl From<Drive> for robot::Drive {
+    fn from(d: Drive) -> Self {
+        Self {
+            elastic: d.elastic,
+            stiffness: d.stiffness,
+            damping: d.damping,
+            motor_inertia: d.motor_inertia,
+            cubic_stiffness: d.cubic_stiffness,
+            soft_windup: SoftWindup { stiffness: d.soft_windup_stiffness, shape: d.soft_windup_shape },
+            motor_friction: MotorFriction { viscous: d.friction_viscous, coulomb: d.friction_coulomb },
+            link_friction: d.link_friction,
+        }
+    }
+}
+
+impl Sensor {
+    fn place(self, kind: &str, tree: &Tree) -> Result<robot::Sensor, RobotError> {
+        let frame = tree.frame(kind, self.body, &mat3(self.rotation), &vec3(self.translation))?;
+        Ok(robot::Sensor { frame, axes: self.axes, noise_std: self.noise_std })
+    }
+}
+
+/// A robot flattened for the kernels.
+#[pyclass(frozen, module = "linkside._core")]
+pub(crate) struct Robot(pub(crate) Arc<robot::Robot>);
+
+type Input<'py> = PyReadonlyArray2<'py, f64>;
+type Output<'py> = PyResult<Bound<'py, PyArrayDyn<f64>>>;
+
+#[pymethods]
+impl Robot {
+    #[new]
+    fn new(
+        gravity: [f64; 3],
+        bodies: Vec<Body>,
+        drives: Vec<Drive>,
+        coupling: Input<'_>,
+        accelerometers: Vec<Sensor>,
+        gyroscopes: Vec<Sensor>,
+        tool: Option<Tool>,
+    ) -> PyResult<Self> {
+        let coupling = rows("coupling", &coupling, bodies.len())?.to_vec();
+        let specs: Vec<BodySpec> = bodies.into_iter().map(Body::spec).collect();
+        let build = || {
+            let tree = Tree::new(vec3(gravity), &specs)?;
+            let place = |kind, sensors: Vec<Sensor>| -> Result<Vec<_>, _> {
+                sensors.into_iter().map(|s| s.place(kind, &tree)).collect()
+            };
+            let accelerometers = place("accelerometer", accelerometers)?;
+            let gyroscopes = place("gyroscope", gyroscopes)?;
+            let tool = tool.map(|t| tree.frame("tool", t.body, &mat3(t.rotation), &vec3(t.translation))).transpose()?;
+            let drives = drives.into_iter().map(Into::into).collect();
+            robot::Robot::new(tree, drives, coupling, accelerometers, gyroscopes, tool)
+        };
+        build().map(|r| Self(Arc::new(r))).map_err(IntoPyErr::into_py_err)
+    }
+
+    /// Number of joints.
+    #[getter]
+    fn n(&self) -> usize {
+        self.0.len()
+    }
+
+    fn inverse_dynamics<'py>(&self, q: Input<'py>, dq: Input<'py>, ddq: Input<'py>) -> Output<'py> {
+        self.states(&q, &dq, &ddq, [self.0.len()], Batch::inverse_dynamics)
+    }
+
+    fn coriolis_matrix<'py>(&self, q: Input<'py>, dq: Input<'py>) -> Output<'py> {
+        self.states(&q, &dq, &dq, [self.0.len(); 2], Batch::coriolis_matrix)
+    }
+
+    fn inverse_dynamics_derivatives<'py>(&self, q: Input<'py>, dq: Input<'py>, ddq: Input<'py>) -> Output<'py> {
+        let n = self.0.len();
+        self.states(&q, &dq, &ddq, [3, n, n], Batch::inverse_dynamics_derivatives)
+    }
+
+    fn specific_force<'py>(&self, q: Input<'py>, dq: Input<'py>, ddq: Input<'py>) -> Output<'py> {
+        self.states(&q, &dq, &ddq, [self.0.acceleration_channels()], Batch::specific_force)
+    }
+
+    fn specific_force_derivatives<'py>(&self, q: Input<'py>, dq: Input<'py>, ddq: Input<'py>) -> Output<'py> {
+        let shape = [3, self.0.acceleration_channels(), self.0.len()];
+        self.states(&q, &dq, &ddq, shape, Batch::specific_force_derivatives)
+    }
+
+    fn angular_rate<'py>(&self, q: Input<'py>, dq: Input<'py>) -> Output<'py> {
+        self.states(&q, &dq, &dq, [self.0.gyroscope_channels()], Batch::angular_rate)
+    }
+
+    fn mass_matrix<'py>(&self, q: Input<'py>) -> Output<'py> {
+        self.positions(&q, [self.0.len(); 2], Batch::mass_matrix)
+    }
+
+    fn gravity_torque<'py>(&self, q: Input<'py>) -> Output<'py> {
+        self.positions(&q, [self.0.len()], Batch::gravity_torque)
+    }
+
+    fn tool_position<'py>(&self, q: Input<'py>) -> Output<'py> {
+        self.positions(&q, [3], Batch::tool_position)
+    }
+}
+
+impl Robot {
+    /// Runs `f` over the rows of a state; the output has one array of `shape` a row.
+    fn states<'a, 'py, const D: usize>(
+        &'a self,
+        q: &Input<'py>,
+        dq: &Input<'py>,
+        ddq: &Input<'py>,
+        shape: [usize; D],
+        f: impl FnOnce(&mut Batch<'a>, States<'_>, &mut [f64]) + Send,
+    ) -> Output<'py> {
+        let n = self.0.len();
+        let states = States { q: rows("q", q, n)?, dq: rows("dq", dq, n)?, ddq: rows("ddq", ddq, n)? };
+        self.over(q, shape, |batch, out| f(batch, states, out))
+    }
+
+    /// As [`states`](Self::states), for what depends on positions alone.
+    fn positions<'a, 'py, const D: usize>(
+        &'a self,
+        q: &Input<'py>,
+        shape: [usize; D],
+        f: impl FnOnce(&mut Batch<'a>, &[f64], &mut [f64]) + Send,
+    ) -> Output<'py> {
+        let positions = rows("q", q, self.0.len())?;
+        self.over(q, shape, |batch, out| f(batch, positions, out))
+    }
+
+    fn over<'a, 'py, const D: usize>(
+        &'a self,
+        q: &Input<'py>,
+        shape: [usize; D],
+        f: impl FnOnce(&mut Batch<'a>, &mut [f64]) + Send,
+    ) -> Output<'py> {
+        let (py, count) = (q.py(), q.shape()[0]);
+        let values = py.release(|| {
+            let mut out = vec![0.0; count * shape.iter().product::<usize>()];
+            f(&mut Batch::new(&self.0), &mut out);
+            Ok::<_, RobotError>(out)
+        })?;
+        let shape: Vec<usize> = core::iter::once(count).chain(shape).collect();
+        shaped(py, values, shape)
+    }
+}
