@@ -1,1 +1,34 @@
-"""Where the links of an elastic-joint robot really are."""
+"""Where the links of an elastic-joint robot really are.
+
+>>> import linkside
+>>> robot = linkside.Robot.load(linkside.demo.ROBOT)
+>>> log = linkside.Log.read(linkside.demo.LOG, robot)
+>>> estimate = linkside.AccelerationObserver(robot).run(log)
+>>> estimate.q.shape
+(2000, 6)
+"""
+
+from . import demo, poles, sensors
+from .errors import ConfigError, EstimatorError, LinksideError, LogError, NumericalError, OutputError
+from .estimate import Estimate, EstimateWriter, Status
+from .log import Log
+from .observers import AccelerationObserver
+from .robot import Robot
+
+__all__ = [
+    "AccelerationObserver",
+    "ConfigError",
+    "Estimate",
+    "EstimateWriter",
+    "EstimatorError",
+    "LinksideError",
+    "Log",
+    "LogError",
+    "NumericalError",
+    "OutputError",
+    "Robot",
+    "Status",
+    "demo",
+    "poles",
+    "sensors",
+]

@@ -65,3 +65,107 @@ pub enum RobotError {
         expected: usize,
     },
 }
+
+/// Settings of an estimator that cannot be used.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum DesignError {
+    /// Not as many poles as states.
+    #[error("joint {joint} has {found} poles, expected {expected}")]
+    PoleCount {
+        /// The joint.
+        joint: usize,
+        /// How many were given.
+        found: usize,
+        /// How many states there are.
+        expected: usize,
+    },
+    /// A pole with a real part that is not negative.
+    #[error("joint {joint} has the pole {re:+}{im:+}j, expected a negative real part")]
+    UnstablePole {
+        /// The joint.
+        joint: usize,
+        /// Real part [1/s].
+        re: f64,
+        /// Imaginary part [1/s].
+        im: f64,
+    },
+    /// A complex pole without its mirror image.
+    #[error("joint {joint} has the pole {re:+}{im:+}j without its conjugate")]
+    UnpairedPole {
+        /// The joint.
+        joint: usize,
+        /// Real part [1/s].
+        re: f64,
+        /// Imaginary part [1/s].
+        im: f64,
+    },
+    /// Poles so fast that the innovation at one sample would overshoot.
+    #[error(
+        "joint {joint} has a pole of {speed:.0} rad/s, too fast for a period of {period} s: at most {limit:.0} rad/s"
+    )]
+    FastPole {
+        /// The joint.
+        joint: usize,
+        /// Magnitude of the pole [rad/s].
+        speed: f64,
+        /// Sampling period [s].
+        period: f64,
+        /// The fastest that is accepted [rad/s].
+        limit: f64,
+    },
+    /// A setting out of its range.
+    #[error("{what} is {value}, expected {expected}")]
+    Range {
+        /// Which setting.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+        /// What was expected.
+        expected: &'static str,
+    },
+    /// Fewer acceleration channels than elastic joints.
+    #[error(
+        "{joints} elastic joints but only {channels} accelerations are measured; add accelerometers, or set `elastic: false` on joints that give little"
+    )]
+    TooFewAccelerations {
+        /// Elastic joints.
+        joints: usize,
+        /// Measured axes.
+        channels: usize,
+    },
+    /// Arrays that do not fit together.
+    #[error("{what} has {found} entries, expected {expected}")]
+    Length {
+        /// Which array.
+        what: &'static str,
+        /// Its length.
+        found: usize,
+        /// What was expected.
+        expected: usize,
+    },
+    /// The gravity iteration for a start at rest did not settle.
+    #[error(
+        "no static equilibrium found for the first sample: gravity is too strong for the stiffness; give an initial state"
+    )]
+    NoEquilibrium,
+    /// The first sample of a channel that must be there.
+    #[error("the first sample of the position of joint {joint} is missing; an observer cannot start without it")]
+    NoStart {
+        /// The joint.
+        joint: usize,
+    },
+}
+
+/// A run that broke down.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum RunError {
+    /// Settings or arrays that cannot be used.
+    #[error(transparent)]
+    Design(#[from] DesignError),
+    /// A state that is no longer a number.
+    #[error("the estimate is not finite after sample {sample}: look for infinite or absurd readings there")]
+    NotFinite {
+        /// Index of the sample.
+        sample: usize,
+    },
+}

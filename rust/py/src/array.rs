@@ -2,7 +2,9 @@
 
 use crate::error::EstimatorError;
 use linkside_core::spatial::{Mat3, Vec3};
-use numpy::{PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArray, PyUntypedArrayMethods, ndarray::Dimension};
+use numpy::{
+    PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArray, PyReadonlyArray1, PyUntypedArrayMethods, ndarray::Dimension,
+};
 use pyo3::prelude::*;
 
 /// The contents of a C-contiguous array whose last dimension is `width`.
@@ -33,4 +35,28 @@ pub(crate) fn vec3(v: [f64; 3]) -> Vec3<f64> {
 
 pub(crate) fn mat3(rows: [[f64; 3]; 3]) -> Mat3<f64> {
     Mat3::from_rows(rows)
+}
+
+/// One sample of a signal: a NumPy vector, or any sequence of numbers.
+#[derive(FromPyObject)]
+pub(crate) enum Signal<'py> {
+    Array(PyReadonlyArray1<'py, f64>),
+    Sequence(Vec<f64>),
+}
+
+impl Signal<'_> {
+    pub(crate) fn get(&self, name: &str) -> PyResult<&[f64]> {
+        match self {
+            Self::Array(a) => a.as_slice().map_err(|_| EstimatorError::new_err(format!("{name} is not contiguous"))),
+            Self::Sequence(v) => Ok(v),
+        }
+    }
+
+    pub(crate) fn sized(&self, name: &str, expected: usize) -> PyResult<&[f64]> {
+        let values = self.get(name)?;
+        match values.len() {
+            found if found == expected => Ok(values),
+            found => Err(EstimatorError::new_err(format!("{name} has {found} entries, expected {expected}"))),
+        }
+    }
 }

@@ -1,10 +1,11 @@
 //! Core errors as the package's own exceptions.
 
-use linkside_core::error::RobotError;
+use linkside_core::error::{DesignError, RobotError, RunError};
 use pyo3::PyErr;
 
 pyo3::import_exception!(linkside.errors, ConfigError);
 pyo3::import_exception!(linkside.errors, EstimatorError);
+pyo3::import_exception!(linkside.errors, NumericalError);
 
 /// What an error of the core is called in Python.
 pub(crate) trait IntoPyErr {
@@ -14,5 +15,20 @@ pub(crate) trait IntoPyErr {
 impl IntoPyErr for RobotError {
     fn into_py_err(self) -> PyErr {
         ConfigError::new_err(self.to_string())
+    }
+}
+
+impl IntoPyErr for DesignError {
+    fn into_py_err(self) -> PyErr {
+        EstimatorError::new_err(self.to_string())
+    }
+}
+
+impl IntoPyErr for RunError {
+    fn into_py_err(self) -> PyErr {
+        match self {
+            Self::Design(design) => design.into_py_err(),
+            Self::NotFinite { .. } => NumericalError::new_err(self.to_string()),
+        }
     }
 }

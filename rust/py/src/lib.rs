@@ -3,6 +3,7 @@
 mod array;
 mod error;
 mod gil;
+mod observer;
 mod robot;
 
 use pyo3::prelude::*;
@@ -10,6 +11,8 @@ use pyo3::prelude::*;
 /// Compiled kernels of linkside.
 #[pymodule]
 mod _core {
+    #[pymodule_export]
+    use crate::observer::{AccelerationObserver, ObserverState, observer_gains};
     #[pymodule_export]
     use crate::robot::Robot;
 }

@@ -1,1 +1,3 @@
 //! Estimators: a model and a method.
+
+pub mod observer;

@@ -1,0 +1,10 @@
+"""A robot and a recording to try things on: a six-axis arm whose first joint moves five degrees, simulated, with its truth."""
+
+from pathlib import Path
+
+FOLDER = Path(__file__).parent
+"""Where the files are."""
+
+ROBOT = FOLDER / "robot.yaml"
+LOG = FOLDER / "log.parquet"
+TRUTH = FOLDER / "truth.parquet"

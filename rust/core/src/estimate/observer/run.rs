@@ -1,0 +1,501 @@
+//! The observer itself: one step, and whole recordings.
+
+use super::acceleration::{AccelerationMap, Sight};
+use super::gains::JointModel;
+use super::poles::{Complex, Poles};
+use super::rest::link_position_at_rest;
+use super::sampled::{Sampled, State};
+use crate::dynamics::Kinematics;
+use crate::error::{DesignError, RunError};
+use crate::robot::Robot;
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// Where the link accelerations come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AccelerationSource {
+    /// Measured for every joint, as Theorems 1 and 2 assume.
+    Joints,
+    /// From accelerometers on the links, by the inverse of their map at the estimate (eq. (12)).
+    Sensors,
+}
+
+/// Which of the two estimates of a sample is reported.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Form {
+    /// After the sample's own motor position is used.
+    Current,
+    /// Before: what was predicted for it.
+    Predictor,
+}
+
+/// What an [`AccelerationObserver`] is made with.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// Sampling period [s].
+    pub period: f64,
+    /// Error poles [1/s] of each joint: four, five with a bias state, three for a rigid joint.
+    pub poles: Vec<Vec<Complex>>,
+    /// Whether each elastic joint has a state for the bias of its measured acceleration.
+    pub bias: bool,
+    /// Reported estimate.
+    pub form: Form,
+    /// Source of link accelerations.
+    pub source: AccelerationSource,
+    /// Combinations of accelerations known worse than this are damped [rad/s²].
+    pub worst_acceleration_std: f64,
+}
+
+/// One sample of a log; NaN where a reading is missing.
+#[derive(Clone, Copy, Debug)]
+pub struct Sample<'a> {
+    /// Motor positions θ (n) [rad].
+    pub theta: &'a [f64],
+    /// Motor torques τ (n) [N m], held until the next sample.
+    pub tau: &'a [f64],
+    /// Accelerometer channels [m/s²], or link accelerations (n) [rad/s²].
+    pub acceleration: &'a [f64],
+}
+
+/// What happened at a sample; 0 is good, otherwise a sum of these.
+#[derive(Clone, Copy, Debug)]
+pub struct Status;
+
+impl Status {
+    /// Some combination of accelerations was damped near a singular posture.
+    pub const DAMPED: u8 = 1;
+    /// A reading was missing and bridged.
+    pub const BRIDGED: u8 = 2;
+    /// Some combination of accelerations was not seen at all.
+    pub const UNSEEN: u8 = 4;
+}
+
+/// Estimates of a recording, row-major, one row a sample.
+#[derive(Clone, Debug, Default)]
+pub struct Trajectory {
+    /// Link positions (n).
+    pub q: Vec<f64>,
+    /// Link velocities (n).
+    pub dq: Vec<f64>,
+    /// Link accelerations (n).
+    pub ddq: Vec<f64>,
+    /// Motor positions (n).
+    pub theta: Vec<f64>,
+    /// Motor velocities (n).
+    pub dtheta: Vec<f64>,
+    /// Tool centre point (3); empty when the robot has none.
+    pub tool: Vec<f64>,
+    /// See [`Status`].
+    pub status: Vec<u8>,
+}
+
+/// Link state from motor positions, motor torques and accelerations, without the links' dynamics
+/// (De Luca, Schröder and Thümmel 2007, Theorems 1 and 2, and eq. (12)).
+///
+/// Per joint, with x = (θ, q, θ̇, q̇): the linear model B θ̈ + D(θ̇ − q̇) + K(θ − q) = τ − friction − (Sᵀq̈), q̈ measured,
+/// corrected by the motor position at each sample. A step costs O(n · channels) and allocates nothing.
+#[derive(Clone, Debug)]
+pub struct AccelerationObserver {
+    robot: Arc<Robot>,
+    settings: Settings,
+    models: Vec<JointModel>,
+    joints: Vec<Sampled>,
+    map: AccelerationMap,
+    kinematics: Kinematics<f64>,
+    state: Vec<State>,
+    /// The state before the last innovation.
+    predicted: Vec<State>,
+    /// Torque on each motor's row over the coming period, less what the linear model has, and without coupling.
+    torque: Vec<f64>,
+    /// Measured link accelerations, bias and all.
+    measured: Vec<f64>,
+    previous: Vec<f64>,
+    q: Vec<f64>,
+    dq: Vec<f64>,
+    ddq: Vec<f64>,
+    tool: [f64; 3],
+    status: u8,
+    started: bool,
+}
+
+/// |λ|h may not exceed this: beyond, a sampled error no longer decays the way its pole says.
+const FASTEST: f64 = 2.0;
+
+impl AccelerationObserver {
+    /// Designs the observer.
+    ///
+    /// # Errors
+    /// Poles that are unstable, unpaired, too many or too fast for the period; fewer accelerations than elastic joints.
+    pub fn new(robot: Arc<Robot>, settings: Settings) -> Result<Self, DesignError> {
+        let n = robot.len();
+        check(&robot, &settings)?;
+        let models: Vec<_> = robot
+            .drives
+            .iter()
+            .map(|drive| match (drive.elastic, settings.bias) {
+                (false, _) => JointModel::Rigid,
+                (true, false) => JointModel::Elastic,
+                (true, true) => JointModel::ElasticWithBias,
+            })
+            .collect();
+        let mut joints = Vec::with_capacity(n);
+        for (joint, model) in models.iter().enumerate() {
+            let poles = Poles::new(joint, &settings.poles[joint], model.order())?;
+            let (speed, limit) = (poles.fastest(), FASTEST / settings.period);
+            if speed > limit {
+                return Err(DesignError::FastPole { joint, speed, period: settings.period, limit });
+            }
+            joints.push(Sampled::new(*model, &robot.drives[joint], &poles, settings.period));
+        }
+        Ok(Self {
+            map: AccelerationMap::new(&robot, settings.worst_acceleration_std),
+            kinematics: Kinematics::new(&robot.tree),
+            state: vec![State::default(); n],
+            predicted: vec![State::default(); n],
+            torque: vec![0.0; n],
+            measured: vec![0.0; n],
+            previous: vec![0.0; n],
+            q: vec![0.0; n],
+            dq: vec![0.0; n],
+            ddq: vec![0.0; n],
+            tool: [f64::NAN; 3],
+            status: 0,
+            started: false,
+            robot,
+            settings,
+            models,
+            joints,
+        })
+    }
+
+    /// Forgets the state: the next sample starts anew, from rest.
+    pub fn reset(&mut self) {
+        self.started = false;
+    }
+
+    /// Starts from a given state, each of length n; the next sample is one period later.
+    ///
+    /// # Errors
+    /// Wrong lengths.
+    pub fn start(&mut self, theta: &[f64], q: &[f64], dtheta: &[f64], dq: &[f64]) -> Result<(), DesignError> {
+        let expected = self.robot.len();
+        for (what, given) in [("theta", theta), ("q", q), ("dtheta", dtheta), ("dq", dq)] {
+            if given.len() != expected {
+                return Err(DesignError::Length { what, found: given.len(), expected });
+            }
+        }
+        for j in 0..expected {
+            self.state[j] = match self.models[j] {
+                JointModel::Rigid => [theta[j], dtheta[j], 0.0, 0.0, 0.0],
+                _ => [theta[j], q[j], dtheta[j], dq[j], 0.0],
+            };
+        }
+        self.predicted.copy_from_slice(&self.state);
+        self.measured.fill(0.0);
+        self.torque.fill(0.0);
+        self.started = true;
+        Ok(())
+    }
+
+    /// Takes one sample; afterwards the getters give the state at its time.
+    ///
+    /// The first sample starts the observer from rest unless [`start`](Self::start) did. Slices must have the lengths
+    /// that [`Sample`] states.
+    ///
+    /// # Errors
+    /// Only on a first sample without every motor position, or without a static equilibrium.
+    #[inline]
+    pub fn step(&mut self, sample: Sample<'_>) -> Result<(), DesignError> {
+        self.status = 0;
+        if self.started {
+            self.predict();
+            self.read_accelerations(sample.acceleration);
+            self.interpolate();
+        } else {
+            self.start_from_rest(sample.theta)?;
+            self.read_accelerations(sample.acceleration);
+        }
+        self.correct(sample.theta);
+        self.hold_torque(sample.tau);
+        self.report();
+        Ok(())
+    }
+
+    fn start_from_rest(&mut self, theta: &[f64]) -> Result<(), DesignError> {
+        if let Some(joint) = theta.iter().position(|x| x.is_nan()) {
+            return Err(DesignError::NoStart { joint });
+        }
+        let q = link_position_at_rest(&self.robot, theta)?;
+        let zero = vec![0.0; q.len()];
+        self.start(theta, &q, &zero, &zero)
+    }
+
+    /// One period on, everything held.
+    #[inline(always)]
+    fn predict(&mut self) {
+        for j in 0..self.joints.len() {
+            let torque = self.torque[j] - self.coupling_torque(j, &self.measured);
+            self.predicted[j] = self.joints[j].predict(&self.state[j], torque, self.measured[j]);
+        }
+        self.previous.copy_from_slice(&self.measured);
+    }
+
+    /// Sᵀq̈ on motor j for measured accelerations, less their estimated bias.
+    #[inline(always)]
+    fn coupling_torque(&self, j: usize, measured: &[f64]) -> f64 {
+        let n = self.joints.len();
+        let mut sum = 0.0;
+        for i in 0..j {
+            let s = self.robot.coupling[i * n + j];
+            if s != 0.0 {
+                sum += s * (measured[i] - self.state[i][4]);
+            }
+        }
+        sum
+    }
+
+    /// Link accelerations at the predicted state.
+    #[inline(always)]
+    fn read_accelerations(&mut self, reading: &[f64]) {
+        if reading.iter().any(|x| x.is_nan()) {
+            self.status |= Status::BRIDGED;
+        }
+        match self.settings.source {
+            AccelerationSource::Joints => {
+                for (kept, &value) in self.measured.iter_mut().zip(reading) {
+                    *kept = if value.is_nan() { *kept } else { value };
+                }
+            }
+            AccelerationSource::Sensors => self.read_sensors(reading),
+        }
+    }
+
+    #[inline(always)]
+    fn read_sensors(&mut self, reading: &[f64]) {
+        // A prior of zero where the sensors cannot see; of what it last was where they are silent for a moment.
+        let silent = self.status & Status::BRIDGED != 0;
+        for j in 0..self.joints.len() {
+            let x = &self.predicted[j];
+            match self.models[j] {
+                JointModel::Rigid => {
+                    (self.q[j], self.dq[j], self.ddq[j]) = (x[0], x[1], x[2]);
+                    self.measured[j] = x[2];
+                }
+                _ => {
+                    (self.q[j], self.dq[j], self.ddq[j]) = (x[1], x[3], 0.0);
+                    self.measured[j] = if silent { self.measured[j] } else { 0.0 };
+                }
+            }
+        }
+        self.kinematics.set(&self.robot.tree, &self.q, &self.dq, &self.ddq);
+        self.status |= match self.map.solve(&self.robot, &self.kinematics, reading, &mut self.measured) {
+            Sight::Clear => 0,
+            Sight::Damped => Status::DAMPED,
+            Sight::Blind => Status::DAMPED | Status::UNSEEN,
+        };
+    }
+
+    /// Redoes the prediction with accelerations on a straight line between the samples.
+    #[inline(always)]
+    fn interpolate(&mut self) {
+        for j in 0..self.joints.len() {
+            let torque = self.coupling_torque(j, &self.previous) - self.coupling_torque(j, &self.measured);
+            let change = self.measured[j] - self.previous[j];
+            self.joints[j].interpolate(&mut self.predicted[j], torque, change);
+        }
+    }
+
+    /// Uses the motor positions.
+    #[inline(always)]
+    fn correct(&mut self, theta: &[f64]) {
+        for j in 0..self.joints.len() {
+            self.state[j] = self.predicted[j];
+            let innovation = theta[j] - self.predicted[j][0];
+            if innovation.is_nan() {
+                self.status |= Status::BRIDGED;
+            } else {
+                self.joints[j].correct(&mut self.state[j], innovation);
+            }
+        }
+    }
+
+    /// The torque that acts until the next sample: measured, less dry friction and the spring's nonlinear part.
+    #[inline(always)]
+    fn hold_torque(&mut self, tau: &[f64]) {
+        for j in 0..self.joints.len() {
+            if self.models[j] == JointModel::Rigid {
+                continue;
+            }
+            let (drive, x) = (&self.robot.drives[j], &self.state[j]);
+            if tau[j].is_nan() {
+                self.status |= Status::BRIDGED;
+            } else {
+                self.torque[j] = tau[j] - drive.dry_friction(x[2]) - drive.nonlinear_torque(x[0] - x[1]);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn report(&mut self) {
+        for j in 0..self.joints.len() {
+            let x = self.reported(j);
+            (self.q[j], self.dq[j], self.ddq[j]) = match self.models[j] {
+                JointModel::Rigid => (x[0], x[1], x[2]),
+                _ => (x[1], x[3], self.measured[j] - x[4]),
+            };
+        }
+        if let Some(tool) = &self.robot.tool {
+            self.kinematics.set_position(&self.robot.tree, &self.q);
+            self.tool = self.kinematics.position(tool).0;
+        }
+    }
+
+    #[inline(always)]
+    fn reported(&self, joint: usize) -> State {
+        match self.settings.form {
+            Form::Current => self.state[joint],
+            Form::Predictor => self.predicted[joint],
+        }
+    }
+
+    /// Number of joints.
+    pub fn joints(&self) -> usize {
+        self.joints.len()
+    }
+
+    /// Number of acceleration channels that [`Sample::acceleration`] must have.
+    pub fn channels(&self) -> usize {
+        match self.settings.source {
+            AccelerationSource::Joints => self.joints.len(),
+            AccelerationSource::Sensors => self.robot.acceleration_channels(),
+        }
+    }
+
+    /// Link positions (n).
+    pub fn q(&self) -> &[f64] {
+        &self.q
+    }
+
+    /// Link velocities (n).
+    pub fn dq(&self) -> &[f64] {
+        &self.dq
+    }
+
+    /// Link accelerations (n), less their estimated bias.
+    pub fn ddq(&self) -> &[f64] {
+        &self.ddq
+    }
+
+    /// Motor position and velocity of one joint.
+    pub fn motor(&self, joint: usize) -> (f64, f64) {
+        let x = self.reported(joint);
+        match self.models[joint] {
+            JointModel::Rigid => (x[0], x[1]),
+            _ => (x[0], x[2]),
+        }
+    }
+
+    /// Tool centre point, NaN without one.
+    pub fn tool(&self) -> [f64; 3] {
+        self.tool
+    }
+
+    /// See [`Status`].
+    pub fn status(&self) -> u8 {
+        self.status
+    }
+
+    /// Steps through a recording; goes on from where it was, so that a recording may come in pieces.
+    ///
+    /// # Errors
+    /// As [`step`](Self::step), wrong lengths, or a sample after which the estimate is not finite.
+    pub fn run(&mut self, recording: Recording<'_>) -> Result<Trajectory, RunError> {
+        let Recording { count, theta, tau, acceleration } = recording;
+        let (n, m) = (self.joints(), self.channels());
+        for (what, given, width) in [("theta", theta, n), ("tau", tau, n), ("acceleration", acceleration, m)] {
+            if given.len() != count * width {
+                return Err(DesignError::Length { what, found: given.len(), expected: count * width }.into());
+            }
+        }
+        let mut out = Trajectory::with_capacity(count, n, self.robot.tool.is_some());
+        for i in 0..count {
+            self.step(Sample {
+                theta: &theta[i * n..][..n],
+                tau: &tau[i * n..][..n],
+                acceleration: &acceleration[i * m..][..m],
+            })?;
+            if !self.q.iter().chain(&self.dq).all(|x| x.is_finite()) {
+                return Err(RunError::NotFinite { sample: i });
+            }
+            self.append(&mut out);
+        }
+        Ok(out)
+    }
+
+    /// Runs each of `recordings` from a fresh copy of this observer, on all cores.
+    pub fn run_all(&self, recordings: &[Recording<'_>]) -> Vec<Result<Trajectory, RunError>> {
+        recordings.par_iter().map(|&recording| self.clone().run(recording)).collect()
+    }
+
+    fn append(&self, out: &mut Trajectory) {
+        out.q.extend_from_slice(&self.q);
+        out.dq.extend_from_slice(&self.dq);
+        out.ddq.extend_from_slice(&self.ddq);
+        for j in 0..self.joints() {
+            let (theta, dtheta) = self.motor(j);
+            out.theta.push(theta);
+            out.dtheta.push(dtheta);
+        }
+        if self.robot.tool.is_some() {
+            out.tool.extend_from_slice(&self.tool);
+        }
+        out.status.push(self.status);
+    }
+}
+
+/// A recording: `count` samples of θ, τ and acceleration, row-major.
+#[derive(Clone, Copy, Debug)]
+pub struct Recording<'a> {
+    /// Number of samples.
+    pub count: usize,
+    /// θ, n columns.
+    pub theta: &'a [f64],
+    /// τ, n columns.
+    pub tau: &'a [f64],
+    /// Acceleration channels.
+    pub acceleration: &'a [f64],
+}
+
+impl Trajectory {
+    fn with_capacity(count: usize, n: usize, tool: bool) -> Self {
+        let joints = || Vec::with_capacity(count * n);
+        Self {
+            q: joints(),
+            dq: joints(),
+            ddq: joints(),
+            theta: joints(),
+            dtheta: joints(),
+            tool: Vec::with_capacity(if tool { 3 * count } else { 0 }),
+            status: Vec::with_capacity(count),
+        }
+    }
+}
+
+fn check(robot: &Robot, settings: &Settings) -> Result<(), DesignError> {
+    let Settings { period, worst_acceleration_std: worst, .. } = *settings;
+    for (what, value) in [("the sampling period", period), ("worst_acceleration_std", worst)] {
+        if !(value > 0.0 && value.is_finite()) {
+            return Err(DesignError::Range { what, value, expected: "a positive number" });
+        }
+    }
+    if settings.poles.len() != robot.len() {
+        let (found, expected) = (settings.poles.len(), robot.len());
+        return Err(DesignError::Length { what: "poles", found, expected });
+    }
+    let joints = robot.drives.iter().filter(|d| d.elastic).count();
+    let channels = robot.acceleration_channels();
+    if settings.source == AccelerationSource::Sensors && channels < joints {
+        return Err(DesignError::TooFewAccelerations { joints, channels });
+    }
+    Ok(())
+}
