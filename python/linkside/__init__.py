@@ -11,7 +11,9 @@
 from . import demo, poles, sensors
 from .errors import ConfigError, EstimatorError, LinksideError, LogError, NumericalError, OutputError
 from .estimate import Estimate, EstimateWriter, Status
+from .kalman import ExtendedKalmanFilter, KalmanEstimate, RauchTungStriebelSmoother
 from .log import Log
+from .noise import Noise
 from .observers import AccelerationObserver
 from .robot import Robot
 
@@ -21,11 +23,15 @@ __all__ = [
     "Estimate",
     "EstimateWriter",
     "EstimatorError",
+    "ExtendedKalmanFilter",
+    "KalmanEstimate",
     "LinksideError",
     "Log",
     "LogError",
+    "Noise",
     "NumericalError",
     "OutputError",
+    "RauchTungStriebelSmoother",
     "Robot",
     "Status",
     "demo",

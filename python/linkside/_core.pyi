@@ -6,11 +6,19 @@ from typing import Any, final
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["AccelerationObserver", "ObserverState", "Robot", "observer_gains"]
+__all__ = [
+    "AccelerationObserver",
+    "ExtendedKalmanFilter",
+    "ObserverState",
+    "Robot",
+    "StretchSmoother",
+    "observer_gains",
+]
 
 _Array = npt.NDArray[np.float64]
 _Signal = _Array | Sequence[float]
 _Arrays = tuple[_Array, _Array, _Array]
+_KalmanArrays = tuple[_Array, _Array, _Array, _Array]
 
 @final
 class Robot:
@@ -77,5 +85,54 @@ class ObserverState:
     def tool_position(self) -> _Array | None: ...
     @property
     def status(self) -> int: ...
+
+@final
+class ExtendedKalmanFilter:
+    """Extended Kalman filter of one robot."""
+
+    def __new__(
+        cls,
+        robot: Robot,
+        *,
+        rates: bool,
+        links: bool,
+        torques: bool,
+        biased: Sequence[bool],
+        noise: Mapping[str, Any],
+        gate: float | None,
+        iterations: int,
+        damping: bool,
+    ) -> ExtendedKalmanFilter: ...
+    @property
+    def states(self) -> int: ...
+    @property
+    def covariance(self) -> _Array: ...
+    def copy(self) -> ExtendedKalmanFilter: ...
+    def reset(self) -> None: ...
+    def step(
+        self,
+        dt: float,
+        theta: _Signal,
+        acceleration: _Signal | None,
+        dtheta: _Signal | None,
+        ddqref: _Signal | None,
+        further: _Signal | None,
+        out: _Array,
+    ) -> int: ...
+    def run(self, arrays: _KalmanArrays, covariance: bool, innovations: bool) -> dict[str, npt.NDArray[Any]]: ...
+    def run_all(
+        self, logs: Sequence[_KalmanArrays], smooth: bool, covariance: bool, innovations: bool
+    ) -> list[dict[str, npt.NDArray[Any]]]: ...
+
+@final
+class StretchSmoother:
+    """Smoother that takes a recording's stretches from the last to the first."""
+
+    def __new__(cls, filter: ExtendedKalmanFilter) -> StretchSmoother: ...
+    @property
+    def stretch(self) -> int: ...
+    def back(
+        self, start: ExtendedKalmanFilter, arrays: _KalmanArrays, covariance: bool
+    ) -> dict[str, npt.NDArray[Any]]: ...
 
 def observer_gains(robot: Robot, joint: int, poles: Sequence[complex]) -> _Array: ...

@@ -50,9 +50,7 @@ def _nonzero(value: float) -> float:
 
 
 # Strict: neither true nor "3" is a number. `float` sheds the subclasses of ruamel.yaml and NumPy.
-Number = Annotated[
-    float, BeforeValidator(_listed), Field(strict=True, allow_inf_nan=False), AfterValidator(float)
-]
+Number = Annotated[float, BeforeValidator(_listed), Field(strict=True, allow_inf_nan=False), AfterValidator(float)]
 Positive = Annotated[Number, Field(gt=0)]
 NonNegative = Annotated[Number, Field(ge=0)]
 Name = Annotated[str, AfterValidator(_printable)]
@@ -121,9 +119,7 @@ class JointConfig(_Section):
         steepest = max(windup, -2 * math.exp(-1.5) * windup)
         if self.stiffness is not None and windup and steepest >= self.stiffness:
             message = f"expected less than the stiffness {self.stiffness:g} can bear, got {windup:g}"
-            raise refusal(
-                f"{message}: the spring's torque must rise with torsion", "soft_windup", "stiffness"
-            )
+            raise refusal(f"{message}: the spring's torque must rise with torsion", "soft_windup", "stiffness")
         return self
 
 
@@ -173,9 +169,7 @@ class ColumnsConfig(_Section):
     model_config = ConfigDict(frozen=True, extra="allow")
     __pydantic_extra__: dict[str, Name] = Field(init=False)
 
-    motor_side: bool = (
-        False  # theta, dtheta and tau are on the motor shaft: divide, and multiply, by the gear ratio
-    )
+    motor_side: bool = False  # theta, dtheta and tau are on the motor shaft: divide, and multiply, by the gear ratio
 
     @property
     def names(self) -> dict[str, str]:
@@ -224,9 +218,7 @@ class RobotConfig(_Section):
             seen: dict[str, int] = {}
             for index, item in enumerate(getattr(self, key)):
                 if (first := seen.setdefault(item.name, index)) != index:
-                    raise refusal(
-                        f"expected a name of its own, got that of {key}[{first}]", key, index, "name"
-                    )
+                    raise refusal(f"expected a name of its own, got that of {key}[{first}]", key, index, "name")
         return self
 
     @model_validator(mode="after")
@@ -237,9 +229,7 @@ class RobotConfig(_Section):
                 if keys[-1] not in order:
                     raise refusal(f"expected an elastic joint; {suggest(keys[-1], order)}", "coupling", *keys)
                 if len(keys) == 2 and order[row] >= order[keys[1]]:
-                    raise refusal(
-                        f"expected a joint after '{row}': S is strictly upper triangular", "coupling", *keys
-                    )
+                    raise refusal(f"expected a joint after '{row}': S is strictly upper triangular", "coupling", *keys)
         return self
 
     @model_validator(mode="after")

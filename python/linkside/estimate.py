@@ -43,6 +43,10 @@ class Status(IntFlag):
     """A sample was missing, and was bridged by the model."""
     UNSEEN = 4
     """A direction of joint acceleration is not seen by the sensors at all."""
+    GATED = 8
+    """A reading was left out as an outlier."""
+    PREDICTED = 16
+    """Not one reading was used: the row is a prediction."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

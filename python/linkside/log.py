@@ -25,7 +25,7 @@ from linkside.errors import EstimatorError, LogError
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 
-JOINT_SIGNALS = ("theta", "dtheta", "tau", "ddq", "qref", "dqref", "ddqref")
+JOINT_SIGNALS = ("theta", "dtheta", "tau", "q", "ddq", "torque", "qref", "dqref", "ddqref")
 """Signals with one column a joint, ``<signal>_<joint>``."""
 
 LARGEST_STEP = 1.5
@@ -94,8 +94,10 @@ class Log:
         Accelerometers: specific force in the sensor's axes [m/s²].
     rate : (T, g)
         Gyroscopes: angular velocity in the sensor's axes [rad/s].
-    ddq : (T, n)
-        Measured link accelerations [rad/s²].
+    q, ddq : (T, n)
+        Link positions [rad] and accelerations [rad/s²], where sensors measure them.
+    torque : (T, n)
+        Joint torque sensors: what the transmission gives the link [N m].
     qref, dqref, ddqref : (T, n)
         Commanded motion [rad, rad/s, rad/s²].
     source : str
@@ -110,7 +112,9 @@ class Log:
     tau: FloatArray | None
     acceleration: FloatArray | None
     rate: FloatArray | None
+    q: FloatArray | None
     ddq: FloatArray | None
+    torque: FloatArray | None
     qref: FloatArray | None
     dqref: FloatArray | None
     ddqref: FloatArray | None

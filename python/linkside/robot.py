@@ -213,9 +213,7 @@ class Robot:
         """Torque on the links, M(q) q̈ + C(q, q̇) q̇ + g(q), (T, n) [N m]."""
         return self._rows(self.core.inverse_dynamics, q=q, dq=dq, ddq=ddq)
 
-    def inverse_dynamics_derivatives(
-        self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike
-    ) -> tuple[Array, Array, Array]:
+    def inverse_dynamics_derivatives(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> tuple[Array, Array, Array]:
         """Derivatives of `inverse_dynamics` by q, q̇ and q̈ (the last: mass matrix), three of (T, n, n)."""
         stacked = self._rows(self.core.inverse_dynamics_derivatives, q=q, dq=dq, ddq=ddq)
         return stacked[..., 0, :, :], stacked[..., 1, :, :], stacked[..., 2, :, :]

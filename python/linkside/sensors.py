@@ -146,7 +146,7 @@ def _rows(robot: Robot, data: Any, sensor: AccelerometerConfig) -> tuple[Array, 
     centripetal = pin.getFrameClassicalAcceleration(*local).linear
     gravity = (data.oMi[joint] * pose).rotation.T @ robot.model.gravity.linear
     axes = ["xyz".index(axis) for axis in sensor.axes]
-    jacobian = pin.getFrameJacobian(*local)[:3, robot.velocity_index]
+    jacobian = pin.getFrameJacobian(*local).reshape(6, robot.n)[:3, robot.velocity_index]  # flat for a single joint
     return jacobian[axes], (centripetal - gravity)[axes]
 
 

@@ -14,6 +14,7 @@ from .urdf import impossible
 
 # About or along any axis; RUB and RevoluteUnbounded are URDF's continuous joints, whose q is (cos, sin).
 SINGLE_AXIS = re.compile(r"JointModel(R|RUB|P|Revolute|RevoluteUnbounded|Prismatic)(X|Y|Z|Unaligned)")
+UNIQUE = "\x1f"  # ends what makes a frame's name unique for a while
 LINK_FRAMES = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
 
 
@@ -23,9 +24,24 @@ def reduce(model: Any, config: RobotConfig, source: Source) -> Any:
     _refuse_unknown_joints(model, config, source)
     listed = {joint.name for joint in config.joints}
     locked = [index for index, name in enumerate(model.names) if index > 0 and name not in listed]
-    reduced = pin.buildReducedModel(model, locked, pin.neutral(model))
+    reduced = _lock(model, locked)
     reduced.gravity.linear = np.array(config.gravity)
     _refuse_unknown_links(reduced, config, source)
+    return reduced
+
+
+def _lock(model: Any, joints: list[int]) -> Any:
+    """Lock joints at neutral. Pinocchio finds its frames by name then, and links may be called as joints are."""
+    model = pin.Model(model)
+    if not joints:
+        return model
+    _refuse_unframed_joints(model)
+    for index, frame in enumerate(model.frames):
+        if index > 0 and frame.type != pin.FrameType.JOINT:
+            frame.name = f"{index}{UNIQUE}{frame.name}"
+    reduced = pin.buildReducedModel(model, joints, pin.neutral(model))
+    for frame in reduced.frames:
+        frame.name = frame.name.rpartition(UNIQUE)[2]
     return reduced
 
 
@@ -81,6 +97,14 @@ def _refuse_joint_types(model: Any) -> None:
                 f"joint '{name}' is {kind} ({freedom}); linkside works on revolute and prismatic joints, "
                 "fix it in the URDF"
             )
+
+
+def _refuse_unframed_joints(model: Any) -> None:
+    """Pinocchio crashes on locking a joint in a model that lacks the frame of some joint, as one built by hand may."""
+    framed = {frame.name for frame in model.frames if frame.type == pin.FrameType.JOINT}
+    for name in list(model.names)[1:]:
+        if name not in framed:
+            raise ConfigError(f"joint '{name}' has no frame: after model.addJoint(…) call model.addJointFrame(…)")
 
 
 def _refuse_unknown_joints(model: Any, config: RobotConfig, source: Source) -> None:

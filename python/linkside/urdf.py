@@ -41,9 +41,7 @@ class Urdf:
         try:
             root = ET.fromstring(str(urdf) if is_text else read_text(name))
         except ET.ParseError as error:
-            raise ConfigError(
-                f"{name}:{error.position[0]}: not valid XML: {str(error).split(':')[0]}"
-            ) from None
+            raise ConfigError(f"{name}:{error.position[0]}: not valid XML: {str(error).split(':')[0]}") from None
         try:
             _check(root)
         except ValueError as error:
@@ -84,7 +82,7 @@ def impossible(mass: float, inertia: np.ndarray[Any, Any]) -> str:
         return "expected an inertia of finite numbers"
     least, *_, most = np.linalg.eigvalsh(inertia)
     # URDFs carry six digits: a rod's inertia, singular in truth, may come out negative in the seventh.
-    if least < -1e-6 * abs(most):
+    if least < -1e-6 * abs(most) - 1e-12:
         return f"expected a positive semidefinite inertia, got a principal moment of {least:g} kg m²"
     return ""
 

@@ -17,4 +17,5 @@ pub mod error;
 pub mod estimate;
 pub mod robot;
 pub mod scalar;
+pub mod simd;
 pub mod spatial;

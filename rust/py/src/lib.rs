@@ -3,6 +3,7 @@
 mod array;
 mod error;
 mod gil;
+mod kalman;
 mod observer;
 mod robot;
 
@@ -11,6 +12,8 @@ use pyo3::prelude::*;
 /// Compiled kernels of linkside.
 #[pymodule]
 mod _core {
+    #[pymodule_export]
+    use crate::kalman::{ExtendedKalmanFilter, StretchSmoother};
     #[pymodule_export]
     use crate::observer::{AccelerationObserver, ObserverState, observer_gains};
     #[pymodule_export]

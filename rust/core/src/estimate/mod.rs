@@ -1,3 +1,4 @@
 //! Estimators: a model and a method.
 
+pub mod kalman;
 pub mod observer;

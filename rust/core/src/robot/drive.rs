@@ -44,7 +44,7 @@ const CREEP: f64 = 2e-3;
 
 impl Drive {
     /// What the spring's torque has beyond K δ, at torsion δ [rad] [N m].
-    #[inline]
+    #[inline(always)]
     pub fn nonlinear_torque(&self, torsion: f64) -> f64 {
         let square = torsion * torsion;
         let missing = match self.soft_windup {
@@ -62,8 +62,40 @@ impl Drive {
             - stiffness * (-shape * square).exp() * (1.0 - 2.0 * shape * square)
     }
 
+    /// Torsion at which the spring holds `torque` [N m]; Newton's method, as the spring is monotone [rad].
+    #[inline(always)]
+    pub fn torsion(&self, torque: f64) -> f64 {
+        let mut torsion = torque / self.stiffness;
+        if self.cubic_stiffness == 0.0 && self.soft_windup.stiffness == 0.0 {
+            return torsion;
+        }
+        for _ in 0..50 {
+            let excess = self.stiffness * torsion + self.nonlinear_torque(torsion) - torque;
+            let step = excess / self.tangent_stiffness(torsion);
+            torsion -= step;
+            if step.abs() <= 1e-16 * torsion.abs() {
+                break;
+            }
+        }
+        torsion
+    }
+
+    /// Friction torque of the link at speed `v` [rad/s], and its slope [N m, N m s/rad]:
+    /// γ₁(tanh γ₂v − tanh γ₃v) + γ₄ tanh γ₅v + γ₆v (Ulrich and Sasiadek 2011, eq. (14)).
+    #[inline(always)]
+    pub fn link_friction(&self, v: f64) -> (f64, f64) {
+        let [g1, g2, g3, g4, g5, g6] = self.link_friction;
+        if g1 == 0.0 && g4 == 0.0 {
+            return (g6 * v, g6);
+        }
+        let [a, b, c] = [g2, g3, g5].map(|g| (g * v).tanh());
+        let bell = |t: f64| 1.0 - t * t;
+        let slope = g1 * (g2 * bell(a) - g3 * bell(b)) + g4 * g5 * bell(c) + g6;
+        (g1 * (a - b) + g4 * c + g6 * v, slope)
+    }
+
     /// Dry friction of the motor at speed `velocity` [rad/s] [N m].
-    #[inline]
+    #[inline(always)]
     pub fn dry_friction(&self, velocity: f64) -> f64 {
         match self.motor_friction.coulomb {
             0.0 => 0.0,

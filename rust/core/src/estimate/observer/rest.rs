@@ -21,11 +21,7 @@ pub fn link_position_at_rest(robot: &Robot, theta: &[f64]) -> Result<Vec<f64>, D
         loads.inverse_dynamics_into(tree, &kinematics, &mut gravity);
         let mut step: f64 = 0.0;
         for (joint, drive) in robot.drives.iter().enumerate().filter(|(_, d)| d.elastic) {
-            let mut torsion = theta[joint] - q[joint];
-            for _ in 0..20 {
-                let excess = drive.stiffness * torsion + drive.nonlinear_torque(torsion) - gravity[joint];
-                torsion -= excess / drive.tangent_stiffness(torsion);
-            }
+            let torsion = drive.torsion(gravity[joint]);
             step = step.max((theta[joint] - torsion - q[joint]).abs());
             q[joint] = theta[joint] - torsion;
         }

@@ -1,0 +1,287 @@
+"""Kalman filter and smoother on the acceleration-driven model: link state and tool position with their uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import overload
+
+import numpy as np
+import numpy.typing as npt
+
+from . import _core
+from .errors import EstimatorError, LogError
+from .estimate import Estimate
+from .log import Log
+from .noise import Noise
+from .robot import Robot
+
+FloatArray = npt.NDArray[np.float64]
+Signal = FloatArray | Sequence[float]
+Arrays = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+
+BIASED = ("motor", "acceleration", "rate")
+"""Kinds of channels that may have a bias."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class KalmanEstimate(Estimate):
+    """An estimate with what tells whether to believe it.
+
+    Attributes
+    ----------
+    nis : (T,)
+        Normalised innovation squared; its mean should be that of ``used``.
+    used : (T,)
+        Readings used at each sample.
+    log_likelihood : (T,)
+        Logarithm of the probability density of the sample's readings, given those before.
+    state : (T, k), optional
+        The filter's whole state: q, dq, ddq, then the biases of the channels that have one. ``covariance`` is its.
+    innovation, innovation_std : (T, m), optional
+        Readings less their predictions, and the standard deviations of these differences.
+    """
+
+    nis: FloatArray | None = None
+    used: npt.NDArray[np.uint32] | None = None
+    log_likelihood: FloatArray | None = None
+    state: FloatArray | None = None
+    innovation: FloatArray | None = None
+    innovation_std: FloatArray | None = None
+
+
+class ExtendedKalmanFilter:
+    """EKF on the acceleration-driven model: jerk moves the links, motor and sensors measure.
+
+    Axelsson, Karlsson and Norrlöf, "Tool position estimation of a flexible industrial robot using recursive Bayesian
+    methods", ICRA 2012. State: link position, velocity and acceleration of every joint, and a bias of each motor and
+    sensor channel. The links' dynamics are in the measurement: a motor stands where the torque that the links need
+    twists its spring to.
+
+    Parameters
+    ----------
+    robot
+        The robot, with its accelerometers and gyroscopes.
+    noise
+        How uncertain everything is; defaults come from robot.yaml, and the scale of jerk from the log.
+    biases
+        Kinds of channels with a bias state: any of ``"motor"``, ``"acceleration"``, ``"rate"``.
+    damping
+        Whether the damping torque D(dtheta - dq), which the paper drops, is predicted: from the log's motor velocity,
+        and where that is missing from the motor positions.
+    rate, q, torque
+        Whether gyroscopes, link encoders (``q_<joint>``) and joint torque sensors (``torque_<joint>``) are used; by
+        default where the log has them, in `step` not.
+    gate
+        Leave a reading out when its innovation exceeds this many standard deviations; None uses all.
+    iterations
+        How often a sample's measurement is linearised; 1 is the plain update.
+
+    Raises
+    ------
+    EstimatorError
+        Settings out of range.
+
+    Notes
+    -----
+    A reading that is NaN is missing, which equals deleting it. Steps of time may vary, and sensors have rates of their
+    own: leave NaN where a sensor has no sample.
+    """
+
+    _smooth = False
+
+    def __init__(
+        self,
+        robot: Robot,
+        noise: Noise | None = None,
+        *,
+        biases: Sequence[str] = ("motor", "acceleration", "rate"),
+        damping: bool = True,
+        rate: bool | None = None,
+        q: bool | None = None,
+        torque: bool | None = None,
+        gate: float | None = None,
+        iterations: int = 1,
+    ) -> None:
+        unknown = sorted(set(biases) - set(BIASED))
+        if unknown:
+            raise EstimatorError(f"biases: {unknown[0]!r} is not one of {', '.join(map(repr, BIASED))}")
+        if not isinstance(iterations, int) or iterations < 1:
+            raise EstimatorError(f"iterations is {iterations!r}, expected a whole number of at least 1")
+        self.robot = robot
+        self.noise = noise or Noise()
+        self._biases, self._damping = tuple(biases), damping
+        self._wanted = {"rate": rate, "q": q, "torque": torque}
+        self._gate, self._iterations = gate, iterations
+        self.status = 0
+        self._live: _core.ExtendedKalmanFilter | None = None
+        self._order = tuple(kind for kind, wanted in self._wanted.items() if wanted)
+
+    @overload
+    def run(self, log: Log, *, covariance: bool = False, innovations: bool = False) -> KalmanEstimate: ...
+    @overload
+    def run(
+        self, log: Sequence[Log], *, covariance: bool = False, innovations: bool = False
+    ) -> list[KalmanEstimate]: ...
+    def run(
+        self, log: Log | Sequence[Log], *, covariance: bool = False, innovations: bool = False
+    ) -> KalmanEstimate | list[KalmanEstimate]:
+        """Estimate a recording, or several on all cores; each starts from rest at its first sample.
+
+        Parameters
+        ----------
+        log
+            The recording, with motor positions of all joints.
+        covariance
+            Keep the whole state and its covariance.
+        innovations
+            Keep the innovations and their standard deviations.
+
+        Raises
+        ------
+        LogError
+            A column is missing, or a motor position at the first sample.
+        NumericalError
+            The estimate is no longer finite; names the sample.
+        """
+        if isinstance(log, Log):
+            return self._run(log, covariance, innovations)
+        with ThreadPoolExecutor() as pool:
+            return list(pool.map(lambda one: self._run(one, covariance, innovations), log))
+
+    def step(
+        self,
+        *,
+        dt: float,
+        theta: Signal,
+        acceleration: Signal | None = None,
+        dtheta: Signal | None = None,
+        ddqref: Signal | None = None,
+        further: Signal | None = None,
+        out: FloatArray | None = None,
+    ) -> FloatArray:
+        """Take one sample and give the mean of the state at its time; the first sample starts from rest.
+
+        Parameters
+        ----------
+        dt
+            Time since the sample before [s].
+        theta : (n,)
+            Motor positions, link side [rad]; NaN where missing, as in all signals.
+        acceleration : (m,)
+            Accelerometer channels in the order of ``robot.acceleration_channels`` [m/s²].
+        dtheta, ddqref : (n,)
+            Motor velocities [rad/s] and commanded link accelerations [rad/s²], where there are any.
+        further : (k,)
+            Readings of the kinds asked for (``rate``, ``q``, ``torque``), one after the other in this order.
+        out : (states,)
+            Array to write the result into.
+
+        Returns
+        -------
+        (states,)
+            Link positions, velocities, accelerations, then biases. ``covariance`` and ``status`` tell the rest.
+        """
+        live = self._live or self._start()
+        out = np.empty(live.states) if out is None else out
+        self.status = live.step(dt, theta, acceleration, dtheta, ddqref, further, out)
+        return out
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the state after the last `step`, (states, states)."""
+        return (self._live or self._start()).covariance
+
+    def reset(self) -> None:
+        """Forget the state: the next `step` starts anew, from rest."""
+        self._live = None
+
+    def _start(self) -> _core.ExtendedKalmanFilter:
+        self._live = self._core(("motor", "acceleration", *self._order), self.noise)
+        return self._live
+
+    def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
+        kinds = self._kinds(log)
+        arrays = self._arrays(log, kinds)
+        core = self._core(kinds, self.noise.for_log(log))
+        (result,) = core.run_all([arrays], self._smooth, covariance, innovations)
+        return KalmanEstimate(t=log.t, names=self.robot.names, **result)
+
+    def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
+        """Estimate a recording that comes piece by piece, in bounded memory.
+
+        The same bits as `run` when ``noise.jerk`` is given; otherwise the scale of jerk is read off the first piece.
+        """
+        core: _core.ExtendedKalmanFilter | None = None
+        kinds: tuple[str, ...] = ()
+        before: Log | None = None
+        for piece in pieces:
+            if core is None:
+                kinds = self._kinds(piece)
+                core = self._core(kinds, self.noise.for_log(piece))
+            result = core.run(self._arrays(piece, kinds, before), False, False)
+            before = piece[-1:]
+            yield KalmanEstimate(t=piece.t, names=self.robot.names, **result)
+
+    def _kinds(self, log: Log) -> tuple[str, ...]:
+        """Kinds of channels to use, in the filter's order."""
+        log.require("theta", purpose="the Kalman filter")
+        if self.robot.acceleration_channels:
+            log.require("acceleration", purpose="the Kalman filter")
+        kinds = ["motor", "acceleration"]
+        for kind, wanted in self._wanted.items():
+            if wanted:
+                log.require(kind, purpose="the Kalman filter")
+            if wanted or (wanted is None and getattr(log, kind) is not None):
+                kinds.append(kind)
+        return tuple(kinds)
+
+    def _core(self, kinds: tuple[str, ...], noise: Noise) -> _core.ExtendedKalmanFilter:
+        widths = {"acceleration": len(self.robot.acceleration_channels), "rate": len(self.robot.gyroscope_channels)}
+        biased = [kind in self._biases for kind in kinds for _ in range(widths.get(kind, self.robot.n))]
+        return _core.ExtendedKalmanFilter(
+            self.robot.core,
+            rates="rate" in kinds,
+            links="q" in kinds,
+            torques="torque" in kinds,
+            biased=biased,
+            noise=noise.arrays(self.robot, kinds),
+            gate=self._gate,
+            iterations=self._iterations,
+            damping=self._damping,
+        )
+
+    def _arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:
+        """Steps of time, readings, motor velocities and commanded jerk, one row a sample."""
+        signals = {"motor": log.theta, "acceleration": log.acceleration}
+        parts = [signals[k] if k in signals else getattr(log, k) for k in kinds]
+        readings = np.hstack([np.zeros((len(log), 0)) if part is None else part for part in parts])
+        if before is None and np.isnan(log.theta[0]).any():
+            joint = self.robot.names[int(np.argmax(np.isnan(log.theta[0])))]
+            raise LogError(f"{log.source}: row 0: theta_{joint} is missing; a filter cannot start without it")
+        dt = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before.t[-1])
+        dtheta = log.dtheta if log.dtheta is not None else np.full_like(log.theta, np.nan)
+        return dt, np.ascontiguousarray(readings), dtheta, _jerk(log, dt, before)
+
+
+class RauchTungStriebelSmoother(ExtendedKalmanFilter):
+    """Smoother: the estimate at each sample of a recording by all of its samples. Parameters as of the filter.
+
+    Rauch, Tung and Striebel (1965), in Bierman's (1973) form on the filter's own updates, which inverts no
+    covariance. Memory is bounded whatever the recording's length.
+    """
+
+    _smooth = True
+
+    def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
+        """Not for a smoother, which needs what comes later; see `run`."""
+        raise EstimatorError("a smoother looks back from a recording's end; read the log whole and call run")
+
+
+def _jerk(log: Log, dt: FloatArray, before: Log | None) -> FloatArray:
+    """Commanded jerk since the sample before (T, n), zero where the log does not tell."""
+    if log.ddqref is None:
+        return np.zeros_like(log.theta)
+    first = log.ddqref[:1] if before is None or before.ddqref is None else before.ddqref[-1:]
+    return np.nan_to_num(np.diff(log.ddqref, axis=0, prepend=first) / dt[:, None])

@@ -1,0 +1,160 @@
+"""How uncertain everything is: the settings of a Kalman filter, in physical units, read from and written to files."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.signal
+from pydantic import BaseModel, ConfigDict, Field
+from ruamel.yaml import YAML
+
+from .errors import EstimatorError, OutputError
+from .log import Log
+from .robot import Robot
+from .source import Source
+
+FloatArray = npt.NDArray[np.float64]
+Std = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+PositiveStd = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+JERK_TIME = 0.02
+"""Over this time jerk is taken to stay the same, where its size is read off a log [s]."""
+
+LEAST_JERK = 10.0
+"""A log in which nothing moves still leaves this density of jerk [rad/s³/√Hz]."""
+
+
+class Noise(BaseModel):
+    """Standard deviations, the same for all joints or for all sensors of a kind unless given joint by joint.
+
+    The defaults belong to industrial arms in SI units, and are meant to work untuned. Biases are kept on a short
+    lead on purpose: at rest a motor's bias cannot be told from link position, nor an accelerometer's from the
+    direction of gravity, so what is known of them beforehand decides.
+
+    Attributes
+    ----------
+    jerk
+        Density of the links' jerk beside the commanded one: acceleration wanders by this in a second
+        [rad/s³/√Hz]. None: read off the log.
+    transmission
+        Error of a motor's predicted position beside encoder and damping, as of gear teeth [rad].
+    torsion
+        Relative error of the predicted torsion, as of a stiffness that is not quite right.
+    motor_velocity
+        Noise of the motor velocity that the damping torque is computed from [rad/s].
+    acceleration, rate
+        Noise of accelerometers and gyroscopes, in multiples of their ``noise_std``.
+    link
+        Noise of link encoders [rad].
+    joint_torque
+        Noise of joint torque sensors [N m].
+    motor_bias, acceleration_bias, rate_bias
+        Initial uncertainty of biases [rad, m/s², rad/s].
+    motor_bias_walk, acceleration_bias_walk, rate_bias_walk
+        By how much biases wander in one second [rad/√s, m/s²/√s, rad/s/√s].
+    position, velocity, initial_acceleration
+        Uncertainty of the links' state at the first sample, where the robot is taken to be at rest
+        [rad, rad/s, rad/s²].
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    jerk: PositiveStd | tuple[PositiveStd, ...] | None = None
+    transmission: Std | tuple[Std, ...] = 1e-5
+    torsion: Std = 3e-3
+    motor_velocity: Std = 1e-3
+    acceleration: PositiveStd = 1.0
+    rate: PositiveStd = 1.0
+    link: PositiveStd = 1e-5
+    joint_torque: PositiveStd = 1.0
+    motor_bias: Std = 1e-5
+    motor_bias_walk: Std = 1e-6
+    acceleration_bias: Std = 0.1
+    acceleration_bias_walk: Std = 1e-3
+    rate_bias: Std = 1e-3
+    rate_bias_walk: Std = 1e-5
+    position: Std = 1e-4
+    velocity: Std = 1e-3
+    initial_acceleration: Std = 0.1
+
+    @classmethod
+    def read(cls, path: str | PathLike[str]) -> Noise:
+        """Read a tuning file: YAML with any of the attributes as keys; `ConfigError` names file, line and key."""
+        return Source.read(path).validate(cls)
+
+    def write(self, path: str | PathLike[str]) -> None:
+        """Write a tuning file with everything that differs from the defaults."""
+        changed = {k: list(v) if isinstance(v, tuple) else v for k, v in self.model_dump(exclude_defaults=True).items()}
+        try:
+            with Path(path).open("w", encoding="utf-8") as file:
+                YAML().dump(changed, file)
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
+
+    def updated(self, **changes: Any) -> Noise:
+        """Give the same with some attributes changed, checked."""
+        return type(self).model_validate(self.model_dump() | changes)
+
+    def for_log(self, log: Log) -> Noise:
+        """Fill in what is to be read off the log: the scale of jerk."""
+        return self if self.jerk is not None else self.updated(jerk=tuple(jerk_scale(log)))
+
+    def arrays(self, robot: Robot, kinds: tuple[str, ...]) -> dict[str, Any]:
+        """Arrays for the filter: one number a joint or channel, the channels being those of ``kinds`` in order."""
+        n = robot.n
+        per_kind = {
+            "motor": (self._motor(robot), self.motor_bias, self.motor_bias_walk),
+            "acceleration": (
+                self.acceleration * _sensor_noise(robot.accelerometers),
+                self.acceleration_bias,
+                self.acceleration_bias_walk,
+            ),
+            "rate": (self.rate * _sensor_noise(robot.gyroscopes), self.rate_bias, self.rate_bias_walk),
+            "q": (np.full(n, self.link), 0.0, 0.0),
+            "torque": (np.full(n, self.joint_torque), 0.0, 0.0),
+        }
+        chosen = [per_kind[kind] for kind in kinds]
+        spread = [np.repeat([bias, walk], len(noise)).reshape(2, -1) for noise, bias, walk in chosen]
+        initial = np.repeat([self.position, self.velocity, self.initial_acceleration], n)
+        return {
+            "jerk": per_joint("jerk", LEAST_JERK if self.jerk is None else self.jerk, n).tolist(),
+            "reading": np.concatenate([noise for noise, _, _ in chosen]).tolist(),
+            "torsion": self.torsion,
+            "bias_walk": np.concatenate([s[1] for s in spread]).tolist(),
+            "initial": initial.tolist(),
+            "initial_bias": np.concatenate([s[0] for s in spread]).tolist(),
+        }
+
+    def _motor(self, robot: Robot) -> FloatArray:
+        """Encoder steps, the transmission's error, and what the damping torque's velocity adds, D/K of its noise."""
+        step = robot.config.encoder.resolution / np.sqrt(12)
+        lag = np.array([d.damping / d.stiffness if d.elastic and d.stiffness else 0.0 for d in robot.drives])
+        own = per_joint("transmission", self.transmission, robot.n)
+        return np.asarray(np.sqrt(step**2 + own**2 + (lag * self.motor_velocity) ** 2))
+
+
+def per_joint(name: str, value: float | tuple[float, ...], n: int) -> FloatArray:
+    """One number for each of n joints."""
+    values = np.atleast_1d(np.asarray(value, float))
+    if len(values) not in (1, n):
+        raise EstimatorError(f"noise: {name} has {len(values)} entries, expected 1 or {n}")
+    return np.array(np.broadcast_to(values, n))
+
+
+def jerk_scale(log: Log) -> FloatArray:
+    """Density of each joint's jerk (n,), from the third derivative of the motor positions [rad/s³/√Hz]."""
+    window = min(len(log), 2 * round(JERK_TIME / log.period) + 1)
+    window -= 1 - window % 2
+    if window < 5:
+        return np.full(log.theta.shape[1], LEAST_JERK)
+    filled = np.where(np.isnan(log.theta), np.nanmean(log.theta, axis=0), log.theta)
+    jerk = scipy.signal.savgol_filter(filled, window, 3, deriv=3, delta=log.period, axis=0)
+    return np.asarray(np.maximum(LEAST_JERK, np.sqrt(np.mean(jerk**2, axis=0) * JERK_TIME)))
+
+
+def _sensor_noise(sensors: Any) -> FloatArray:
+    return np.concatenate([np.full(len(s.axes), s.noise_std) for s in sensors]) if sensors else np.zeros(0)

@@ -1,0 +1,163 @@
+//! Small dense products on rows padded to a multiple of [`LANES`], accumulated in registers.
+
+/// Columns that one vector register holds, and to a multiple of which rows are padded.
+pub(super) const LANES: usize = 4;
+/// Rows that share what is loaded.
+const ROWS: usize = 4;
+
+type Lane = [f64; LANES];
+
+#[inline(always)]
+fn lanes(values: &[f64]) -> &[Lane] {
+    values.as_chunks().0
+}
+
+/// `sum += a · b`, lane by lane.
+#[inline(always)]
+fn accumulate(sum: &mut Lane, a: f64, b: &Lane) {
+    for l in 0..LANES {
+        sum[l] += a * b[l];
+    }
+}
+
+/// `out[i] = Σⱼ left[i][j] · right[j]`: `left` has rows of `inner` numbers, `right` at least `inner` rows of `stride`.
+#[inline(always)]
+pub(super) fn product(left: &[f64], inner: usize, right: &[f64], stride: usize, out: &mut [f64]) {
+    let rows = left.len() / inner;
+    let whole = rows / ROWS * ROWS;
+    for i in (0..whole).step_by(ROWS) {
+        product_rows::<ROWS>(&left[i * inner..], inner, right, stride, &mut out[i * stride..]);
+    }
+    for i in whole..rows {
+        product_rows::<1>(&left[i * inner..], inner, right, stride, &mut out[i * stride..]);
+    }
+}
+
+#[inline(always)]
+fn product_rows<const R: usize>(left: &[f64], inner: usize, right: &[f64], stride: usize, out: &mut [f64]) {
+    let left: [&[f64]; R] = core::array::from_fn(|r| &left[r * inner..][..inner]);
+    let (right, step) = (lanes(right), stride / LANES);
+    let whole = step / 2 * 2;
+    for c in (0..whole).step_by(2) {
+        product_block::<R, 2>(&left, right, step, c, out);
+    }
+    if whole < step {
+        product_block::<R, 1>(&left, right, step, whole, out);
+    }
+}
+
+/// R rows by W lanes of a product, from lane `c` on.
+#[inline(always)]
+fn product_block<const R: usize, const W: usize>(
+    left: &[&[f64]; R],
+    right: &[Lane],
+    step: usize,
+    c: usize,
+    out: &mut [f64],
+) {
+    let mut sums = [[[0.0; LANES]; W]; R];
+    for (j, row) in right.chunks_exact(step).take(left[0].len()).enumerate() {
+        let row = &row[c..c + W];
+        for r in 0..R {
+            for w in 0..W {
+                accumulate(&mut sums[r][w], left[r][j], &row[w]);
+            }
+        }
+    }
+    for (r, sum) in sums.iter().enumerate() {
+        out[(r * step + c) * LANES..][..W * LANES].copy_from_slice(sum.as_flattened());
+    }
+}
+
+/// `p −= Σᵢ aᵢ bᵢᵀ + bᵢ aᵢᵀ` on and above the diagonal, the lower triangle then copied from the upper.
+///
+/// `p` has `n` rows of `stride`, `a` and `b` one row of `stride` for each i.
+#[inline(always)]
+pub(super) fn subtract_outer(p: &mut [f64], n: usize, stride: usize, a: &[f64], b: &[f64]) {
+    let step = stride / LANES;
+    for r in 0..step {
+        let rows = LANES.min(n - r * LANES);
+        let mut c = r;
+        while c + 2 <= step {
+            outer_block::<2>(p, step, (lanes(a), lanes(b)), r, c, rows);
+            c += 2;
+        }
+        if c < step {
+            outer_block::<1>(p, step, (lanes(a), lanes(b)), r, c, rows);
+        }
+    }
+    mirror(p, n, stride);
+}
+
+/// `rows` rows from lane `r` on by W lanes from lane `c` on.
+#[inline(always)]
+fn outer_block<const W: usize>(
+    p: &mut [f64],
+    step: usize,
+    (a, b): (&[Lane], &[Lane]),
+    r: usize,
+    c: usize,
+    rows: usize,
+) {
+    let mut sums = [[[0.0; LANES]; W]; LANES];
+    for (a, b) in a.chunks_exact(step).zip(b.chunks_exact(step)) {
+        let (ar, br, ac, bc) = (&a[r], &b[r], &a[c..c + W], &b[c..c + W]);
+        for k in 0..LANES {
+            for w in 0..W {
+                accumulate(&mut sums[k][w], ar[k], &bc[w]);
+                accumulate(&mut sums[k][w], br[k], &ac[w]);
+            }
+        }
+    }
+    for (k, sum) in sums.iter().enumerate().take(rows) {
+        let out = &mut p[((r * LANES + k) * step + c) * LANES..][..W * LANES];
+        for (out, sum) in out.iter_mut().zip(sum.as_flattened()) {
+            *out -= sum;
+        }
+    }
+}
+
+/// Copies the upper triangle of n rows onto the lower.
+#[inline(always)]
+pub(super) fn mirror(p: &mut [f64], n: usize, stride: usize) {
+    for i in 0..n {
+        for j in i + 1..n {
+            p[j * stride + i] = p[i * stride + j];
+        }
+    }
+}
+
+/// Σ aᵢ bᵢ over the shorter of the two, in [`LANES`] partial sums.
+#[inline(always)]
+pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let n = a.len().min(b.len());
+    let (a, b) = (&a[..n], &b[..n]);
+    let mut sums = [0.0; LANES];
+    let ((quads, rest), (others, last)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
+    for (x, y) in quads.iter().zip(others) {
+        for l in 0..LANES {
+            sums[l] += x[l] * y[l];
+        }
+    }
+    let mut sum = (sums[0] + sums[1]) + (sums[2] + sums[3]);
+    for (x, y) in rest.iter().zip(last) {
+        sum += x * y;
+    }
+    sum
+}
+
+/// `y += factor · x`.
+#[inline(always)]
+pub(super) fn add_scaled(y: &mut [f64], factor: f64, x: &[f64]) {
+    for (y, x) in y.iter_mut().zip(x) {
+        *y += factor * x;
+    }
+}
+
+/// `y −= p·u + q·v`.
+#[inline(always)]
+pub(super) fn subtract_pair(y: &mut [f64], p: f64, u: &[f64], q: f64, v: &[f64]) {
+    for ((y, u), v) in y.iter_mut().zip(u).zip(v) {
+        *y -= p * u + q * v;
+    }
+}

@@ -1,0 +1,590 @@
+//! The extended Kalman filter: one step, and whole recordings.
+
+use super::channels::Evaluation;
+use super::dense;
+use super::gaussian::{Gaussian, Innovation, Row, Symmetric};
+use super::model::{JerkModel, Noise};
+use super::slope::Slope;
+use super::smoother::{History, Smoother};
+use crate::error::{DesignError, RunError};
+use crate::estimate::observer::link_position_at_rest;
+use crate::simd::{self, Kernel};
+use rayon::prelude::*;
+
+/// What a filter does beyond the textbook.
+#[derive(Clone, Copy, Debug)]
+pub struct FilterSettings {
+    /// A channel whose innovation exceeds this many standard deviations is left out at that sample.
+    pub gate: Option<f64>,
+    /// How often the measurement is linearised, each time at the estimate of the time before; 1 is the plain update.
+    pub iterations: usize,
+    /// Whether the damping torque D(θ̇ − q̇) is predicted.
+    pub damping: bool,
+}
+
+/// One sample; NaN where a reading is missing.
+#[derive(Clone, Copy, Debug)]
+pub struct KalmanSample<'a> {
+    /// Time since the sample before [s]; not looked at on the first.
+    pub dt: f64,
+    /// One reading a channel.
+    pub readings: &'a [f64],
+    /// Motor velocities for the damping torque (n) [rad/s]; where missing, the slope of the latest motor positions.
+    pub dtheta: &'a [f64],
+    /// Jerk of the links since the sample before, as commanded (n) [rad/s³].
+    pub jerk: &'a [f64],
+}
+
+/// What happened at a sample; 0 is good, otherwise a sum of these. Bits are shared with the observers'.
+#[derive(Clone, Copy, Debug)]
+pub struct KalmanStatus;
+
+impl KalmanStatus {
+    /// A reading was missing.
+    pub const MISSING: u8 = 2;
+    /// A reading was left out as an outlier.
+    pub const GATED: u8 = 8;
+    /// Not one reading was used: the row is a prediction.
+    pub const PREDICTED: u8 = 16;
+}
+
+/// What to keep of each sample beyond the estimate.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Keep {
+    /// The whole state and its covariance.
+    pub covariance: bool,
+    /// Innovations, and their standard deviations.
+    pub innovations: bool,
+}
+
+/// Estimates of a recording, row-major, one row a sample.
+#[derive(Clone, Debug, Default)]
+pub struct FilterOutput {
+    /// Link positions (n).
+    pub q: Vec<f64>,
+    /// Link velocities (n).
+    pub dq: Vec<f64>,
+    /// Link accelerations (n).
+    pub ddq: Vec<f64>,
+    /// Motor positions (n).
+    pub theta: Vec<f64>,
+    /// Motor velocities (n).
+    pub dtheta: Vec<f64>,
+    /// Standard deviations of link positions (n).
+    pub q_std: Vec<f64>,
+    /// Tool centre point (3); empty when the robot has none.
+    pub tool: Vec<f64>,
+    /// Its standard deviations (3).
+    pub tool_std: Vec<f64>,
+    /// See [`KalmanStatus`].
+    pub status: Vec<u8>,
+    /// Normalised innovation squared; its mean should be the number of readings used.
+    pub nis: Vec<f64>,
+    /// Readings used.
+    pub used: Vec<u32>,
+    /// Logarithm of the readings' probability density.
+    pub log_likelihood: Vec<f64>,
+    /// The whole state (states), when kept.
+    pub state: Vec<f64>,
+    /// Its covariance (states × states), when kept.
+    pub covariance: Vec<f64>,
+    /// Reading less prediction (channels), when kept.
+    pub innovation: Vec<f64>,
+    /// Its standard deviation (channels), when kept.
+    pub innovation_std: Vec<f64>,
+}
+
+/// Kalman filter with exact derivatives; a step allocates nothing.
+///
+/// Readings with independent noise are used one after the other, which equals using them at once, needs no matrix
+/// inverse, and makes a missing one a loop that runs once less.
+#[derive(Clone, Debug)]
+pub struct ExtendedKalmanFilter {
+    pub(super) model: JerkModel,
+    pub(super) noise: Noise,
+    settings: FilterSettings,
+    pub(super) belief: Gaussian,
+    prior: Gaussian,
+    pub(super) evaluation: Evaluation,
+    /// Where the channels are linearised.
+    pub(super) reference: Vec<f64>,
+    /// H P, each row after the channels before it (channels × states, padded).
+    projections: Vec<f64>,
+    pub(super) gains: Vec<f64>,
+    halves: Vec<f64>,
+    pub(super) innovations: Vec<Innovation>,
+    /// Channels left out at this sample by the gate.
+    gated: Vec<bool>,
+    /// Motor velocities for the damping torque.
+    dtheta: Vec<f64>,
+    slope: Slope,
+    pub(super) jerk: Vec<f64>,
+    pub(super) tool_jacobian: Vec<f64>,
+    status: u8,
+    nis: f64,
+    used: u32,
+    log_likelihood: f64,
+    started: bool,
+}
+
+impl ExtendedKalmanFilter {
+    /// A filter that starts from rest at its first sample.
+    ///
+    /// # Errors
+    /// Noise that does not fit the model, a gate or a number of iterations out of range.
+    pub fn new(model: JerkModel, noise: Noise, settings: FilterSettings) -> Result<Self, DesignError> {
+        model.check(&noise)?;
+        if let Some(value) = settings.gate.filter(|g| g.is_nan() || *g <= 0.0) {
+            return Err(DesignError::Range {
+                what: "gate",
+                value,
+                expected: "a positive number of standard deviations",
+            });
+        }
+        if settings.iterations == 0 {
+            return Err(DesignError::Range { what: "iterations", value: 0.0, expected: "at least 1" });
+        }
+        let (n, m) = (model.joints(), model.channels());
+        let belief = model.initial(&vec![0.0; n], &noise);
+        let stride = belief.covariance.stride;
+        Ok(Self {
+            prior: belief.clone(),
+            evaluation: Evaluation::new(&model.robot, m),
+            reference: vec![0.0; 3 * n],
+            projections: vec![0.0; m * stride],
+            gains: vec![0.0; m * stride],
+            halves: vec![0.0; m * stride],
+            innovations: vec![Innovation::NONE; m],
+            gated: vec![false; m],
+            dtheta: vec![f64::NAN; n],
+            slope: Slope::new(n),
+            jerk: vec![0.0; n],
+            tool_jacobian: vec![0.0; 3 * n],
+            status: 0,
+            nis: 0.0,
+            used: 0,
+            log_likelihood: 0.0,
+            started: false,
+            belief,
+            model,
+            noise,
+            settings,
+        })
+    }
+
+    /// Forgets the state: the next sample starts anew, from rest.
+    pub fn reset(&mut self) {
+        self.started = false;
+    }
+
+    /// The model.
+    pub fn model(&self) -> &JerkModel {
+        &self.model
+    }
+
+    /// The belief after the last sample.
+    pub fn belief(&self) -> &Gaussian {
+        &self.belief
+    }
+
+    /// See [`KalmanStatus`].
+    pub fn status(&self) -> u8 {
+        self.status
+    }
+
+    /// Takes one sample: predicts to its time, then uses its readings.
+    ///
+    /// # Errors
+    /// Only on a first sample without every motor position, or without a static equilibrium.
+    #[inline(always)]
+    pub fn step(&mut self, sample: KalmanSample<'_>) -> Result<(), DesignError> {
+        self.advance(&sample)?;
+        self.correct(&sample);
+        Ok(())
+    }
+
+    /// To the sample's time; afterwards the belief is what was predicted.
+    #[inline(always)]
+    pub(super) fn advance(&mut self, sample: &KalmanSample<'_>) -> Result<(), DesignError> {
+        if self.started {
+            self.model.predict(&mut self.belief, &self.noise, sample.dt, sample.jerk);
+        } else {
+            self.start(sample.readings)?;
+        }
+        self.jerk.copy_from_slice(sample.jerk);
+        if self.settings.damping {
+            self.dtheta.copy_from_slice(sample.dtheta);
+            self.slope.push(sample.dt, &sample.readings[..self.jerk.len()]);
+            self.slope.fill(&mut self.dtheta);
+        }
+        Ok(())
+    }
+
+    fn start(&mut self, readings: &[f64]) -> Result<(), DesignError> {
+        let theta = &readings[..self.model.joints()];
+        if let Some(joint) = theta.iter().position(|x| x.is_nan()) {
+            return Err(DesignError::NoStart { joint });
+        }
+        let q = link_position_at_rest(&self.model.robot, theta)?;
+        self.belief = self.model.initial(&q, &self.noise);
+        self.slope.reset();
+        self.started = true;
+        Ok(())
+    }
+
+    /// Uses the sample's readings.
+    #[inline(always)]
+    pub(super) fn correct(&mut self, sample: &KalmanSample<'_>) {
+        let n = self.reference.len();
+        self.gated.fill(false);
+        self.reference.copy_from_slice(&self.belief.mean[..n]);
+        self.linearise();
+        if self.settings.iterations > 1 {
+            self.prior.clone_from(&self.belief);
+        }
+        self.update(sample.readings, self.settings.gate);
+        for _ in 1..self.settings.iterations {
+            self.reference.copy_from_slice(&self.belief.mean[..n]);
+            self.linearise();
+            self.belief.clone_from(&self.prior);
+            self.update(sample.readings, None);
+        }
+    }
+
+    #[inline(always)]
+    fn linearise(&mut self) {
+        let Self { evaluation, model, reference, dtheta, .. } = self;
+        evaluation.evaluate(&model.robot, &model.channels, reference, dtheta);
+    }
+
+    /// One channel after the other, all linearised at the reference.
+    ///
+    /// For one row h, with g = P hᵀ, s = h g + r and any gain k, Joseph's form (1 − k h) P (1 − k h)ᵀ + k r kᵀ is
+    /// P − k mᵀ − m kᵀ with m = g − s k/2: symmetric by construction, an error of k entering squared, nothing inverted.
+    /// P itself is touched once, when all channels are through; until then each g is corrected by those before it.
+    #[inline(always)]
+    fn update(&mut self, readings: &[f64], gate: Option<f64>) {
+        (self.status, self.nis, self.used, self.log_likelihood) = (0, 0.0, 0, 0.0);
+        self.project();
+        for (i, &reading) in readings.iter().enumerate() {
+            self.innovations[i] = if reading.is_nan() {
+                self.status |= KalmanStatus::MISSING;
+                Innovation::NONE
+            } else {
+                self.innovate(i, reading, gate)
+            };
+            self.use_channel(i);
+        }
+        self.belief.covariance.subtract_outer(&self.gains, &self.halves);
+        if self.used == 0 {
+            self.status |= KalmanStatus::PREDICTED;
+        }
+    }
+
+    /// Rows of H P.
+    #[inline(always)]
+    fn project(&mut self) {
+        let Symmetric { stride, ref data, .. } = self.belief.covariance;
+        dense::product(&self.evaluation.jacobian, self.reference.len(), data, stride, &mut self.projections);
+        for (projection, bias) in self.projections.chunks_exact_mut(stride).zip(&self.model.biases) {
+            if let Some(b) = *bias {
+                dense::add_scaled(projection, 1.0, &data[b * stride..][..stride]);
+            }
+        }
+    }
+
+    /// Channel `i`'s innovation after the channels before it; none when the gate shuts it out.
+    #[inline(always)]
+    fn innovate(&mut self, i: usize, reading: f64, gate: Option<f64>) -> Innovation {
+        let stride = self.belief.covariance.stride;
+        let row = row(&self.evaluation, &self.model, i);
+        let (before, own) = self.projections.split_at_mut(i * stride);
+        let own = &mut own[..stride];
+        for (j, earlier) in before.chunks_exact(stride).enumerate() {
+            let variance = self.innovations[j].variance;
+            if variance.is_finite() {
+                dense::add_scaled(own, -row.dot(earlier) / variance, earlier);
+            }
+        }
+        let variance = row.dot(own) + self.reading_variance(i);
+        let mut value = reading - self.evaluation.prediction[i] - row.bias.map_or(0.0, |b| self.belief.mean[b]);
+        for (k, h) in row.dense.iter().enumerate() {
+            value -= h * (self.belief.mean[k] - self.reference[k]);
+        }
+        self.gated[i] |= gate.is_some_and(|g| value * value > g * g * variance);
+        if self.gated[i] {
+            self.status |= KalmanStatus::GATED;
+            return Innovation::NONE;
+        }
+        Innovation { value, variance }
+    }
+
+    /// Variance of channel `i`'s noise; a motor's has a part that grows with its predicted torsion.
+    #[inline(always)]
+    fn reading_variance(&self, i: usize) -> f64 {
+        let own = self.noise.reading[i] * self.noise.reading[i];
+        if i >= self.model.joints() {
+            return own;
+        }
+        let error = self.noise.torsion * (self.evaluation.prediction[i] - self.reference[i]);
+        own + error * error
+    }
+
+    /// Moves the mean by channel `i`'s innovation and readies what the covariance loses.
+    #[inline(always)]
+    fn use_channel(&mut self, i: usize) {
+        let Innovation { value, variance } = self.innovations[i];
+        let stride = self.belief.covariance.stride;
+        let projection = &self.projections[i * stride..][..stride];
+        let (gain, half) = (&mut self.gains[i * stride..][..stride], &mut self.halves[i * stride..][..stride]);
+        if variance.is_infinite() {
+            gain.fill(0.0);
+            half.fill(0.0);
+            return;
+        }
+        for k in 0..stride {
+            gain[k] = projection[k] / variance;
+            half[k] = projection[k] - 0.5 * variance * gain[k];
+        }
+        dense::add_scaled(&mut self.belief.mean, value, gain);
+        let squared = value * value / variance;
+        self.nis += squared;
+        self.used += 1;
+        self.log_likelihood -= 0.5 * (squared + (core::f64::consts::TAU * variance).ln());
+    }
+
+    /// Filters a recording, `count` rows; goes on from where it was, so that it may come in pieces.
+    ///
+    /// # Errors
+    /// As [`step`](Self::step), wrong lengths, or a sample after which the estimate is not finite.
+    pub fn run(&mut self, recording: KalmanRecording<'_>, keep: Keep) -> Result<FilterOutput, RunError> {
+        recording.check(&self.model)?;
+        simd::dispatch(simd::level(), Run { filter: self, recording, keep, history: None })
+    }
+
+    /// Runs each of `recordings` from a fresh start, on all cores; through the smoother where `smooth`.
+    pub fn run_all(
+        &self,
+        recordings: &[KalmanRecording<'_>],
+        smooth: bool,
+        keep: Keep,
+    ) -> Vec<Result<FilterOutput, RunError>> {
+        let one = |&recording: &KalmanRecording<'_>| {
+            if smooth {
+                return Smoother::new(self).run(recording, keep);
+            }
+            let mut filter = self.clone();
+            filter.reset();
+            filter.run(recording, keep)
+        };
+        recordings.par_iter().map(one).collect()
+    }
+
+    /// As [`run`](Self::run), remembering what a smoother needs.
+    #[inline(always)]
+    fn run_with(
+        &mut self,
+        recording: KalmanRecording<'_>,
+        keep: Keep,
+        mut history: Option<&mut History>,
+    ) -> Result<FilterOutput, RunError> {
+        let mut out = FilterOutput::default();
+        for i in 0..recording.dt.len() {
+            let sample = recording.sample(i, &self.model);
+            self.advance(&sample)?;
+            if let Some(history) = &mut history {
+                history.push_prediction(sample.dt, &self.belief);
+            }
+            if keep.innovations {
+                self.report_innovations(&sample, &mut out);
+            }
+            self.correct(&sample);
+            if let Some(history) = &mut history {
+                history.push_update(self);
+            }
+            if !(self.log_likelihood.is_finite() && self.belief.mean.iter().all(|x| x.is_finite())) {
+                return Err(RunError::NotFinite { sample: i });
+            }
+            self.report(&mut out, keep);
+        }
+        Ok(out)
+    }
+
+    /// What was predicted against what was read, before any reading is used.
+    fn report_innovations(&mut self, sample: &KalmanSample<'_>, out: &mut FilterOutput) {
+        let d = self.reference.len();
+        let stride = self.belief.covariance.stride;
+        self.reference.copy_from_slice(&self.belief.mean[..d]);
+        self.linearise();
+        self.project();
+        for (i, reading) in sample.readings.iter().enumerate() {
+            let row = row(&self.evaluation, &self.model, i);
+            let variance = row.dot(&self.projections[i * stride..][..stride]) + self.reading_variance(i);
+            let bias = row.bias.map_or(0.0, |b| self.belief.mean[b]);
+            out.innovation.push(reading - self.evaluation.prediction[i] - bias);
+            out.innovation_std.push(variance.sqrt());
+        }
+    }
+
+    #[inline(always)]
+    fn report(&mut self, out: &mut FilterOutput, keep: Keep) {
+        let Self { model, belief, evaluation, tool_jacobian, .. } = self;
+        let n = model.joints();
+        let mean = &belief.mean;
+        out.q.extend_from_slice(&mean[..n]);
+        out.dq.extend_from_slice(&mean[n..2 * n]);
+        out.ddq.extend_from_slice(&mean[2 * n..3 * n]);
+        out.q_std.extend((0..n).map(|j| belief.covariance.at(j, j).sqrt()));
+        // The first n channels are the motors.
+        for (row, prediction) in evaluation.jacobian.chunks_exact(3 * n).zip(&evaluation.prediction).take(n) {
+            let (theta, dtheta) = motor(row, *prediction, mean, &self.reference, &self.jerk);
+            out.theta.push(theta);
+            out.dtheta.push(dtheta);
+        }
+        if let Some(tool) = evaluation.tool(&model.robot, &mean[..n], tool_jacobian) {
+            out.tool.extend_from_slice(&tool.0);
+            let p = &belief.covariance;
+            out.tool_std.extend(tool_std(tool_jacobian, n, |i, j| p.at(i, j)));
+        }
+        out.status.push(self.status);
+        out.nis.push(self.nis);
+        out.used.push(self.used);
+        out.log_likelihood.push(self.log_likelihood);
+        if keep.covariance {
+            out.state.extend_from_slice(mean);
+            out.covariance.extend(belief.covariance.dense());
+        }
+    }
+}
+
+/// Channel `i`'s row of H.
+#[inline(always)]
+fn row<'a>(evaluation: &'a Evaluation, model: &JerkModel, i: usize) -> Row<'a> {
+    let d = 3 * model.joints();
+    Row { dense: &evaluation.jacobian[i * d..][..d], bias: model.biases[i] }
+}
+
+impl FilterOutput {
+    /// This stretch and the one after it.
+    pub(super) fn followed_by(mut self, mut later: Self) -> Self {
+        for (mine, others) in self.fields().into_iter().zip(later.fields()) {
+            mine.append(others);
+        }
+        self.status.append(&mut later.status);
+        self.used.append(&mut later.used);
+        self
+    }
+
+    fn fields(&mut self) -> [&mut Vec<f64>; 14] {
+        [
+            &mut self.q,
+            &mut self.dq,
+            &mut self.ddq,
+            &mut self.theta,
+            &mut self.dtheta,
+            &mut self.q_std,
+            &mut self.tool,
+            &mut self.tool_std,
+            &mut self.nis,
+            &mut self.log_likelihood,
+            &mut self.state,
+            &mut self.covariance,
+            &mut self.innovation,
+            &mut self.innovation_std,
+        ]
+    }
+}
+
+/// A filter's run, to be compiled for each instruction set.
+pub(super) struct Run<'a, 'b> {
+    pub(super) filter: &'a mut ExtendedKalmanFilter,
+    pub(super) recording: KalmanRecording<'b>,
+    pub(super) keep: Keep,
+    pub(super) history: Option<&'a mut History>,
+}
+
+impl Kernel for Run<'_, '_> {
+    type Output = Result<FilterOutput, RunError>;
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        self.filter.run_with(self.recording, self.keep, self.history)
+    }
+}
+
+/// Motor position and velocity at `state`, from the motor channel's row linearised at `reference`.
+#[inline(always)]
+pub(super) fn motor(row: &[f64], prediction: f64, state: &[f64], reference: &[f64], jerk: &[f64]) -> (f64, f64) {
+    let n = jerk.len();
+    let (mut theta, mut dtheta) = (prediction, 0.0);
+    for k in 0..3 * n {
+        theta += row[k] * (state[k] - reference[k]);
+        dtheta += row[k] * if k < 2 * n { state[n + k] } else { jerk[k - 2 * n] };
+    }
+    (theta, dtheta)
+}
+
+/// Standard deviations of J x for x with covariance `p`, J 3 × n.
+pub(super) fn tool_std(jacobian: &[f64], n: usize, p: impl Fn(usize, usize) -> f64) -> [f64; 3] {
+    core::array::from_fn(|axis| {
+        let row = &jacobian[axis * n..][..n];
+        let mut sum = 0.0;
+        for i in 0..n {
+            for j in 0..n {
+                sum += row[i] * p(i, j) * row[j];
+            }
+        }
+        sum.max(0.0).sqrt()
+    })
+}
+
+/// A recording, row-major.
+#[derive(Clone, Copy, Debug)]
+pub struct KalmanRecording<'a> {
+    /// Steps of time (count), the first one unused [s].
+    pub dt: &'a [f64],
+    /// Readings (count × channels).
+    pub readings: &'a [f64],
+    /// Motor velocities (count × n).
+    pub dtheta: &'a [f64],
+    /// Commanded jerk (count × n).
+    pub jerk: &'a [f64],
+}
+
+impl<'a> KalmanRecording<'a> {
+    /// Some rows.
+    pub(super) fn rows(&self, rows: core::ops::Range<usize>, model: &JerkModel) -> Self {
+        let cut = |values: &'a [f64], width: usize| &values[rows.start * width..rows.end * width];
+        let (n, m) = (model.joints(), model.channels());
+        Self {
+            dt: cut(self.dt, 1),
+            readings: cut(self.readings, m),
+            dtheta: cut(self.dtheta, n),
+            jerk: cut(self.jerk, n),
+        }
+    }
+
+    pub(super) fn sample(&self, i: usize, model: &JerkModel) -> KalmanSample<'a> {
+        let (n, m) = (model.joints(), model.channels());
+        KalmanSample {
+            dt: self.dt[i],
+            readings: &self.readings[i * m..][..m],
+            dtheta: &self.dtheta[i * n..][..n],
+            jerk: &self.jerk[i * n..][..n],
+        }
+    }
+
+    pub(super) fn check(&self, model: &JerkModel) -> Result<(), DesignError> {
+        let (count, n, m) = (self.dt.len(), model.joints(), model.channels());
+        for (what, found, expected) in [
+            ("readings", self.readings.len(), count * m),
+            ("dtheta", self.dtheta.len(), count * n),
+            ("jerk", self.jerk.len(), count * n),
+        ] {
+            if found != expected {
+                return Err(DesignError::Length { what, found, expected });
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,99 @@
+//! A Gaussian belief.
+
+use super::dense;
+
+/// A row of a measurement matrix: dense over the first states, and one of the bias states.
+#[derive(Clone, Copy, Debug)]
+pub struct Row<'a> {
+    /// Derivatives in the first `dense.len()` states.
+    pub dense: &'a [f64],
+    /// The bias state that adds to the reading.
+    pub bias: Option<usize>,
+}
+
+impl Row<'_> {
+    /// `row · v`.
+    #[inline(always)]
+    pub fn dot(&self, v: &[f64]) -> f64 {
+        dense::dot(self.dense, v) + self.bias.map_or(0.0, |b| v[b])
+    }
+}
+
+/// Symmetric matrix, stored whole, rows padded with zeros so that loops over them have no remainder.
+#[derive(Clone, Debug)]
+pub struct Symmetric {
+    pub(crate) n: usize,
+    pub(crate) stride: usize,
+    pub(crate) data: Vec<f64>,
+}
+
+impl Symmetric {
+    /// n × n zeros.
+    pub fn zeros(n: usize) -> Self {
+        let stride = n.next_multiple_of(dense::LANES);
+        Self { n, stride, data: vec![0.0; n * stride] }
+    }
+
+    /// Row `i`, with its padding.
+    #[inline(always)]
+    pub fn row(&self, i: usize) -> &[f64] {
+        &self.data[i * self.stride..][..self.stride]
+    }
+
+    /// Entry (i, j).
+    #[inline(always)]
+    pub fn at(&self, i: usize, j: usize) -> f64 {
+        self.data[i * self.stride + j]
+    }
+
+    /// Copies the upper triangle onto the lower.
+    #[inline(always)]
+    pub(crate) fn mirror(&mut self) {
+        dense::mirror(&mut self.data, self.n, self.stride);
+    }
+
+    /// `self −= Σᵢ aᵢ bᵢᵀ + bᵢ aᵢᵀ`, one padded row of `a` and `b` for each i.
+    #[inline(always)]
+    pub(crate) fn subtract_outer(&mut self, a: &[f64], b: &[f64]) {
+        dense::subtract_outer(&mut self.data, self.n, self.stride, a, b);
+    }
+
+    /// The matrix without its padding, row-major.
+    pub fn dense(&self) -> impl Iterator<Item = f64> + '_ {
+        self.data.chunks_exact(self.stride).flat_map(|row| row[..self.n].iter().copied())
+    }
+}
+
+/// Mean and covariance of a state.
+#[derive(Clone, Debug)]
+pub struct Gaussian {
+    /// Mean (n).
+    pub mean: Vec<f64>,
+    /// Covariance (n × n).
+    pub covariance: Symmetric,
+}
+
+/// What one scalar measurement did.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Innovation {
+    /// y less its prediction.
+    pub(crate) value: f64,
+    /// Its variance; infinite when the reading was not used.
+    pub(crate) variance: f64,
+}
+
+impl Innovation {
+    /// Of a reading that was not used.
+    pub(crate) const NONE: Self = Self { value: 0.0, variance: f64::INFINITY };
+}
+
+impl Gaussian {
+    /// A mean of zero with independent standard deviations.
+    pub fn independent(std: &[f64]) -> Self {
+        let mut covariance = Symmetric::zeros(std.len());
+        for (i, s) in std.iter().enumerate() {
+            covariance.data[i * covariance.stride + i] = s * s;
+        }
+        Self { mean: vec![0.0; std.len()], covariance }
+    }
+}

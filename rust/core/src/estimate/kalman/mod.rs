@@ -1,0 +1,17 @@
+//! Kalman filter and smoother on the acceleration-driven model (Axelsson, Karlsson and Norrlöf 2012).
+
+mod channels;
+mod dense;
+mod filter;
+mod gaussian;
+mod model;
+mod slope;
+mod smoother;
+
+pub use channels::{Channel, Evaluation};
+pub use filter::{
+    ExtendedKalmanFilter, FilterOutput, FilterSettings, KalmanRecording, KalmanSample, KalmanStatus, Keep,
+};
+pub use gaussian::{Gaussian, Row, Symmetric};
+pub use model::{Further, JerkModel, Noise};
+pub use smoother::Smoother;

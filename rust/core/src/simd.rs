@@ -1,0 +1,62 @@
+//! One portable binary, and the widest instructions of the machine that it runs on.
+//!
+//! A kernel is written once, `#[inline(always)]` all the way down, and compiled for several levels; the level is chosen
+//! once a recording. Without fused multiply-add each level gives the same bits, so the choice is never visible in a result.
+#![allow(unsafe_code)] // calling a function compiled for instructions that the processor was asked for
+
+use std::sync::LazyLock;
+
+/// Instruction sets that kernels are compiled for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Level {
+    /// What every processor of the target has.
+    Baseline,
+    /// x86-64 with AVX2: four numbers at a time.
+    Avx2,
+}
+
+/// Something to be compiled for every level; `run` must be `#[inline(always)]`.
+pub trait Kernel {
+    /// What it returns.
+    type Output;
+    /// The work.
+    fn run(self) -> Self::Output;
+}
+
+/// The level in use: the machine's widest, unless the environment variable `LINKSIDE_SIMD` is `baseline`.
+pub fn level() -> Level {
+    static LEVEL: LazyLock<Level> = LazyLock::new(|| {
+        let forced = std::env::var("LINKSIDE_SIMD").is_ok_and(|v| v.eq_ignore_ascii_case("baseline"));
+        if forced { Level::Baseline } else { widest() }
+    });
+    *LEVEL
+}
+
+#[cfg(target_arch = "x86_64")]
+fn widest() -> Level {
+    if std::is_x86_feature_detected!("avx2") { Level::Avx2 } else { Level::Baseline }
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+fn widest() -> Level {
+    Level::Baseline
+}
+
+/// Runs `kernel` with the instructions of `level`, or of what the machine has of them.
+#[inline]
+pub fn dispatch<K: Kernel>(level: Level, kernel: K) -> K::Output {
+    match level.min(widest()) {
+        Level::Baseline => kernel.run(),
+        // SAFETY: `widest` has asked the processor.
+        #[cfg(target_arch = "x86_64")]
+        Level::Avx2 => unsafe { avx2(kernel) },
+        #[cfg(not(target_arch = "x86_64"))]
+        Level::Avx2 => kernel.run(),
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn avx2<K: Kernel>(kernel: K) -> K::Output {
+    kernel.run()
+}

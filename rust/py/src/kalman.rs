@@ -1,0 +1,295 @@
+//! Kalman filter and smoother on the acceleration-driven model.
+
+use crate::array::{Signal, rows, shaped};
+use crate::error::{EstimatorError, IntoPyErr};
+use crate::gil::Release;
+use crate::robot::Robot;
+use linkside_core::error::RunError;
+use linkside_core::estimate::kalman::{
+    self, FilterOutput, FilterSettings, Further, JerkModel, KalmanRecording, KalmanSample, Keep,
+};
+use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::sync::Arc;
+
+/// Standard deviations of everything that is random.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct Noise {
+    jerk: Vec<f64>,
+    reading: Vec<f64>,
+    torsion: f64,
+    bias_walk: Vec<f64>,
+    initial: Vec<f64>,
+    initial_bias: Vec<f64>,
+}
+
+impl From<Noise> for kalman::Noise {
+    fn from(n: Noise) -> Self {
+        let Noise { jerk, reading, torsion, bias_walk, initial, initial_bias } = n;
+        Self { jerk, reading, torsion, bias_walk, initial, initial_bias }
+    }
+}
+
+/// Extended Kalman filter of one robot.
+#[pyclass(module = "linkside._core")]
+#[derive(Clone)]
+pub(crate) struct ExtendedKalmanFilter {
+    filter: kalman::ExtendedKalmanFilter,
+    tool: bool,
+    live: Live,
+}
+
+/// A sample put together from its signals.
+#[derive(Clone)]
+struct Live {
+    readings: Vec<f64>,
+    dtheta: Vec<f64>,
+    /// Commanded acceleration of the sample before; empty when there is none.
+    ddqref: Vec<f64>,
+    jerk: Vec<f64>,
+}
+
+impl Live {
+    fn set(
+        &mut self,
+        dt: f64,
+        sensors: usize,
+        theta: &Signal<'_>,
+        acceleration: Option<&Signal<'_>>,
+        dtheta: Option<&Signal<'_>>,
+        ddqref: Option<&Signal<'_>>,
+        further: Option<&Signal<'_>>,
+    ) -> PyResult<()> {
+        let n = self.jerk.len();
+        let (motors, rest) = self.readings.split_at_mut(n);
+        let (accelerations, others) = rest.split_at_mut(sensors);
+        motors.copy_from_slice(theta.sized("theta", n)?);
+        fill(accelerations, "acceleration", acceleration)?;
+        fill(others, "further readings", further)?;
+        fill(&mut self.dtheta, "dtheta", dtheta)?;
+        self.jerk.fill(0.0);
+        let Some(now) = ddqref else {
+            self.ddqref.clear();
+            return Ok(());
+        };
+        let now = now.sized("ddqref", n)?;
+        for ((jerk, now), before) in self.jerk.iter_mut().zip(now).zip(&self.ddqref) {
+            *jerk = (now - before) / dt;
+        }
+        self.ddqref.clear();
+        self.ddqref.extend_from_slice(now);
+        Ok(())
+    }
+}
+
+/// Copies a signal, or NaN where there is none.
+fn fill(to: &mut [f64], name: &str, signal: Option<&Signal<'_>>) -> PyResult<()> {
+    match signal {
+        Some(signal) => to.copy_from_slice(signal.sized(name, to.len())?),
+        None => to.fill(f64::NAN),
+    }
+    Ok(())
+}
+
+type Matrix<'py> = PyReadonlyArray2<'py, f64>;
+type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'py>, Matrix<'py>);
+
+#[pymethods]
+impl ExtendedKalmanFilter {
+    #[new]
+    #[pyo3(signature = (robot, *, rates, links, torques, biased, noise, gate, iterations, damping))]
+    fn new(
+        robot: &Robot,
+        rates: bool,
+        links: bool,
+        torques: bool,
+        biased: Vec<bool>,
+        noise: Noise,
+        gate: Option<f64>,
+        iterations: usize,
+        damping: bool,
+    ) -> PyResult<Self> {
+        let build = || {
+            let model = JerkModel::new(Arc::clone(&robot.0), Further { rates, links, torques }, &biased)?;
+            kalman::ExtendedKalmanFilter::new(model, noise.into(), FilterSettings { gate, iterations, damping })
+        };
+        let filter = build().map_err(IntoPyErr::into_py_err)?;
+        let (n, m) = (filter.model().joints(), filter.model().channels());
+        let live =
+            Live { readings: vec![f64::NAN; m], dtheta: vec![f64::NAN; n], ddqref: Vec::new(), jerk: vec![0.0; n] };
+        Ok(Self { filter, tool: robot.0.tool.is_some(), live })
+    }
+
+    /// Number of states.
+    #[getter]
+    fn states(&self) -> usize {
+        self.filter.model().states()
+    }
+
+    /// A copy with the same belief.
+    fn copy(&self) -> Self {
+        self.clone()
+    }
+
+    fn reset(&mut self) {
+        self.filter.reset();
+    }
+
+    /// Takes one sample, and writes the state's mean into `out`; what is not given is missing.
+    #[pyo3(signature = (dt, theta, acceleration, dtheta, ddqref, further, out))]
+    fn step(
+        &mut self,
+        dt: f64,
+        theta: Signal<'_>,
+        acceleration: Option<Signal<'_>>,
+        dtheta: Option<Signal<'_>>,
+        ddqref: Option<Signal<'_>>,
+        further: Option<Signal<'_>>,
+        out: &Bound<'_, PyArray1<f64>>,
+    ) -> PyResult<u8> {
+        let states = self.filter.model().states();
+        let mut out = out.try_readwrite().map_err(|e| EstimatorError::new_err(format!("out: {e}")))?;
+        let out = out.as_slice_mut().map_err(|_| EstimatorError::new_err("out is not contiguous"))?;
+        if out.len() != states {
+            return Err(EstimatorError::new_err(format!("out has {} entries, expected {states}", out.len())));
+        }
+        let sensors = self.filter.model().acceleration_channels();
+        self.live.set(
+            dt,
+            sensors,
+            &theta,
+            acceleration.as_ref(),
+            dtheta.as_ref(),
+            ddqref.as_ref(),
+            further.as_ref(),
+        )?;
+        let Live { readings, dtheta, jerk, .. } = &self.live;
+        self.filter.step(KalmanSample { dt, readings, dtheta, jerk }).map_err(IntoPyErr::into_py_err)?;
+        out.copy_from_slice(&self.filter.belief().mean);
+        Ok(self.filter.status())
+    }
+
+    /// Covariance of the state after the last sample.
+    #[getter]
+    fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, numpy::PyArrayDyn<f64>>> {
+        let states = self.filter.model().states();
+        shaped(py, self.filter.belief().covariance.dense().collect(), vec![states, states])
+    }
+
+    /// Goes on from the live state with the rows of a log, or of a piece of one.
+    fn run<'py>(
+        &mut self,
+        py: Python<'py>,
+        arrays: Arrays<'py>,
+        covariance: bool,
+        innovations: bool,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let recording = recording(self.filter.model(), &arrays)?;
+        let filter = &mut self.filter;
+        let out = py.release(|| filter.run(recording, Keep { covariance, innovations }))?;
+        into_dict(py, out, self.filter.model(), self.tool)
+    }
+
+    /// Each log from a fresh start, on all cores; through the smoother where asked.
+    fn run_all<'py>(
+        &self,
+        py: Python<'py>,
+        logs: Vec<Arrays<'py>>,
+        smooth: bool,
+        covariance: bool,
+        innovations: bool,
+    ) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        let model = self.filter.model();
+        let recordings = logs.iter().map(|arrays| recording(model, arrays)).collect::<PyResult<Vec<_>>>()?;
+        let filter = &self.filter;
+        let keep = Keep { covariance, innovations };
+        let results = py.release(|| Ok::<_, RunError>(filter.run_all(&recordings, smooth, keep)))?;
+        let mut estimates = Vec::with_capacity(results.len());
+        for (i, result) in results.into_iter().enumerate() {
+            let out = result.map_err(|e| {
+                let error = e.into_py_err();
+                if logs.len() == 1 { error } else { EstimatorError::new_err(format!("log {i}: {error}")) }
+            })?;
+            estimates.push(into_dict(py, out, model, self.tool)?);
+        }
+        Ok(estimates)
+    }
+}
+
+fn recording<'a>(model: &JerkModel, arrays: &'a Arrays<'_>) -> PyResult<KalmanRecording<'a>> {
+    let (dt, readings, dtheta, jerk) = arrays;
+    Ok(KalmanRecording {
+        dt: rows("dt", dt, dt.len())?,
+        readings: rows("readings", readings, model.channels())?,
+        dtheta: rows("dtheta", dtheta, model.joints())?,
+        jerk: rows("jerk", jerk, model.joints())?,
+    })
+}
+
+/// The fields of an estimate, by name, as arrays of one row a sample; what was not kept is not there.
+fn into_dict<'py>(py: Python<'py>, o: FilterOutput, model: &JerkModel, tool: bool) -> PyResult<Bound<'py, PyDict>> {
+    let out = PyDict::new(py);
+    let (n, m, states, count) = (model.joints(), model.channels(), model.states(), o.status.len());
+    let put = |name: &str, values: Vec<f64>, shape: &[usize]| {
+        let shape: Vec<usize> = core::iter::once(count).chain(shape.iter().copied()).collect();
+        out.set_item(name, shaped(py, values, shape)?)
+    };
+    for (name, values) in [("q", o.q), ("dq", o.dq), ("ddq", o.ddq), ("theta", o.theta), ("dtheta", o.dtheta)] {
+        put(name, values, &[n])?;
+    }
+    put("q_std", o.q_std, &[n])?;
+    if tool {
+        put("tool_position", o.tool, &[3])?;
+        put("tool_std", o.tool_std, &[3])?;
+    }
+    put("nis", o.nis, &[])?;
+    put("log_likelihood", o.log_likelihood, &[])?;
+    if !o.state.is_empty() {
+        put("state", o.state, &[states])?;
+        put("covariance", o.covariance, &[states, states])?;
+    }
+    if !o.innovation.is_empty() {
+        put("innovation", o.innovation, &[m])?;
+        put("innovation_std", o.innovation_std, &[m])?;
+    }
+    out.set_item("used", PyArray1::from_vec(py, o.used))?;
+    out.set_item("status", PyArray1::from_vec(py, o.status))?;
+    Ok(out)
+}
+
+/// Smoother that takes a recording's stretches from the last to the first.
+#[pyclass(module = "linkside._core")]
+pub(crate) struct StretchSmoother {
+    smoother: kalman::Smoother,
+    tool: bool,
+}
+
+#[pymethods]
+impl StretchSmoother {
+    #[new]
+    fn new(filter: &ExtendedKalmanFilter) -> Self {
+        Self { smoother: kalman::Smoother::new(&filter.filter), tool: filter.tool }
+    }
+
+    /// Samples whose history fits into the memory set aside.
+    #[getter]
+    fn stretch(&self) -> usize {
+        self.smoother.stretch()
+    }
+
+    /// Smooths a stretch; `start` is the filter as it was before it.
+    fn back<'py>(
+        &mut self,
+        py: Python<'py>,
+        start: PyRef<'py, ExtendedKalmanFilter>,
+        arrays: Arrays<'py>,
+        covariance: bool,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let recording = recording(start.filter.model(), &arrays)?;
+        let (smoother, filter) = (&mut self.smoother, &start.filter);
+        let out = py.release(|| smoother.stretch_back(filter, recording, Keep { covariance, innovations: false }))?;
+        into_dict(py, out, filter.model(), self.tool)
+    }
+}
