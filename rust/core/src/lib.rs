@@ -15,6 +15,7 @@
 pub mod dynamics;
 pub mod error;
 pub mod estimate;
+mod linear;
 pub mod robot;
 pub mod scalar;
 pub mod simd;

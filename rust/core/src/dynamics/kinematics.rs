@@ -38,6 +38,15 @@ impl<T: Scalar> Kinematics<T> {
         self.set_position(tree, q);
         self.set_velocity(tree, dq);
         self.set_acceleration(tree, dq, ddq);
+        self.set_axis_acceleration(tree);
+    }
+
+    /// As [`set`](Self::set), without what only derivatives in q need.
+    #[inline(always)]
+    pub fn set_motion(&mut self, tree: &Tree, q: &[T], dq: &[T], ddq: &[T]) {
+        self.set_position(tree, q);
+        self.set_velocity(tree, dq);
+        self.set_acceleration(tree, dq, ddq);
     }
 
     /// Poses and axes at q.
@@ -84,15 +93,29 @@ impl<T: Scalar> Kinematics<T> {
     /// Accelerations at q̇ and q̈, the base accelerated against gravity; after [`set_velocity`](Self::set_velocity).
     #[inline(always)]
     pub fn set_acceleration(&mut self, tree: &Tree, dq: &[T], ddq: &[T]) {
-        let lift = Motion { angular: Vec3::default(), linear: Vec3::constant(&-tree.gravity) };
         for (i, body) in tree.bodies.iter().enumerate() {
-            let (velocity, carrier) = match body.parent {
-                Some(p) => (self.bodies[p].velocity, self.bodies[p].acceleration),
-                None => (Motion::default(), lift),
-            };
+            let carrier = self.carrier_acceleration(tree, body.parent);
+            let state = &mut self.bodies[i];
+            state.acceleration = carrier + state.axis.scale(ddq[body.joint]) + state.axis_rate.scale(dq[body.joint]);
+        }
+    }
+
+    /// How the axes accelerate; after [`set_acceleration`](Self::set_acceleration).
+    #[inline(always)]
+    fn set_axis_acceleration(&mut self, tree: &Tree) {
+        for (i, body) in tree.bodies.iter().enumerate() {
+            let carrier = self.carrier_acceleration(tree, body.parent);
+            let velocity = body.parent.map_or_else(Motion::default, |p| self.bodies[p].velocity);
             let state = &mut self.bodies[i];
             state.axis_acceleration = carrier.cross(&state.axis) + velocity.cross(&state.axis_rate);
-            state.acceleration = carrier + state.axis.scale(ddq[body.joint]) + state.axis_rate.scale(dq[body.joint]);
+        }
+    }
+
+    #[inline(always)]
+    fn carrier_acceleration(&self, tree: &Tree, parent: Option<usize>) -> Motion<T> {
+        match parent {
+            Some(p) => self.bodies[p].acceleration,
+            None => Motion { angular: Vec3::default(), linear: Vec3::constant(&-tree.gravity) },
         }
     }
 

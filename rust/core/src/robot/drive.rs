@@ -1,5 +1,8 @@
 //! What is between a motor and its link.
 
+use super::expect;
+use crate::error::RobotError;
+
 /// A joint's drive, reflected through the gear to the link side.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Drive {
@@ -43,6 +46,35 @@ pub struct MotorFriction {
 const CREEP: f64 = 2e-3;
 
 impl Drive {
+    /// # Errors
+    /// A number that is not finite, and of an elastic joint a stiffness or motor inertia that is not positive, or a
+    /// negative damping.
+    pub(crate) fn check(&self, owner: &str) -> Result<(), RobotError> {
+        let owner = || owner.to_string();
+        let SoftWindup { stiffness, shape } = self.soft_windup;
+        let MotorFriction { viscous, coulomb } = self.motor_friction;
+        let finite = [
+            ("stiffness", self.stiffness),
+            ("damping", self.damping),
+            ("motor inertia", self.motor_inertia),
+            ("cubic stiffness", self.cubic_stiffness),
+            ("soft wind-up's stiffness", stiffness),
+            ("soft wind-up's shape", shape),
+            ("viscous motor friction", viscous),
+            ("dry motor friction", coulomb),
+        ];
+        let friction = self.link_friction.iter().map(|&g| ("link friction", g));
+        for (what, value) in finite.into_iter().chain(friction) {
+            expect(value.is_finite(), what, owner, value, "a finite number")?;
+        }
+        if self.elastic {
+            expect(self.stiffness > 0.0, "stiffness", owner, self.stiffness, "greater than 0")?;
+            expect(self.motor_inertia > 0.0, "motor inertia", owner, self.motor_inertia, "greater than 0")?;
+            expect(self.damping >= 0.0, "damping", owner, self.damping, "at least 0")?;
+        }
+        Ok(())
+    }
+
     /// What the spring's torque has beyond K δ, at torsion δ [rad] [N m].
     #[inline(always)]
     pub fn nonlinear_torque(&self, torsion: f64) -> f64 {
@@ -99,7 +131,7 @@ impl Drive {
     pub fn dry_friction(&self, velocity: f64) -> f64 {
         match self.motor_friction.coulomb {
             0.0 => 0.0,
-            coulomb => coulomb * (velocity / CREEP).tanh(),
+            coulomb => coulomb * velocity / (velocity * velocity + CREEP * CREEP).sqrt(),
         }
     }
 }

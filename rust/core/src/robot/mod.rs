@@ -19,6 +19,15 @@ pub struct Sensor {
     pub noise_std: f64,
 }
 
+impl Sensor {
+    fn check(&self, owner: &str) -> Result<(), RobotError> {
+        let (std, owner) = (self.noise_std, || owner.to_string());
+        expect(std > 0.0 && std.is_finite(), "noise_std", owner, std, "greater than 0")?;
+        let bad = self.axes.iter().find(|&&axis| axis > 2);
+        expect(bad.is_none(), "axis", owner, bad.map_or(0.0, |&axis| axis as f64), "0, 1 or 2")
+    }
+}
+
 /// An elastic-joint robot with its sensors. Joints are in the order of the log.
 #[derive(Clone, Debug)]
 pub struct Robot {
@@ -52,18 +61,18 @@ impl Robot {
         let n = tree.len();
         expect_length("drives", drives.len(), n)?;
         expect_length("coupling", coupling.len(), n * n)?;
-        for (joint, drive) in drives.iter().enumerate().filter(|(_, d)| d.elastic) {
-            for (what, value) in [("stiffness", drive.stiffness), ("motor inertia", drive.motor_inertia)] {
-                expect_range(value > 0.0 && value.is_finite(), what, joint, value, "greater than 0")?;
-            }
-            expect_range(drive.damping >= 0.0, "damping", joint, drive.damping, "at least 0")?;
+        for (joint, drive) in drives.iter().enumerate() {
+            drive.check(&format!("joint {joint}"))?;
         }
         for (i, &value) in coupling.iter().enumerate() {
-            expect_range(i % n > i / n || value == 0.0, "coupling", i % n, value, "0 on and below the diagonal")?;
+            let owner = || format!("motor {} to link {}", i % n, i / n);
+            expect(i % n > i / n || value == 0.0, "coupling", owner, value, "0 on and below the diagonal")?;
+            expect(value.is_finite(), "coupling", owner, value, "a finite number")?;
         }
-        for sensor in accelerometers.iter().chain(&gyroscopes) {
-            let value = sensor.noise_std;
-            expect_range(value > 0.0 && value.is_finite(), "noise_std of a sensor", 0, value, "greater than 0")?;
+        for (kind, sensors) in [("accelerometer", &accelerometers), ("gyroscope", &gyroscopes)] {
+            for (i, sensor) in sensors.iter().enumerate() {
+                sensor.check(&format!("{kind} {i}"))?;
+            }
         }
         Ok(Self { tree, drives, coupling, accelerometers, gyroscopes, tool })
     }
@@ -93,12 +102,13 @@ fn expect_length(what: &'static str, found: usize, expected: usize) -> Result<()
     if found == expected { Ok(()) } else { Err(RobotError::Length { what, found, expected }) }
 }
 
-fn expect_range(
+/// Refuses `value` unless `ok`.
+pub(crate) fn expect(
     ok: bool,
     what: &'static str,
-    joint: usize,
+    owner: impl FnOnce() -> String,
     value: f64,
     expected: &'static str,
 ) -> Result<(), RobotError> {
-    if ok { Ok(()) } else { Err(RobotError::Range { what, owner: format!("joint {joint}"), value, expected }) }
+    if ok { Ok(()) } else { Err(RobotError::Range { what, owner: owner(), value, expected }) }
 }

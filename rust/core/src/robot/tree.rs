@@ -1,5 +1,6 @@
 //! The kinematic tree, compiled: bodies in topological order, every joint along or about its own z axis.
 
+use super::expect;
 use crate::error::RobotError;
 use crate::spatial::{Inertia, Mat3, Sym3, Vec3};
 
@@ -72,6 +73,8 @@ impl Tree {
         if specs.is_empty() {
             return Err(RobotError::NoBodies);
         }
+        let sum: f64 = gravity.0.iter().sum();
+        expect(sum.is_finite(), "gravity", || "the robot".into(), sum, "finite numbers")?;
         for joint in 0..specs.len() {
             let count = specs.iter().filter(|s| s.joint == joint).count();
             if count != 1 {
@@ -125,13 +128,18 @@ impl Tree {
 }
 
 fn compile(body: usize, spec: &BodySpec, carrier: &Mat3<f64>) -> Result<Body, RobotError> {
+    let owner = || format!("body {body}");
     let length = spec.axis.norm();
     if (length - 1.0).abs() > 1e-9 || length.is_nan() {
         return Err(RobotError::Axis { body, length });
     }
-    if spec.mass.is_nan() || spec.mass < 0.0 {
-        let owner = format!("body {body}");
-        return Err(RobotError::Range { what: "mass", owner, value: spec.mass, expected: "at least 0" });
+    expect(spec.mass >= 0.0 && spec.mass.is_finite(), "mass", owner, spec.mass, "at least 0")?;
+    let matrices = [("rotation", &spec.rotation), ("inertia", &spec.inertia)];
+    let vectors = [("translation", &spec.translation), ("centre of mass", &spec.com)];
+    let columns = matrices.iter().flat_map(|(what, m)| m.0.iter().map(move |c| (*what, c)));
+    for (what, vector) in columns.chain(vectors) {
+        let sum: f64 = vector.0.iter().sum();
+        expect(sum.is_finite(), what, owner, sum, "finite numbers")?;
     }
     let z_to_axis = Mat3::z_to(&spec.axis);
     let align = z_to_axis.transpose();

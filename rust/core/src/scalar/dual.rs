@@ -75,8 +75,9 @@ impl<const N: usize> Mul for Dual<N> {
     type Output = Self;
     #[inline(always)]
     fn mul(self, other: Self) -> Self {
-        let gradient = core::array::from_fn(|i| self.gradient[i] * other.value + self.value * other.gradient[i]);
-        Self { value: self.value * other.value, gradient }
+        let mut product = self.chain(self.value * other.value, other.value);
+        product += other.chain(0.0, self.value);
+        product
     }
 }
 

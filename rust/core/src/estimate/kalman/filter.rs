@@ -1,13 +1,13 @@
 //! The extended Kalman filter: one step, and whole recordings.
 
 use super::channels::Evaluation;
-use super::dense;
 use super::gaussian::{Gaussian, Innovation, Row, Symmetric};
 use super::model::{JerkModel, Noise};
 use super::slope::Slope;
 use super::smoother::{History, Smoother};
 use crate::error::{DesignError, RunError};
 use crate::estimate::observer::link_position_at_rest;
+use crate::linear;
 use crate::simd::{self, Kernel};
 use rayon::prelude::*;
 
@@ -285,10 +285,10 @@ impl ExtendedKalmanFilter {
     #[inline(always)]
     fn project(&mut self) {
         let Symmetric { stride, ref data, .. } = self.belief.covariance;
-        dense::product(&self.evaluation.jacobian, self.reference.len(), data, stride, &mut self.projections);
+        linear::product(&self.evaluation.jacobian, self.reference.len(), data, stride, &mut self.projections);
         for (projection, bias) in self.projections.chunks_exact_mut(stride).zip(&self.model.biases) {
             if let Some(b) = *bias {
-                dense::add_scaled(projection, 1.0, &data[b * stride..][..stride]);
+                linear::add_scaled(projection, 1.0, &data[b * stride..][..stride]);
             }
         }
     }
@@ -303,7 +303,7 @@ impl ExtendedKalmanFilter {
         for (j, earlier) in before.chunks_exact(stride).enumerate() {
             let variance = self.innovations[j].variance;
             if variance.is_finite() {
-                dense::add_scaled(own, -row.dot(earlier) / variance, earlier);
+                linear::add_scaled(own, -row.dot(earlier) / variance, earlier);
             }
         }
         let variance = row.dot(own) + self.reading_variance(i);
@@ -346,7 +346,7 @@ impl ExtendedKalmanFilter {
             gain[k] = projection[k] / variance;
             half[k] = projection[k] - 0.5 * variance * gain[k];
         }
-        dense::add_scaled(&mut self.belief.mean, value, gain);
+        linear::add_scaled(&mut self.belief.mean, value, gain);
         let squared = value * value / variance;
         self.nis += squared;
         self.used += 1;

@@ -1,6 +1,6 @@
 //! A Gaussian belief.
 
-use super::dense;
+use crate::linear;
 
 /// A row of a measurement matrix: dense over the first states, and one of the bias states.
 #[derive(Clone, Copy, Debug)]
@@ -15,7 +15,7 @@ impl Row<'_> {
     /// `row · v`.
     #[inline(always)]
     pub fn dot(&self, v: &[f64]) -> f64 {
-        dense::dot(self.dense, v) + self.bias.map_or(0.0, |b| v[b])
+        linear::dot(self.dense, v) + self.bias.map_or(0.0, |b| v[b])
     }
 }
 
@@ -30,7 +30,7 @@ pub struct Symmetric {
 impl Symmetric {
     /// n × n zeros.
     pub fn zeros(n: usize) -> Self {
-        let stride = n.next_multiple_of(dense::LANES);
+        let stride = n.next_multiple_of(linear::LANES);
         Self { n, stride, data: vec![0.0; n * stride] }
     }
 
@@ -49,13 +49,13 @@ impl Symmetric {
     /// Copies the upper triangle onto the lower.
     #[inline(always)]
     pub(crate) fn mirror(&mut self) {
-        dense::mirror(&mut self.data, self.n, self.stride);
+        linear::mirror(&mut self.data, self.n, self.stride);
     }
 
     /// `self −= Σᵢ aᵢ bᵢᵀ + bᵢ aᵢᵀ`, one padded row of `a` and `b` for each i.
     #[inline(always)]
     pub(crate) fn subtract_outer(&mut self, a: &[f64], b: &[f64]) {
-        dense::subtract_outer(&mut self.data, self.n, self.stride, a, b);
+        linear::subtract_outer(&mut self.data, self.n, self.stride, a, b);
     }
 
     /// The matrix without its padding, row-major.

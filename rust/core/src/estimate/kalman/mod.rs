@@ -1,7 +1,6 @@
 //! Kalman filter and smoother on the acceleration-driven model (Axelsson, Karlsson and Norrlöf 2012).
 
 mod channels;
-mod dense;
 mod filter;
 mod gaussian;
 mod model;

@@ -4,11 +4,11 @@
 //! with covariance Λ runs backwards through the same rows and gains, and the smoothed state is x⁻ − P⁻λ with
 //! covariance P⁻ − P⁻ΛP⁻. No predicted covariance is inverted, badly scaled as they are (10⁻¹² to 1).
 
-use super::dense;
 use super::filter::{ExtendedKalmanFilter, FilterOutput, KalmanRecording, Keep, Run, motor, tool_std};
 use super::gaussian::{Gaussian, Innovation, Symmetric};
 use super::model::JerkModel;
 use crate::error::RunError;
+use crate::linear;
 use crate::simd::{self, Kernel};
 
 /// What the filter knew at each sample of a stretch.
@@ -216,7 +216,7 @@ impl Smoother {
     fn back(&mut self, history: &History, i: usize) {
         let m = self.load_rows(history, i);
         let (stride, gains) = (self.big.stride, history.gains(i));
-        dense::product(gains, stride, &self.big.data, stride, &mut self.outer);
+        linear::product(gains, stride, &self.big.data, stride, &mut self.outer);
         for a in (0..m).rev() {
             let Innovation { value, variance } = history.innovations[i * m + a];
             let (early, later) = self.outer.split_at_mut((a + 1) * stride);
@@ -228,12 +228,12 @@ impl Smoother {
             let gain = &gains[a * stride..][..stride];
             let rows = self.rows[(a + 1) * stride..].chunks_exact(stride);
             for (row, y) in rows.zip(later.chunks_exact(stride)) {
-                dense::subtract_pair(own, dense::dot(y, gain), row, dense::dot(row, gain), y);
+                linear::subtract_pair(own, linear::dot(y, gain), row, linear::dot(row, gain), y);
             }
             let row = &self.rows[a * stride..][..stride];
-            dense::add_scaled(own, -0.5 * (dense::dot(gain, own) + 1.0 / variance), row);
-            let pull = dense::dot(gain, &self.lambda) + value / variance;
-            dense::add_scaled(&mut self.lambda, -pull, row);
+            linear::add_scaled(own, -0.5 * (linear::dot(gain, own) + 1.0 / variance), row);
+            let pull = linear::dot(gain, &self.lambda) + value / variance;
+            linear::add_scaled(&mut self.lambda, -pull, row);
         }
         self.big.subtract_outer(&self.rows, &self.outer);
     }
@@ -261,13 +261,13 @@ impl Smoother {
         let Symmetric { n: states, stride, ref data } = self.big;
         let predicted = history.covariance(i);
         for (r, row) in predicted.chunks_exact(stride).enumerate() {
-            self.mean[r] = history.means[i * states + r] - dense::dot(row, &self.lambda);
+            self.mean[r] = history.means[i * states + r] - linear::dot(row, &self.lambda);
         }
         let rows = if whole { states } else { self.filter.model.joints() };
-        dense::product(&predicted[..rows * stride], stride, data, stride, &mut self.product);
+        linear::product(&predicted[..rows * stride], stride, data, stride, &mut self.product);
         for r in 0..rows {
             for c in r..rows {
-                let taken = dense::dot(&predicted[c * stride..][..stride], &self.product[r * stride..][..stride]);
+                let taken = linear::dot(&predicted[c * stride..][..stride], &self.product[r * stride..][..stride]);
                 self.smoothed[r * stride + c] = predicted[r * stride + c] - taken;
                 self.smoothed[c * stride + r] = self.smoothed[r * stride + c];
             }

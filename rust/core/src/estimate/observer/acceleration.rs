@@ -1,6 +1,7 @@
 //! From accelerometer readings to joint accelerations: least squares, weighted by the sensors' noise.
 
 use crate::dynamics::Kinematics;
+use crate::linear::{LANES, add_scaled, dot};
 use crate::robot::Robot;
 
 /// How well the sensors saw the joints at a sample.
@@ -32,11 +33,14 @@ pub struct AccelerationMap {
     unknowns: usize,
     /// ε.
     threshold: f64,
-    /// Whitened T_A, channels × unknowns, overwritten by its triangular factor.
+    /// Rows of a column, padded.
+    stride: usize,
+    /// Columns of the whitened T_A, overwritten by its triangular factor, and last the whitened reading less what is
+    /// known.
     map: Vec<f64>,
-    /// Whitened reading less what is known.
-    rhs: Vec<f64>,
-    /// Square scratch: inverse of the triangle, or right singular vectors.
+    /// A column's part in the triangle, while it is a reflection.
+    above: Vec<f64>,
+    /// Square scratch: inverse of the triangle, by rows, or right singular vectors.
     square: Vec<f64>,
     solution: Vec<f64>,
 }
@@ -52,13 +56,15 @@ impl AccelerationMap {
             elastic.then(|| unknowns - 1)
         };
         let columns = robot.drives.iter().map(|d| number(d.elastic)).collect();
-        let channels = weights.len();
+        // Fewer channels than unknowns leave rows of zeros, and directions that are not seen.
+        let stride = weights.len().max(unknowns).next_multiple_of(LANES);
         Self {
             columns,
             unknowns,
             threshold: 1.0 / worst,
-            map: vec![0.0; channels * unknowns],
-            rhs: vec![0.0; channels],
+            stride,
+            map: vec![0.0; (unknowns + 1) * stride],
+            above: vec![0.0; unknowns],
             square: vec![0.0; unknowns * unknowns],
             solution: vec![0.0; unknowns],
             weights,
@@ -70,7 +76,7 @@ impl AccelerationMap {
     /// `kinematics` holds the posture and the velocities, with the accelerations of rigid joints and zero for elastic
     /// ones. `ddq` (n) holds the prior on entry, for what is not seen, and the estimate on return; entries of rigid
     /// joints are left alone.
-    #[inline]
+    #[inline(always)]
     pub fn solve(&mut self, robot: &Robot, kinematics: &Kinematics<f64>, reading: &[f64], ddq: &mut [f64]) -> Sight {
         self.load(robot, kinematics, reading, ddq);
         self.triangularise();
@@ -91,22 +97,22 @@ impl AccelerationMap {
     /// Whitened map, and whitened reading less W_A and what the prior already explains.
     #[inline(always)]
     fn load(&mut self, robot: &Robot, kinematics: &Kinematics<f64>, reading: &[f64], prior: &[f64]) {
-        let m = self.unknowns;
+        let stride = self.stride;
         self.map.fill(0.0);
+        let (columns, rhs) = self.map.split_at_mut(self.unknowns * stride);
         let mut row = 0;
         for sensor in &robot.accelerometers {
             let bias = kinematics.specific_force(&sensor.frame);
-            for (r, &axis) in sensor.axes.iter().enumerate() {
-                let value = reading[row + r];
-                self.rhs[row + r] = if value.is_nan() { 0.0 } else { (value - bias.0[axis]) * self.weights[row + r] };
+            for (r, &axis) in (row..).zip(&sensor.axes) {
+                rhs[r] = if reading[r].is_nan() { 0.0 } else { (reading[r] - bias.0[axis]) * self.weights[r] };
             }
             kinematics.acceleration_map(&robot.tree, &sensor.frame, |joint, column| {
                 let Some(c) = self.columns[joint] else { return };
-                for (r, &axis) in sensor.axes.iter().enumerate() {
-                    if !reading[row + r].is_nan() {
-                        let entry = column.0[axis] * self.weights[row + r];
-                        self.map[(row + r) * m + c] = entry;
-                        self.rhs[row + r] -= entry * prior[joint];
+                for (r, &axis) in (row..).zip(&sensor.axes) {
+                    if !reading[r].is_nan() {
+                        let entry = column.0[axis] * self.weights[r];
+                        columns[c * stride + r] = entry;
+                        rhs[r] -= entry * prior[joint];
                     }
                 }
             });
@@ -114,57 +120,44 @@ impl AccelerationMap {
         }
     }
 
-    /// Householder reflections: the map becomes upper triangular, the right-hand side follows.
+    /// Householder reflections: the map becomes upper triangular, the right-hand side, its last column, follows.
     #[inline(always)]
     fn triangularise(&mut self) {
-        let (rows, m) = (self.rhs.len(), self.unknowns);
-        for k in 0..m {
-            let squared: f64 = (k..rows).map(|i| self.map[i * m + k] * self.map[i * m + k]).sum();
-            if squared == 0.0 {
-                continue;
-            }
-            let pivot = self.map[k * m + k];
-            let norm = squared.sqrt().copysign(-pivot);
-            // The reflection's vector is the column less norm·e_k; its own diagonal entry is kept aside.
-            let head = pivot - norm;
-            let scale = 1.0 / (norm * head);
-            for j in k + 1..m {
-                let mut dot = head * self.map[k * m + j];
-                for i in k + 1..rows {
-                    dot += self.map[i * m + k] * self.map[i * m + j];
+        let stride = self.stride;
+        for k in 0..self.unknowns {
+            let (head, rest) = self.map.split_at_mut((k + 1) * stride);
+            let column = &mut head[k * stride..];
+            // What is above the diagonal belongs to the triangle, and not to the reflection.
+            self.above[..k].copy_from_slice(&column[..k]);
+            column[..k].fill(0.0);
+            let squared = dot(column, column);
+            if squared > 0.0 {
+                let pivot = column[k];
+                let norm = squared.sqrt().copysign(-pivot);
+                column[k] = pivot - norm;
+                let scale = 1.0 / (norm * column[k]);
+                for other in rest.chunks_exact_mut(stride) {
+                    add_scaled(other, dot(column, other) * scale, column);
                 }
-                let factor = dot * scale;
-                self.map[k * m + j] += factor * head;
-                for i in k + 1..rows {
-                    self.map[i * m + j] += factor * self.map[i * m + k];
-                }
+                column[k] = norm;
             }
-            let mut dot = head * self.rhs[k];
-            for i in k + 1..rows {
-                dot += self.map[i * m + k] * self.rhs[i];
-            }
-            let factor = dot * scale;
-            self.rhs[k] += factor * head;
-            for i in k + 1..rows {
-                self.rhs[i] += factor * self.map[i * m + k];
-            }
-            self.map[k * m + k] = norm;
+            column[..k].copy_from_slice(&self.above[..k]);
         }
     }
 
     /// Inverts the triangle; true when that proves every singular value to be above the threshold, σ ≥ 1/‖R⁻¹‖.
     #[inline(always)]
     fn invert_triangle(&mut self) -> bool {
-        let m = self.unknowns;
+        let (m, stride) = (self.unknowns, self.stride);
         let mut squared = 0.0;
         for j in 0..m {
-            let pivot = 1.0 / self.map[j * m + j];
+            let pivot = 1.0 / self.map[j * stride + j];
             self.square[j * m + j] = pivot;
             squared += pivot * pivot;
             for i in (0..j).rev() {
                 let mut sum = 0.0;
                 for k in i + 1..=j {
-                    sum += self.map[i * m + k] * self.square[k * m + j];
+                    sum += self.map[k * stride + i] * self.square[k * m + j];
                 }
                 let entry = -sum * self.square[i * m + i];
                 self.square[i * m + j] = entry;
@@ -176,38 +169,30 @@ impl AccelerationMap {
 
     #[inline(always)]
     fn back_substitute(&mut self) {
-        let m = self.unknowns;
-        for i in (0..m).rev() {
-            let mut sum = self.rhs[i];
-            for j in i + 1..m {
-                sum -= self.map[i * m + j] * self.solution[j];
-            }
-            self.solution[i] = sum * self.square[i * m + i];
+        let (m, rhs) = (self.unknowns, self.unknowns * self.stride);
+        for i in 0..m {
+            self.solution[i] = (i..m).map(|j| self.square[i * m + j] * self.map[rhs + j]).sum();
         }
     }
 
     /// Singular value by singular value: one-sided Jacobi rotations turn the triangle's columns orthogonal.
     #[cold]
     fn damped(&mut self) -> Sight {
-        let m = self.unknowns;
+        let (m, stride) = (self.unknowns, self.stride);
         self.square.fill(0.0);
-        for i in 0..m {
-            self.square[i * m + i] = 1.0;
-            for j in 0..i {
-                self.map[i * m + j] = 0.0; // what is left of the reflections
-            }
+        for c in 0..m {
+            self.square[c * m + c] = 1.0;
+            self.map[c * stride + c + 1..][..stride - c - 1].fill(0.0); // what is left of the reflections
         }
         self.rotate_to_orthogonal_columns();
         self.solution.fill(0.0);
+        let (columns, rhs) = self.map.split_at(m * stride);
         let mut least = f64::INFINITY;
-        for c in 0..m {
-            let column = |i: usize| self.map[i * m + c];
-            let squared: f64 = (0..m).map(|i| column(i) * column(i)).sum();
-            let along: f64 = (0..m).map(|i| column(i) * self.rhs[i]).sum();
+        for (c, column) in columns.chunks_exact(stride).enumerate() {
+            // Rows of the right-hand side beyond the triangle are what no acceleration explains.
+            let (squared, along) = (dot(column, column), dot(&column[..m], &rhs[..m]));
             let floor = squared.max(self.threshold * self.threshold);
-            for i in 0..m {
-                self.solution[i] += self.square[i * m + c] * along / floor;
-            }
+            add_scaled(&mut self.solution, along / floor, &self.square[c * m..][..m]);
             least = least.min(squared.sqrt());
         }
         if least >= self.threshold {
@@ -219,34 +204,38 @@ impl AccelerationMap {
         }
     }
 
+    /// Turns pairs of columns, of the map and of the right singular vectors alike, until no two share a direction.
     fn rotate_to_orthogonal_columns(&mut self) {
-        let m = self.unknowns;
+        let (m, stride) = (self.unknowns, self.stride);
         for _sweep in 0..30 {
             let mut largest: f64 = 0.0;
             for p in 0..m {
                 for q in p + 1..m {
-                    let dot = |a: usize, b: usize| (0..m).map(|i| self.map[i * m + a] * self.map[i * m + b]).sum();
-                    let (alpha, beta, gamma): (f64, f64, f64) = (dot(p, p), dot(q, q), dot(p, q));
+                    let (a, b) = (&self.map[p * stride..][..stride], &self.map[q * stride..][..stride]);
+                    let (alpha, beta, gamma) = (dot(a, a), dot(b, b), dot(a, b));
                     if gamma == 0.0 || gamma * gamma <= 1e-30 * alpha * beta {
                         continue;
                     }
                     largest = largest.max(gamma * gamma / (alpha * beta));
                     let zeta = (beta - alpha) / (2.0 * gamma);
                     let tan = zeta.signum() / (zeta.abs() + zeta.hypot(1.0));
-                    let cos = 1.0 / tan.hypot(1.0);
-                    let sin = cos * tan;
-                    for matrix in [&mut self.map, &mut self.square] {
-                        for i in 0..m {
-                            let (a, b) = (matrix[i * m + p], matrix[i * m + q]);
-                            matrix[i * m + p] = cos * a - sin * b;
-                            matrix[i * m + q] = sin * a + cos * b;
-                        }
-                    }
+                    rotate(&mut self.map, stride, p, q, tan);
+                    rotate(&mut self.square, m, p, q, tan);
                 }
             }
             if largest < 1e-28 {
                 return;
             }
         }
+    }
+}
+
+/// Turns columns p < q of `width` numbers by the angle whose tangent is `tan`.
+fn rotate(matrix: &mut [f64], width: usize, p: usize, q: usize, tan: f64) {
+    let cos = 1.0 / tan.hypot(1.0);
+    let sin = cos * tan;
+    let (head, tail) = matrix.split_at_mut(q * width);
+    for (a, b) in head[p * width..][..width].iter_mut().zip(&mut tail[..width]) {
+        (*a, *b) = (cos * *a - sin * *b, sin * *a + cos * *b);
     }
 }

@@ -7,7 +7,7 @@ mod rest;
 mod run;
 mod sampled;
 
-pub use acceleration::AccelerationMap;
+pub use acceleration::{AccelerationMap, Sight};
 pub use gains::{JointModel, closed_form_gains};
 pub use poles::{Complex, Poles};
 pub use rest::link_position_at_rest;

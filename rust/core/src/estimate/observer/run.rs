@@ -8,6 +8,7 @@ use super::sampled::{Sampled, State};
 use crate::dynamics::Kinematics;
 use crate::error::{DesignError, RunError};
 use crate::robot::Robot;
+use crate::simd::{self, Kernel};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -204,7 +205,7 @@ impl AccelerationObserver {
     ///
     /// # Errors
     /// Only on a first sample without every motor position, or without a static equilibrium.
-    #[inline]
+    #[inline(always)]
     pub fn step(&mut self, sample: Sample<'_>) -> Result<(), DesignError> {
         self.status = 0;
         if self.started {
@@ -287,7 +288,7 @@ impl AccelerationObserver {
                 }
             }
         }
-        self.kinematics.set(&self.robot.tree, &self.q, &self.dq, &self.ddq);
+        self.kinematics.set_motion(&self.robot.tree, &self.q, &self.dq, &self.ddq);
         self.status |= match self.map.solve(&self.robot, &self.kinematics, reading, &mut self.measured) {
             Sight::Clear => 0,
             Sight::Damped => Status::DAMPED,
@@ -410,6 +411,11 @@ impl AccelerationObserver {
     /// # Errors
     /// As [`step`](Self::step), wrong lengths, or a sample after which the estimate is not finite.
     pub fn run(&mut self, recording: Recording<'_>) -> Result<Trajectory, RunError> {
+        simd::dispatch(simd::level(), Run { observer: self, recording })
+    }
+
+    #[inline(always)]
+    fn run_here(&mut self, recording: Recording<'_>) -> Result<Trajectory, RunError> {
         let Recording { count, theta, tau, acceleration } = recording;
         let (n, m) = (self.joints(), self.channels());
         for (what, given, width) in [("theta", theta, n), ("tau", tau, n), ("acceleration", acceleration, m)] {
@@ -437,6 +443,7 @@ impl AccelerationObserver {
         recordings.par_iter().map(|&recording| self.clone().run(recording)).collect()
     }
 
+    #[inline(always)]
     fn append(&self, out: &mut Trajectory) {
         out.q.extend_from_slice(&self.q);
         out.dq.extend_from_slice(&self.dq);
@@ -450,6 +457,21 @@ impl AccelerationObserver {
             out.tool.extend_from_slice(&self.tool);
         }
         out.status.push(self.status);
+    }
+}
+
+/// An observer's run, to be compiled for each instruction set.
+struct Run<'a, 'b> {
+    observer: &'a mut AccelerationObserver,
+    recording: Recording<'b>,
+}
+
+impl Kernel for Run<'_, '_> {
+    type Output = Result<Trajectory, RunError>;
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        self.observer.run_here(self.recording)
     }
 }
 

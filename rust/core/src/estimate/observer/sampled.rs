@@ -54,13 +54,14 @@ impl Sampled {
     /// State one period on, under a held torque and acceleration.
     #[inline(always)]
     pub(super) fn predict(&self, x: &State, torque: f64, acceleration: f64) -> State {
-        core::array::from_fn(|i| {
-            let mut sum = self.held[0][i] * torque + self.held[1][i] * acceleration;
+        let mut out = State::default();
+        for (i, out) in out.iter_mut().enumerate() {
+            *out = self.held[0][i] * torque + self.held[1][i] * acceleration;
             for j in 0..ORDER {
-                sum += self.transition[i][j] * x[j];
+                *out += self.transition[i][j] * x[j];
             }
-            sum
-        })
+        }
+        out
     }
 
     /// Adds what the torque's and the acceleration's change over the period does to a held prediction.

@@ -1,7 +1,7 @@
 //! Small dense products on rows padded to a multiple of [`LANES`], accumulated in registers.
 
 /// Columns that one vector register holds, and to a multiple of which rows are padded.
-pub(super) const LANES: usize = 4;
+pub(crate) const LANES: usize = 4;
 /// Rows that share what is loaded.
 const ROWS: usize = 4;
 
@@ -22,7 +22,7 @@ fn accumulate(sum: &mut Lane, a: f64, b: &Lane) {
 
 /// `out[i] = Σⱼ left[i][j] · right[j]`: `left` has rows of `inner` numbers, `right` at least `inner` rows of `stride`.
 #[inline(always)]
-pub(super) fn product(left: &[f64], inner: usize, right: &[f64], stride: usize, out: &mut [f64]) {
+pub(crate) fn product(left: &[f64], inner: usize, right: &[f64], stride: usize, out: &mut [f64]) {
     let rows = left.len() / inner;
     let whole = rows / ROWS * ROWS;
     for i in (0..whole).step_by(ROWS) {
@@ -73,7 +73,7 @@ fn product_block<const R: usize, const W: usize>(
 ///
 /// `p` has `n` rows of `stride`, `a` and `b` one row of `stride` for each i.
 #[inline(always)]
-pub(super) fn subtract_outer(p: &mut [f64], n: usize, stride: usize, a: &[f64], b: &[f64]) {
+pub(crate) fn subtract_outer(p: &mut [f64], n: usize, stride: usize, a: &[f64], b: &[f64]) {
     let step = stride / LANES;
     for r in 0..step {
         let rows = LANES.min(n - r * LANES);
@@ -119,7 +119,7 @@ fn outer_block<const W: usize>(
 
 /// Copies the upper triangle of n rows onto the lower.
 #[inline(always)]
-pub(super) fn mirror(p: &mut [f64], n: usize, stride: usize) {
+pub(crate) fn mirror(p: &mut [f64], n: usize, stride: usize) {
     for i in 0..n {
         for j in i + 1..n {
             p[j * stride + i] = p[i * stride + j];
@@ -129,7 +129,7 @@ pub(super) fn mirror(p: &mut [f64], n: usize, stride: usize) {
 
 /// Σ aᵢ bᵢ over the shorter of the two, in [`LANES`] partial sums.
 #[inline(always)]
-pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
+pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
     let n = a.len().min(b.len());
     let (a, b) = (&a[..n], &b[..n]);
     let mut sums = [0.0; LANES];
@@ -148,7 +148,7 @@ pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
 
 /// `y += factor · x`.
 #[inline(always)]
-pub(super) fn add_scaled(y: &mut [f64], factor: f64, x: &[f64]) {
+pub(crate) fn add_scaled(y: &mut [f64], factor: f64, x: &[f64]) {
     for (y, x) in y.iter_mut().zip(x) {
         *y += factor * x;
     }
@@ -156,7 +156,7 @@ pub(super) fn add_scaled(y: &mut [f64], factor: f64, x: &[f64]) {
 
 /// `y −= p·u + q·v`.
 #[inline(always)]
-pub(super) fn subtract_pair(y: &mut [f64], p: f64, u: &[f64], q: f64, v: &[f64]) {
+pub(crate) fn subtract_pair(y: &mut [f64], p: f64, u: &[f64], q: f64, v: &[f64]) {
     for ((y, u), v) in y.iter_mut().zip(u).zip(v) {
         *y -= p * u + q * v;
     }

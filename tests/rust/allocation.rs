@@ -1,0 +1,131 @@
+//! What promises not to allocate does not: a control loop must not wait for memory.
+#![allow(unsafe_code)] // an allocator that counts
+
+mod arm;
+
+use arm::{Mounting, arm, drive};
+use core::cell::Cell;
+use core::hint::black_box;
+use linkside_core::dynamics::{Kinematics, Loads};
+use linkside_core::estimate::observer::{
+    AccelerationObserver, AccelerationSource, Complex, Form, Sample, Settings, link_position_at_rest,
+};
+use linkside_core::robot::{Drive, Robot};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::Arc;
+
+/// The system's allocator, which counts how often each thread asks it.
+struct Counting;
+
+thread_local! {
+    static COUNT: Cell<usize> = const { Cell::new(0) };
+}
+
+// SAFETY: every call is handed on to the system's allocator as it came.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        COUNT.set(COUNT.get() + 1);
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        COUNT.set(COUNT.get() + 1);
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        COUNT.set(COUNT.get() + 1);
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// How often this thread asks for memory, or gives it back, in `work`.
+fn allocations(work: impl FnOnce()) -> usize {
+    let before = COUNT.get();
+    work();
+    COUNT.get() - before
+}
+
+/// Six joints, the last one rigid, and two sensors.
+fn robot() -> Robot {
+    let sensor = |body, at| Mounting { body, at, axes: vec![0, 1, 2], noise_std: 0.05 };
+    let mut drives = vec![drive(); 6];
+    drives[5].elastic = false;
+    arm(drives, &[sensor(2, [0.3, 0.2, 0.1]), sensor(4, [0.3, 0.1, 0.2])])
+}
+
+fn poles(drive: &Drive) -> Vec<Complex> {
+    let real = if drive.elastic { 5 } else { 3 };
+    (0..real).map(|i| Complex::new(-200.0 - 10.0 * f64::from(i), 0.0)).collect()
+}
+
+fn observer(form: Form, source: AccelerationSource) -> AccelerationObserver {
+    let robot = robot();
+    let settings = Settings {
+        period: 5e-4,
+        poles: robot.drives.iter().map(poles).collect(),
+        bias: true,
+        form,
+        source,
+        worst_acceleration_std: 10.0,
+    };
+    AccelerationObserver::new(Arc::new(robot), settings).unwrap()
+}
+
+#[test]
+fn the_counter_counts() {
+    assert_eq!(allocations(|| drop(black_box(vec![1.0; 3]))), 2);
+    assert!(allocations(|| drop(link_position_at_rest(&robot(), &[0.0; 6]))) > 0);
+}
+
+#[test]
+fn a_step_allocates_nothing() {
+    let theta: Vec<_> = (0..6).map(|j| 0.1 * f64::from(j)).collect();
+    for form in [Form::Current, Form::Predictor] {
+        for source in [AccelerationSource::Sensors, AccelerationSource::Joints] {
+            let mut observer = observer(form, source);
+            let mut step = |theta: &[f64], acceleration: &[f64]| {
+                observer.step(Sample { theta, tau: &[1.0; 6], acceleration }).unwrap();
+            };
+            step(&theta, &[0.5; 6]);
+            let missing = [f64::NAN; 6];
+            let count = allocations(|| {
+                for acceleration in [[0.5; 6], missing, [0.1; 6]] {
+                    step(&theta, &acceleration);
+                }
+                step(&missing, &[0.5; 6]);
+            });
+            assert_eq!(count, 0, "{form:?}, {source:?}");
+        }
+    }
+}
+
+#[test]
+fn kernels_allocate_nothing() {
+    let robot = robot();
+    let (tree, n) = (&robot.tree, robot.len());
+    let mut kinematics = Kinematics::new(tree);
+    let mut loads = Loads::new(tree);
+    let mut tau = vec![0.0; n];
+    let mut matrices = [vec![0.0; n * n], vec![0.0; n * n], vec![0.0; n * n]];
+    let (q, dq, ddq) = ([0.3; 6], [0.2; 6], [0.1; 6]);
+    let mut sum = 0.0;
+    let count = allocations(|| {
+        let [by_q, by_dq, mass] = &mut matrices;
+        kinematics.set(tree, &q, &dq, &ddq);
+        loads.inverse_dynamics_into(tree, &kinematics, &mut tau);
+        loads.coriolis_matrix_into(tree, &kinematics, by_q);
+        loads.mass_matrix_into(tree, &kinematics, mass);
+        loads.inverse_dynamics_derivatives_into(tree, &kinematics, &mut tau, by_q, by_dq, mass);
+        for sensor in &robot.accelerometers {
+            sum += kinematics.specific_force(&sensor.frame).0[0];
+            kinematics.acceleration_map(tree, &sensor.frame, |_, column| sum += column.0[0]);
+            kinematics.specific_force_derivatives(tree, &sensor.frame, |_, [by_q, ..]| sum += by_q.0[0]);
+        }
+    });
+    assert_eq!(count, 0);
+    assert!(sum.is_finite() && tau[1] != 0.0);
+}
