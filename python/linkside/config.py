@@ -143,6 +143,8 @@ class AccelerometerConfig(SensorConfig):
     """A sensor of specific force; columns `<name>_x` and so on."""
 
     noise_std: Positive = 0.05  # m/s²
+    corner_frequency: Positive | None = None  # Hz; of the first-order filter inside the sensor, where it has one
+    delay: NonNegative = 0.0  # s; by how much a reading is later than its time stamp says
 
 
 class GyroscopeConfig(SensorConfig):

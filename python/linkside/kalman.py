@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import overload
+from dataclasses import dataclass, replace
+from typing import Any, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,7 @@ from .estimate import Estimate
 from .log import Log
 from .noise import Noise
 from .robot import Robot
+from .sensing import Schedule, is_late, unfiltered
 
 FloatArray = npt.NDArray[np.float64]
 Signal = FloatArray | Sequence[float]
@@ -85,6 +86,9 @@ class ExtendedKalmanFilter:
 
     Notes
     -----
+    An accelerometer's ``corner_frequency`` and ``delay`` in robot.yaml are accounted for: each of its readings is used
+    at the time that it is of, so that a row then rests on readings that come up to the delay later.
+
     A reading that is NaN is missing, which equals deleting it. Steps of time may vary, and sensors have rates of their
     own: leave NaN where a sensor has no sample.
     """
@@ -197,22 +201,48 @@ class ExtendedKalmanFilter:
         """Forget the state: the next `step` starts anew, from rest."""
         self._live = None
 
+    def _refuse_late(self, what: str) -> None:
+        if is_late(self.robot):
+            raise EstimatorError(
+                f"{what} takes readings as they come, and robot.yaml gives an accelerometer a corner_frequency or a "
+                "delay; call run on the whole log"
+            )
+
     def _start(self) -> _core.ExtendedKalmanFilter:
+        self._refuse_late("step")
         self._live = self._core(("motor", "acceleration", *self._order), self.noise)
         return self._live
 
     def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
         kinds = self._kinds(log)
-        arrays = self._arrays(log, kinds)
-        core = self._core(kinds, self.noise.for_log(log))
-        (result,) = core.run_all([arrays], self._smooth, covariance, innovations)
+        noise = self.noise.for_log(log)
+        if is_late(self.robot):
+            result = self._run_late(log, kinds, noise, covariance, innovations)
+        else:
+            core = self._core(kinds, noise)
+            (result,) = core.run_all([self._arrays(log, kinds)], self._smooth, covariance, innovations)
         return KalmanEstimate(t=log.t, names=self.robot.names, **result)
+
+    def _run_late(
+        self, log: Log, kinds: tuple[str, ...], noise: Noise, covariance: bool, innovations: bool
+    ) -> dict[str, Any]:
+        """Accelerometers with a filter or a delay inside: each reading is used at the time that it is of."""
+        assert log.acceleration is not None  # `_kinds` has asked for it
+        acceleration, late, factor = unfiltered(self.robot, log.acceleration, log.period)
+        arrays = self._arrays(replace(log, acceleration=acceleration), kinds)
+        lag = np.zeros(arrays[1].shape[1])
+        lag[self.robot.n :][: len(late)] = late
+        schedule = Schedule(log.t, lag)
+        core = self._core(kinds, noise, factor)
+        (result,) = core.run_all([schedule.spread(arrays, log.period)], self._smooth, covariance, innovations)
+        return schedule.gather(result, arrays[1])
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
         """Estimate a recording that comes piece by piece, in bounded memory.
 
         The same bits as `run` when ``noise.jerk`` is given; otherwise the scale of jerk is read off the first piece.
         """
+        self._refuse_late("run_pieces")
         core: _core.ExtendedKalmanFilter | None = None
         kinds: tuple[str, ...] = ()
         before: Log | None = None
@@ -237,16 +267,21 @@ class ExtendedKalmanFilter:
                 kinds.append(kind)
         return tuple(kinds)
 
-    def _core(self, kinds: tuple[str, ...], noise: Noise) -> _core.ExtendedKalmanFilter:
+    def _core(
+        self, kinds: tuple[str, ...], noise: Noise, factor: FloatArray | float = 1.0
+    ) -> _core.ExtendedKalmanFilter:
         widths = {"acceleration": len(self.robot.acceleration_channels), "rate": len(self.robot.gyroscope_channels)}
         biased = [kind in self._biases for kind in kinds for _ in range(widths.get(kind, self.robot.n))]
+        arrays = noise.arrays(self.robot, kinds)
+        sensors = slice(self.robot.n, self.robot.n + widths["acceleration"])
+        arrays["reading"][sensors] = list(arrays["reading"][sensors] * np.broadcast_to(factor, widths["acceleration"]))
         return _core.ExtendedKalmanFilter(
             self.robot.core,
             rates="rate" in kinds,
             links="q" in kinds,
             torques="torque" in kinds,
             biased=biased,
-            noise=noise.arrays(self.robot, kinds),
+            noise=arrays,
             gate=self._gate,
             iterations=self._iterations,
             damping=self._damping,

@@ -239,7 +239,7 @@ class Robot:
 
         De Luca, Schröder, Thümmel 2007, eq. (10).
         """
-        rest = np.zeros_like(q, dtype=np.float64)
+        rest = np.zeros_like(_numbers("q", q))
         derivatives = self._rows(self.core.specific_force_derivatives, q=q, dq=dq, ddq=rest)
         return derivatives[..., 2, :, :], self.specific_force(q, dq, rest)
 
@@ -272,7 +272,10 @@ def _settings(joints: Joints, settings: Mapping[str, Any]) -> Source:
 
 def _numbers(name: str, value: ArrayLike) -> Array:
     try:
-        return np.asarray(value, dtype=np.float64)
+        array = np.asarray(value)
+        if array.dtype.kind not in "fiub":  # complex numbers, text and dates would be cast, at a loss
+            raise TypeError
+        return array.astype(np.float64, copy=False)
     except (TypeError, ValueError):
         raise EstimatorError(f"{name}: expected an array of numbers") from None
 

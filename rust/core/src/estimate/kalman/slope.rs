@@ -13,26 +13,33 @@ pub(super) struct Slope {
     ages: [f64; SAMPLES],
     positions: Vec<f64>,
     count: usize,
+    /// Time since the latest positions, while samples without any pass.
+    pending: f64,
 }
 
 impl Slope {
     pub(super) fn new(motors: usize) -> Self {
-        Self { motors, ages: [0.0; SAMPLES], positions: vec![0.0; SAMPLES * motors], count: 0 }
+        Self { motors, ages: [0.0; SAMPLES], positions: vec![0.0; SAMPLES * motors], count: 0, pending: 0.0 }
     }
 
     pub(super) fn reset(&mut self) {
-        self.count = 0;
+        (self.count, self.pending) = (0, 0.0);
     }
 
     /// Takes positions that came `dt` after the last ones.
     #[inline(always)]
     pub(super) fn push(&mut self, dt: f64, positions: &[f64]) {
         let n = self.motors;
+        if positions.iter().all(|p| p.is_nan()) {
+            self.pending += dt;
+            return;
+        }
         self.positions.copy_within(..(SAMPLES - 1) * n, n);
         self.positions[..n].copy_from_slice(positions);
         for i in (1..SAMPLES).rev() {
-            self.ages[i] = self.ages[i - 1] + dt;
+            self.ages[i] = self.ages[i - 1] + self.pending + dt;
         }
+        self.pending = 0.0;
         self.count = (self.count + 1).min(SAMPLES);
     }
 
