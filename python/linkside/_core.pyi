@@ -6,6 +6,8 @@ from typing import Any, final
 import numpy as np
 import numpy.typing as npt
 
+from .errors import LinksideError
+
 __all__ = [
     "AccelerationObserver",
     "ExtendedKalmanFilter",
@@ -65,7 +67,7 @@ class AccelerationObserver:
     def start(self, theta: _Signal, q: _Signal, dtheta: _Signal, dq: _Signal) -> None: ...
     def step(self, theta: _Signal, tau: _Signal, acceleration: _Signal) -> ObserverState: ...
     def run(self, theta: _Array, tau: _Array, acceleration: _Array) -> dict[str, npt.NDArray[Any]]: ...
-    def run_all(self, logs: Sequence[_Arrays]) -> list[dict[str, npt.NDArray[Any]]]: ...
+    def run_all(self, logs: Sequence[_Arrays]) -> list[dict[str, npt.NDArray[Any]] | LinksideError]: ...
 
 @final
 class ObserverState:
@@ -122,7 +124,7 @@ class ExtendedKalmanFilter:
     def run(self, arrays: _KalmanArrays, covariance: bool, innovations: bool) -> dict[str, npt.NDArray[Any]]: ...
     def run_all(
         self, logs: Sequence[_KalmanArrays], smooth: bool, covariance: bool, innovations: bool
-    ) -> list[dict[str, npt.NDArray[Any]]]: ...
+    ) -> list[dict[str, npt.NDArray[Any]] | LinksideError]: ...
 
 @final
 class StretchSmoother:

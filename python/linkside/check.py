@@ -71,7 +71,7 @@ class Sight:
     @cached_property
     def worst(self) -> Array:
         """Standard deviation of the worst combination of accelerations, (T,) [rad/s²]; inf where not seen."""
-        return _reciprocal(self.values[:, -1])
+        return _reciprocal(self.values.min(axis=1, initial=np.inf))  # of no joints at all, nothing is unknown
 
     @cached_property
     def joints(self) -> Array:
@@ -85,9 +85,8 @@ class Sight:
     @cached_property
     def condition(self) -> Array:
         """Largest over smallest singular value, (T,)."""
-        with np.errstate(invalid="ignore"):
-            ratio = self.values[:, 0] * self.worst
-        return np.where(self.values[:, -1] > 0, ratio, np.inf)
+        largest = self.values.max(axis=1, initial=0.0)
+        return np.where(np.isinf(self.worst), np.inf, largest * np.where(np.isinf(self.worst), 0.0, self.worst))
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,21 +125,21 @@ class Path:
 
     Attributes
     ----------
+    source : str
+        The log.
     t : (T,)
         Time [s].
     q : (T, n)
         Positions [rad, m].
     worst, joints : (T,) and (T, e)
         As those of `Sight`.
-    source : str
-        The log.
     """
 
+    source: str
     t: Array
     q: Array
     worst: Array
     joints: Array
-    source: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +191,7 @@ class CheckReport:
     def influential(self) -> npt.NDArray[np.intp]:
         """Joints whose position matters, the most important first."""
         order = np.argsort(-self.influence, kind="stable")
-        return order[self.influence[order] > 1e-12]
+        return np.asarray(order[self.influence[order] > 1e-12])
 
     def to_text(self, width: int = 100) -> str:
         """Report in words and tables, without colours."""
@@ -252,12 +251,12 @@ def describe(joints: tuple[str, ...], direction: Array) -> str:
 def _involved(direction: Array) -> npt.NDArray[np.bool_]:
     """Joints with more than a trace of a part in each of some directions, (…, e)."""
     size = np.abs(direction)
-    return np.asarray(size > 0.1 * size.max(axis=-1, keepdims=True))
+    return np.asarray(size > 0.25 * size.max(axis=-1, keepdims=True))
 
 
 def _limits(robot: Robot) -> Array:
     rows = [_range(robot, name, slides) for name, slides in zip(robot.names, prismatic(robot), strict=True)]
-    return np.array(rows).T
+    return np.array(list(zip(*rows, strict=True)))
 
 
 def _range(robot: Robot, name: str, slides: bool) -> tuple[float, float]:
@@ -276,7 +275,7 @@ def _model(robot: Robot, name: str) -> Any:
 def _sobol(dimensions: int) -> Array:
     from scipy.stats import qmc
 
-    return np.asarray(qmc.Sobol(dimensions, scramble=True, rng=2007).random(SAMPLES))
+    return np.asarray(qmc.Sobol(dimensions, scramble=False).random(SAMPLES))
 
 
 def _reciprocal(values: Array) -> Array:
@@ -284,26 +283,26 @@ def _reciprocal(values: Array) -> Array:
         return np.asarray(1.0 / values)
 
 
-def _path(robot: Robot, log: Log | LogStream) -> Path:
+def _path(robot: Robot, log: Log | LogStream) -> Path | None:
     rows = len(log) if isinstance(log, Log) else log.count or 0
     step = 1 + rows // LOG_ROWS
     times, postures, worst, joints = [], [], [], []
-    for piece in [log] if isinstance(log, Log) else log:
+    for piece in (log[i : i + 65_536] for i in range(0, rows, 65_536)) if isinstance(log, Log) else log:
         known = np.flatnonzero(np.isfinite(piece.theta).all(axis=1))[::step]
         sight = Sight.of(robot, np.ascontiguousarray(piece.theta[known]))
         times.append(piece.t[known])
         postures.append(piece.theta[known])
         worst.append(sight.worst)
         joints.append(sight.joints)
-    arrays = (np.concatenate(parts) for parts in (times, postures, worst, joints))
-    return Path(*arrays, source=log.source)
+    path = Path(log.source, *map(np.concatenate, (times, postures, worst, joints)))
+    return path if len(path.t) else None
 
 
 def _influence(robot: Robot, q: Array, other: Array) -> Array:
     """Total-effect index of each joint: half the mean square change of log10 σ when it alone moves elsewhere."""
 
     def decades(q: Array) -> Array:
-        return np.log10(np.maximum(Sight.of(robot, q).values[:, -1:].sum(axis=1), 1e-12))
+        return np.asarray(np.log10(np.clip(Sight.of(robot, q).worst, 1e-12, 1e12)))
 
     base, index = decades(q), np.zeros(robot.n)
     for joint in range(robot.n):
@@ -316,13 +315,25 @@ def _influence(robot: Robot, q: Array, other: Array) -> Array:
 def _worst_postures(report: CheckReport, q: Array) -> tuple[Posture, ...]:
     """Refine the worst samples of each kind, and keep of each kind of singularity the one nearest to home."""
     found = [_refine(report, start) for start in _starts(report.sight, q)]
-    singular = [posture for posture in found if posture.singular]
-    if not singular:
+    kinds: dict[frozenset[int], list[Posture]] = {}
+    for posture in (posture for posture in found if posture.singular):
+        kinds.setdefault(frozenset(np.flatnonzero(_involved(posture.direction))), []).append(posture)
+    if not kinds:
         return (max(found, key=lambda posture: posture.worst),)
-    kinds: dict[bytes, Posture] = {}
-    for posture in sorted(singular, key=lambda posture: float(np.linalg.norm(posture.q - report.home))):
-        kinds.setdefault(_involved(posture.direction).tobytes(), posture)
-    return tuple(sorted(kinds.values(), key=lambda posture: int(_involved(posture.direction).sum())))
+
+    def distance(posture: Posture) -> float:
+        return float(np.linalg.norm(posture.q - report.home))
+
+    return tuple(min(kinds[kind], key=distance) for kind in sorted(_distinct(kinds), key=lambda k: (len(k), min(k))))
+
+
+def _distinct(kinds: dict[frozenset[int], list[Posture]]) -> list[frozenset[int]]:
+    """Kinds but those that contain, or are part of, a more frequent one: a singular surface has no one direction."""
+    kept: list[frozenset[int]] = []
+    for kind in sorted(kinds, key=lambda kind: -len(kinds[kind])):
+        if not any(kind <= other or kind >= other for other in kept):
+            kept.append(kind)
+    return kept
 
 
 def _starts(sight: Sight, q: Array, kinds: int = 8, each: int = 8) -> Array:

@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-from linkside.errors import EstimatorError, LogError, OutputError
+from linkside.errors import EstimatorError, LinksideError, LogError, OutputError
 from linkside.log import numbers, open_table
 
 if TYPE_CHECKING:
@@ -223,6 +223,13 @@ class Estimate:
     def _form(self) -> tuple[tuple[str, ...], list[str]]:
         there = [f.name for f in fields(self) if f.name != "names" and getattr(self, f.name) is not None]
         return self.names, there
+
+
+def result_of(source: str, outcome: dict[str, Any] | LinksideError) -> dict[str, Any]:
+    """Give the arrays that a log came to, or raise the error that it came to, with the log's name."""
+    if isinstance(outcome, LinksideError):
+        raise type(outcome)(f"{source}: {outcome}")
+    return outcome
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from . import _core
 from .errors import EstimatorError, LogError
-from .estimate import Estimate
+from .estimate import Estimate, result_of
 from .log import Log
 from .noise import Noise
 from .robot import Robot
@@ -220,7 +220,8 @@ class ExtendedKalmanFilter:
             result = self._run_late(log, kinds, noise, covariance, innovations)
         else:
             core = self._core(kinds, noise)
-            (result,) = core.run_all([self._arrays(log, kinds)], self._smooth, covariance, innovations)
+            (outcome,) = core.run_all([self._arrays(log, kinds)], self._smooth, covariance, innovations)
+            result = result_of(log.source, outcome)
         return KalmanEstimate(t=log.t, names=self.robot.names, **result)
 
     def _run_late(
@@ -234,8 +235,8 @@ class ExtendedKalmanFilter:
         lag[self.robot.n :][: len(late)] = late
         schedule = Schedule(log.t, lag)
         core = self._core(kinds, noise, factor)
-        (result,) = core.run_all([schedule.spread(arrays, log.period)], self._smooth, covariance, innovations)
-        return schedule.gather(result, arrays[1])
+        (outcome,) = core.run_all([schedule.spread(arrays, log.period)], self._smooth, covariance, innovations)
+        return schedule.gather(result_of(log.source, outcome), arrays[1])
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
         """Estimate a recording that comes piece by piece, in bounded memory.

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from linkside import _core
 from linkside.errors import EstimatorError, LogError
-from linkside.estimate import Estimate
+from linkside.estimate import Estimate, result_of
 from linkside.log import Log
 from linkside.poles import PolePattern, damped
 from linkside.robot import Robot
@@ -147,8 +147,8 @@ class AccelerationObserver:
                     f"{one.source} is sampled every {one.period:.6g} s and {logs[0].source} every {period:.6g} s; "
                     "run logs of different rates one by one"
                 )
-        results = self._designed(period).run_all(arrays)
-        estimates = [Estimate(t=one.t, names=self.robot.names, **r) for one, r in zip(logs, results, strict=True)]
+        outcomes = zip(logs, self._designed(period).run_all(arrays), strict=True)
+        estimates = [Estimate(t=one.t, names=self.robot.names, **result_of(one.source, o)) for one, o in outcomes]
         return estimates[0] if isinstance(log, Log) else estimates
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[Estimate]:

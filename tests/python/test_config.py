@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from ruamel.yaml import YAML
+
 from linkside.config import JointConfig, RobotConfig, RobotFile, load_config
 from linkside.errors import ConfigError
 from linkside.source import Source
-from robots import DATA
-from ruamel.yaml import YAML
+
+from .robots import DATA
 
 TEXT = """\
 # an arm
@@ -190,23 +192,15 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize(("old", "new", "expected"), MISTAKES)
-def test_a_mistake_is_one_line_that_says_where_and_what(
-    tmp_path: Path, old: str, new: str, expected: str
-) -> None:
+def test_a_mistake_is_one_line_that_says_where_and_what(tmp_path: Path, old: str, new: str, expected: str) -> None:
     assert old in TEXT
     found = message(tmp_path, TEXT.replace(old, new, 1))
     assert found == expected or (expected.endswith("…") and found.startswith(expected[:-1]))
 
 
-@pytest.mark.parametrize(
-    ("stiffness", "fine"), [(449e3, True), (451e3, False), (-1.0e6, True), (-1.1e6, False)]
-)
-def test_soft_windup_must_leave_a_spring_whose_torque_rises(
-    tmp_path: Path, stiffness: float, fine: bool
-) -> None:
-    text = TEXT.replace(
-        "motor_inertia: 70", f"motor_inertia: 70\n  soft_windup: {{stiffness: {stiffness}, shape: 3}}"
-    )
+@pytest.mark.parametrize(("stiffness", "fine"), [(449e3, True), (451e3, False), (-1.0e6, True), (-1.1e6, False)])
+def test_soft_windup_must_leave_a_spring_whose_torque_rises(tmp_path: Path, stiffness: float, fine: bool) -> None:
+    text = TEXT.replace("motor_inertia: 70", f"motor_inertia: 70\n  soft_windup: {{stiffness: {stiffness}, shape: 3}}")
     if fine:
         assert load_config(write(tmp_path, text)).joints[0].soft_windup.stiffness == stiffness
     else:
@@ -252,9 +246,7 @@ def check_outcome(folder: Path, text: str) -> None:
 
 
 MARKS = [*":-[]{}#&*!|>'\"%@`,?\n\t \a\0é", "<<: ", "- ", "*x", "&x ", "!!int ", "---\n", "~", "0x"]
-FRAGMENTS = st.one_of(
-    st.sampled_from(MARKS), st.text(max_size=4), st.sampled_from(TEXT.splitlines(keepends=True))
-)
+FRAGMENTS = st.one_of(st.sampled_from(MARKS), st.text(max_size=4), st.sampled_from(TEXT.splitlines(keepends=True)))
 EDITS = st.lists(st.tuples(st.integers(0, len(TEXT)), st.integers(0, 12), FRAGMENTS), min_size=1, max_size=4)
 
 
@@ -281,9 +273,7 @@ def replace_some_node(draw: st.DrawFn, node: Any) -> Any:
     if not isinstance(node, dict | list) or not node or draw(st.integers(0, 3)) == 0:
         return draw(VALUES)
     copy = node.copy()
-    key = (
-        draw(st.sampled_from(sorted(node))) if isinstance(node, dict) else draw(st.integers(0, len(node) - 1))
-    )
+    key = draw(st.sampled_from(sorted(node))) if isinstance(node, dict) else draw(st.integers(0, len(node) - 1))
     copy[key] = replace_some_node(draw, node[key])
     return copy
 

@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from linkside import demo
 from linkside import estimate as module
 from linkside.errors import EstimatorError, LogError, OutputError
@@ -169,7 +170,8 @@ def test_status_words():
     estimate = motion(6)
     status = np.array([0, 1, 2, 3, 7, 0], np.uint8)
     estimate = replace(estimate, status=status)
-    assert estimate.status_summary() == {"good": 2, "damped": 3, "bridged": 3, "unseen": 1}
+    counted = {word: count for word, count in estimate.status_summary().items() if count}
+    assert counted == {"good": 2, "damped": 3, "bridged": 3, "unseen": 1}
     assert Status(3) == Status.DAMPED | Status.BRIDGED
     assert Status.GOOD == 0
     assert repr(estimate) == (

@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from linkside import demo
 from linkside.errors import EstimatorError, LogError
 from linkside.log import Log, log_rows
@@ -319,8 +320,8 @@ def test_require_of_sensors_the_robot_has_not_and_of_unknown_signals():
     log = Log.from_table(recording(), Robot(acceleration_channels=(), gyroscope_channels=()))
     refusal(lambda: log.require("acceleration"), "no accelerometer")
     refusal(lambda: log.require("rate"), "no gyroscope")
-    with pytest.raises(EstimatorError, match="'torque' is no signal"):
-        log.require("torque")
+    with pytest.raises(EstimatorError, match="'force' is no signal"):
+        log.require("force")
 
 
 def changed(column, row, value):

@@ -1,4 +1,4 @@
-"""A robot and a recording to try things on: a six-axis arm whose first joint moves five degrees, simulated, with its truth."""
+"""A robot and a recording to try things on: a six-axis arm, simulated, whose first joint moves five degrees."""
 
 from pathlib import Path
 

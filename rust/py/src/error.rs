@@ -1,7 +1,8 @@
 //! Core errors as the package's own exceptions.
 
 use linkside_core::error::{DesignError, RobotError, RunError};
-use pyo3::PyErr;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
 
 pyo3::import_exception!(linkside.errors, ConfigError);
 pyo3::import_exception!(linkside.errors, EstimatorError);
@@ -30,5 +31,17 @@ impl IntoPyErr for RunError {
             Self::Design(design) => design.into_py_err(),
             Self::NotFinite { .. } => NumericalError::new_err(self.to_string()),
         }
+    }
+}
+
+/// What became of one log of several: its result, or the exception as a value, for the caller to name the log and raise.
+pub(crate) fn outcome<'py, T>(
+    py: Python<'py>,
+    result: Result<T, impl IntoPyErr>,
+    convert: impl FnOnce(T) -> PyResult<Bound<'py, PyDict>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    match result {
+        Ok(value) => convert(value).map(Bound::into_any),
+        Err(error) => Ok(error.into_py_err().into_value(py).into_bound(py).into_any()),
     }
 }

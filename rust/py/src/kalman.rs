@@ -1,7 +1,7 @@
 //! Kalman filter and smoother on the acceleration-driven model.
 
 use crate::array::{Signal, rows, shaped};
-use crate::error::{EstimatorError, IntoPyErr};
+use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
 use crate::robot::Robot;
 use linkside_core::error::RunError;
@@ -192,7 +192,8 @@ impl ExtendedKalmanFilter {
         into_dict(py, out, self.filter.model(), self.tool)
     }
 
-    /// Each log from a fresh start, on all cores; through the smoother where asked.
+    /// Each log from a fresh start, on all cores, through the smoother where asked: its arrays, or the exception that it
+    /// came to.
     fn run_all<'py>(
         &self,
         py: Python<'py>,
@@ -200,21 +201,14 @@ impl ExtendedKalmanFilter {
         smooth: bool,
         covariance: bool,
         innovations: bool,
-    ) -> PyResult<Vec<Bound<'py, PyDict>>> {
+    ) -> PyResult<Vec<Bound<'py, PyAny>>> {
         let model = self.filter.model();
         let recordings = logs.iter().map(|arrays| recording(model, arrays)).collect::<PyResult<Vec<_>>>()?;
         let filter = &self.filter;
         let keep = Keep { covariance, innovations };
         let results = py.release(|| Ok::<_, RunError>(filter.run_all(&recordings, smooth, keep)))?;
-        let mut estimates = Vec::with_capacity(results.len());
-        for (i, result) in results.into_iter().enumerate() {
-            let out = result.map_err(|e| {
-                let error = e.into_py_err();
-                if logs.len() == 1 { error } else { EstimatorError::new_err(format!("log {i}: {error}")) }
-            })?;
-            estimates.push(into_dict(py, out, model, self.tool)?);
-        }
-        Ok(estimates)
+        let convert = |out| into_dict(py, out, model, self.tool);
+        results.into_iter().map(|result| outcome(py, result, convert)).collect()
     }
 }
 

@@ -1,9 +1,10 @@
 //! The acceleration-driven observer.
 
 use crate::array::{Signal, rows, shaped};
-use crate::error::{EstimatorError, IntoPyErr};
+use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
 use crate::robot::Robot;
+use linkside_core::error::RunError;
 use linkside_core::estimate::observer::{
     self, AccelerationSource, Complex, Form, JointModel, Poles, Recording, Sample, Settings, Trajectory,
 };
@@ -80,15 +81,13 @@ impl AccelerationObserver {
         into_dict(py, trajectory, self.live.joints(), self.tool)
     }
 
-    /// Each log from a fresh start, on all cores.
-    fn run_all<'py>(&self, py: Python<'py>, logs: Vec<Arrays<'py>>) -> PyResult<Vec<Bound<'py, PyDict>>> {
+    /// Each log from a fresh start, on all cores: its arrays, or the exception that it came to.
+    fn run_all<'py>(&self, py: Python<'py>, logs: Vec<Arrays<'py>>) -> PyResult<Vec<Bound<'py, PyAny>>> {
         let recordings = logs.iter().map(|arrays| recording(&self.fresh, arrays)).collect::<PyResult<Vec<_>>>()?;
         let fresh = &self.fresh;
-        let results = py.release(|| Ok::<_, linkside_core::error::RunError>(fresh.run_all(&recordings)))?;
-        let named =
-            |(i, result): (usize, Result<_, _>)| result.map_err(|e| EstimatorError::new_err(format!("log {i}: {e}")));
-        let trajectories = results.into_iter().enumerate().map(named).collect::<PyResult<Vec<_>>>()?;
-        trajectories.into_iter().map(|t| into_dict(py, t, self.fresh.joints(), self.tool)).collect()
+        let results = py.release(|| Ok::<_, RunError>(fresh.run_all(&recordings)))?;
+        let convert = |t| into_dict(py, t, self.fresh.joints(), self.tool);
+        results.into_iter().map(|result| outcome(py, result, convert)).collect()
     }
 }
 

@@ -1,0 +1,336 @@
+"""The command line: ``linkside estimate``, ``linkside check`` and ``linkside demo``.
+
+Whatever a user can get wrong is one line on standard error and exit status 2, and leaves no file behind.
+"""
+
+from __future__ import annotations
+
+import re
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeAlias, cast
+
+import click
+
+from linkside import poles as patterns
+from linkside.errors import EstimatorError, LinksideError, NumericalError, OutputError
+from linkside.estimate import Estimate, EstimateWriter, check_writable
+from linkside.log import Log, log_rows
+from linkside.observers import AccelerationObserver
+from linkside.robot import Robot
+
+if TYPE_CHECKING:
+    from linkside import progress
+
+ROWS = 8192
+"""Rows of a log that are in memory at a time."""
+
+WHOLE = 2**62
+"""More rows than a log has."""
+
+Run: TypeAlias = Callable[[Iterable[Log]], Iterator[Estimate]]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command line says about a method."""
+
+    poles: patterns.PolePattern
+    bias: bool
+    form: Literal["current", "predictor"]
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to estimate.
+
+    Attributes
+    ----------
+    help : str
+        A line of help.
+    build
+        Makes it for a robot: a function of the pieces of a log.
+    whole : bool
+        Whether it takes a log as one piece.
+    """
+
+    help: str
+    build: Callable[[Robot, Options], Run]
+    whole: bool = False
+
+
+def _observer(robot: Robot, options: Options) -> Run:
+    return AccelerationObserver(robot, options.poles, bias=options.bias, form=options.form).run_pieces
+
+
+METHODS = {
+    "observer": Method("driven by accelerometers; nothing of the links' dynamics is needed", _observer),
+}
+
+
+PATTERNS: dict[str, Callable[[float], patterns.PolePattern]] = {
+    "damped": patterns.damped,
+    "bessel": patterns.bessel,
+    "butterworth": patterns.butterworth,
+}
+
+
+class Poles(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.4 only
+    """``250``, or a pattern of `linkside.poles` and its frequency, ``bessel:250``."""
+
+    name = "poles"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> patterns.PolePattern:
+        """Read the pattern."""
+        kind, _, frequency = str(value).rpartition(":")
+        try:
+            return PATTERNS[kind or "damped"](float(frequency))
+        except EstimatorError as error:
+            self.fail(str(error), param, ctx)
+        except (KeyError, ValueError):
+            self.fail(f"{value!r} is neither a frequency nor one of {', '.join(PATTERNS)} with one", param, ctx)
+
+
+class Commands(click.Group):
+    """Commands whose errors are one line."""
+
+    def main(self, *args: Any, **kwargs: Any) -> NoReturn:
+        """Run a command and exit: 0 if all is well, 2 on an error, 130 when interrupted."""
+        _prepare_streams()
+        try:
+            sys.exit(super().main(*args, **{**kwargs, "prog_name": "linkside", "standalone_mode": False}) or 0)
+        except click.Abort:
+            _complain("interrupted")
+            sys.exit(130)
+        except click.ClickException as error:
+            _complain(error.format_message())
+        except (LinksideError, OSError) as error:
+            _complain(_in_words(error))
+        sys.exit(2)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command; show where an error comes from if that was asked for."""
+        try:
+            return super().invoke(ctx)
+        except (LinksideError, OSError):
+            if ctx.params["debug"]:
+                traceback.print_exc()
+            raise
+
+
+@click.group(cls=Commands, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="linkside")
+@click.option("--debug", is_flag=True, help="Show where in the program an error comes from.")
+@click.pass_context
+def main(ctx: click.Context, debug: bool) -> None:
+    """Where the links of an elastic-joint robot really are."""
+    if ctx.invoked_subcommand is None:
+        click.echo(ctx.get_help())
+
+
+@main.command(epilog="Methods: " + "; ".join(f"{name}: {method.help}" for name, method in METHODS.items()) + ".")
+@click.argument("robot", type=click.Path())
+@click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
+@click.option("--with", "method", type=click.Choice(list(METHODS)), default="observer", show_default=True)
+@click.option("--out", required=True, help="Parquet or CSV file; for several logs a directory, or a name with {stem}.")
+@click.option("--poles", type=Poles(), default="250", show_default=True, help="Frequency [rad/s], or bessel:250 …")
+@click.option("--bias", is_flag=True, help="Estimate a bias of each link acceleration as well.")
+@click.option("--form", type=click.Choice(["current", "predictor"]), default="current", show_default=True)
+@click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this file; one for each log.")
+def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, truths: tuple[str, ...], **options: Any) -> None:
+    """Estimate the motion of ROBOT's links from recordings.
+
+    ROBOT is a robot.yaml, each LOG a Parquet or CSV file. Logs are read piece by piece and may be larger than memory.
+    """
+    if truths and len(truths) != len(logs):
+        raise click.UsageError(f"--truth is there {len(truths)} times, for {len(logs)} logs")
+    loaded = Robot.load(robot)
+    with _naming(robot):
+        run = METHODS[method].build(loaded, Options(**options))
+    rows = WHOLE if METHODS[method].whole else ROWS
+    with _output_folder(out, logs) as outputs:
+        _refuse_clashes(outputs, [robot, *logs, *truths])
+        for output in outputs:
+            check_writable(output)
+        files = zip(logs, outputs, truths or [None] * len(logs), strict=True)
+        _estimate_all([Job(loaded, run, rows, *three) for three in files])
+
+
+@main.command()
+@click.argument("robot", type=click.Path())
+@click.argument("log", type=click.Path(), required=False)
+@click.option("--figure", type=click.Path(), help="Draw it: a file that ends in .png, .pdf or .svg.")
+def check(robot: str, log: str | None, figure: str | None) -> None:
+    """Say which link accelerations ROBOT's sensors see, how well and where, along LOG if it is given."""
+    from linkside import check as module
+    from linkside import progress
+
+    loaded = Robot.load(robot)
+    _check_figure(figure, [robot, log])
+    report = module.check(loaded, None if log is None else Log.stream(log, loaded))
+    progress.show(progress.check_tables(report))
+    if figure is not None:
+        _draw(report.figure(), figure)
+
+
+@main.command()
+@click.option("--figure", type=click.Path(), default="linkside-demo.png", show_default=True, help="Where to draw it.")
+def demo(figure: str) -> None:
+    """Run the observer on a robot and a recording that come with the package."""
+    from linkside import progress
+    from linkside.demo import run as module
+
+    _check_figure(figure, [])
+    result = module.run()
+    from linkside import plots
+
+    progress.show([progress.tool_table(result.errors, "the truth")])
+    _draw(plots.demo_figure(result), figure)
+    click.echo("Next, your own log:   linkside estimate robot.yaml log.parquet --out estimate.parquet")
+    click.echo("      your own robot: linkside check robot.yaml")
+
+
+@dataclass(frozen=True)
+class Job:
+    """A log to estimate, how, and where the estimate and the truth are."""
+
+    robot: Robot
+    run: Run
+    rows: int
+    log: str
+    output: Path
+    truth: str | None
+
+
+def _estimate_all(jobs: Sequence[Job]) -> None:
+    """Estimate each log; of several, one that cannot be used does not keep the others waiting."""
+    from linkside import progress
+
+    failed = 0
+    counts = [log_rows(job.log) for job in jobs]
+    with progress.bar(None if None in counts else sum(cast("list[int]", counts))) as advance:
+        for job in jobs:
+            try:
+                _estimate_one(job, partial(advance, job.log))
+            except LinksideError as error:
+                if len(jobs) == 1:
+                    raise
+                failed += 1
+                _complain(_in_words(error))
+    if failed:
+        raise click.ClickException(f"{failed} of {len(jobs)} logs could not be estimated")
+
+
+def _estimate_one(job: Job, advance: Callable[[int], None]) -> None:
+    from linkside import progress
+
+    known = None if job.truth is None else Estimate.read(job.truth)
+    tally, kept = progress.Tally(), []
+    with EstimateWriter(job.output) as writer:
+        for piece in _pieces(job, tally):
+            writer.write(piece)
+            tally.add(piece)
+            advance(len(piece))
+            if known is not None:
+                kept.append(piece)
+        with _naming(str(job.truth)):  # still inside: an estimate that cannot be compared as asked is not kept
+            error = None if known is None else Estimate.concatenate(kept).error_against(known)
+    if error is not None:
+        progress.show(progress.error_tables(error, job.robot, str(job.truth)))
+    click.echo(f"{job.output}: {tally}")
+
+
+def _pieces(job: Job, tally: progress.Tally) -> Iterator[Estimate]:
+    pieces = tally.timed(Log.stream(job.log, job.robot, job.rows), sign=-1)
+    estimates = tally.timed(job.run(pieces))
+    while True:
+        with _naming(job.log):
+            piece = next(estimates, None)
+        if piece is None:
+            return
+        yield piece
+
+
+@contextmanager
+def _output_folder(out: str, logs: Sequence[str]) -> Iterator[list[Path]]:
+    """Name the output of each log; a directory that had to be made for them is gone again if it stays empty."""
+    if "{stem}" in out or (len(logs) == 1 and not Path(out).is_dir()):
+        yield [Path(out.replace("{stem}", _stem(log))) for log in logs]
+        return
+    folder = Path(out)
+    if folder.suffix in (".parquet", ".csv"):
+        raise OutputError(f"{out}: one file for {len(logs)} logs; name a directory, or a file with {{stem}}")
+    made = not folder.exists()
+    folder.mkdir(exist_ok=True)
+    try:
+        yield [folder / f"{_stem(log)}.estimate.parquet" for log in logs]
+    finally:
+        if made:
+            with suppress(OSError):
+                folder.rmdir()
+
+
+def _stem(log: str) -> str:
+    return re.sub(r"\.(parquet|csv|csv\.gz)$", "", Path(log).name, flags=re.IGNORECASE)
+
+
+def _refuse_clashes(outputs: Sequence[Path], inputs: Sequence[str | None]) -> None:
+    taken = {Path(path).resolve(): "would be written over what is read" for path in inputs if path is not None}
+    for output in outputs:
+        if (where := output.resolve()) in taken:
+            raise OutputError(f"{output}: {taken[where]}")
+        taken[where] = "is the output of two logs; give --out as a name that differs, or run them apart"
+
+
+def _check_figure(figure: str | None, inputs: Sequence[str | None]) -> None:
+    if figure is not None:
+        from linkside import plots
+
+        plots.check_writable(figure)
+        _refuse_clashes([Path(figure)], inputs)
+
+
+def _draw(figure: Any, path: str) -> None:
+    from linkside import plots
+
+    plots.save(figure, path)
+    click.echo(f"figure: {path}")
+
+
+@contextmanager
+def _naming(source: str) -> Iterator[None]:
+    """Let errors of an estimator, which knows of no files, say where they come from."""
+    try:
+        yield
+    except (EstimatorError, NumericalError) as error:
+        if source in str(error):
+            raise
+        raise type(error)(f"{source}: {error}") from error
+
+
+def _prepare_streams() -> None:
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(AttributeError):
+            cast("Any", stream).reconfigure(errors="replace")  # µ and σ must not break a terminal in ASCII
+    with suppress(ValueError):  # only the main thread may; so that a job that is ended leaves nothing half done
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+
+
+def _in_words(error: Exception) -> str:
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return str(error)
+
+
+def _complain(message: str) -> None:
+    click.echo(f"linkside: {' '.join(message.split())}", err=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,69 @@
+"""The observer on the recording inside the package: how far motors alone are off, and how much closer it comes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from linkside.demo import LOG, ROBOT, TRUTH
+from linkside.estimate import Estimate, EstimateError
+from linkside.log import Log
+from linkside.observers import AccelerationObserver
+from linkside.robot import Robot
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class DemoResult:
+    """What the demonstration found.
+
+    Attributes
+    ----------
+    t : (T,)
+        Time [s].
+    errors : dict of str to EstimateError
+        By guess: from motors alone, and from the observer.
+    tool_distance : dict of str to (T,) array
+        The tool's distance from the truth, likewise [mm].
+    joint : str
+        The joint that moves most.
+    torsion, torsion_true : (T,)
+        Its torsion θ − q, estimated and true [rad].
+    """
+
+    t: Array
+    errors: dict[str, EstimateError]
+    tool_distance: dict[str, Array]
+    joint: str
+    torsion: Array
+    torsion_true: Array
+
+
+def run() -> DemoResult:
+    """Estimate the recording inside the package, and compare with its truth."""
+    robot = Robot.load(ROBOT)
+    log = Log.read(LOG, robot)
+    truth = Estimate.read(TRUTH)
+    guesses = {"motors alone": motor_guess(robot, log), "observer": AccelerationObserver(robot).run(log)}
+    moved = int(np.argmax(np.ptp(truth.q, axis=0)))
+    torsion, torsion_true = (e.theta[:, moved] - e.q[:, moved] for e in (guesses["observer"], truth))
+    errors = {name: guess.error_against(truth) for name, guess in guesses.items()}
+    distance = {name: _distance(guess, truth) for name, guess in guesses.items()}
+    return DemoResult(log.t, errors, distance, robot.names[moved], torsion, torsion_true)
+
+
+def motor_guess(robot: Robot, log: Log) -> Estimate:
+    """Take the links to be where the motors are, as a controller without a model of the springs does."""
+    unknown = np.full_like(log.theta, np.nan)
+    status = np.zeros(len(log), np.uint8)
+    tool = robot.tool_position(log.theta)
+    return Estimate(log.t, log.theta, unknown, log.theta, unknown, status, robot.names, tool_position=tool)
+
+
+def _distance(guess: Estimate, truth: Estimate) -> Array:
+    assert guess.tool_position is not None
+    assert truth.tool_position is not None
+    return np.asarray(1e3 * np.linalg.norm(guess.tool_position - truth.tool_position, axis=1))
