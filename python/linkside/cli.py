@@ -1,4 +1,4 @@
-"""The command line: ``linkside estimate``, ``linkside check`` and ``linkside demo``.
+"""The command line: ``linkside estimate``, ``tune``, ``check`` and ``demo``.
 
 Whatever a user can get wrong is one line on standard error and exit status 2, and leaves no file behind.
 """
@@ -9,12 +9,12 @@ import re
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 import click
 
@@ -22,7 +22,8 @@ from linkside import poles as patterns
 from linkside.errors import EstimatorError, LinksideError, NumericalError, OutputError
 from linkside.estimate import Estimate, EstimateWriter, check_writable
 from linkside.log import Log, log_rows
-from linkside.observers import AccelerationObserver
+from linkside.methods import METHODS, Options, Run
+from linkside.noise import Noise
 from linkside.robot import Robot
 
 if TYPE_CHECKING:
@@ -33,46 +34,6 @@ ROWS = 8192
 
 WHOLE = 2**62
 """More rows than a log has."""
-
-Run: TypeAlias = Callable[[Iterable[Log]], Iterator[Estimate]]
-
-
-@dataclass(frozen=True)
-class Options:
-    """What the command line says about a method."""
-
-    poles: patterns.PolePattern
-    bias: bool
-    form: Literal["current", "predictor"]
-
-
-@dataclass(frozen=True)
-class Method:
-    """A way to estimate.
-
-    Attributes
-    ----------
-    help : str
-        A line of help.
-    build
-        Makes it for a robot: a function of the pieces of a log.
-    whole : bool
-        Whether it takes a log as one piece.
-    """
-
-    help: str
-    build: Callable[[Robot, Options], Run]
-    whole: bool = False
-
-
-def _observer(robot: Robot, options: Options) -> Run:
-    return AccelerationObserver(robot, options.poles, bias=options.bias, form=options.form).run_pieces
-
-
-METHODS = {
-    "observer": Method("driven by accelerometers; nothing of the links' dynamics is needed", _observer),
-}
-
 
 PATTERNS: dict[str, Callable[[float], patterns.PolePattern]] = {
     "damped": patterns.damped,
@@ -142,6 +103,8 @@ def main(ctx: click.Context, debug: bool) -> None:
 @click.option("--poles", type=Poles(), default="250", show_default=True, help="Frequency [rad/s], or bessel:250 …")
 @click.option("--bias", is_flag=True, help="Estimate a bias of each link acceleration as well.")
 @click.option("--form", type=click.Choice(["current", "predictor"]), default="current", show_default=True)
+@click.option("--tuning", type=click.Path(), help="Noise of a Kalman filter, as `linkside tune` writes it.")
+@click.option("--gate", type=float, help="Leave out readings more than so many standard deviations off.")
 @click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this file; one for each log.")
 def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, truths: tuple[str, ...], **options: Any) -> None:
     """Estimate the motion of ROBOT's links from recordings.
@@ -150,16 +113,51 @@ def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, truths: t
     """
     if truths and len(truths) != len(logs):
         raise click.UsageError(f"--truth is there {len(truths)} times, for {len(logs)} logs")
+    _refuse_untaken(method)
     loaded = Robot.load(robot)
+    options["tuning"] = None if options["tuning"] is None else Noise.read(options["tuning"])
     with _naming(robot):
         run = METHODS[method].build(loaded, Options(**options))
-    rows = WHOLE if METHODS[method].whole else ROWS
+    rows = WHOLE if METHODS[method].whole(loaded) else ROWS
     with _output_folder(out, logs) as outputs:
         _refuse_clashes(outputs, [robot, *logs, *truths])
         for output in outputs:
             check_writable(output)
         files = zip(logs, outputs, truths or [None] * len(logs), strict=True)
         _estimate_all([Job(loaded, run, rows, *three) for three in files])
+
+
+def _refuse_untaken(method: str) -> None:
+    """An option that the method would not look at is a mistake to hear of."""
+    context = click.get_current_context()
+    for option in sorted({option for other in METHODS.values() for option in other.takes}):
+        given = context.get_parameter_source(option) == click.core.ParameterSource.COMMANDLINE
+        if given and option not in METHODS[method].takes:
+            raise click.UsageError(f"--{option} is not for --with {method}")
+
+
+@main.command()
+@click.argument("robot", type=click.Path())
+@click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
+@click.option("--out", required=True, type=click.Path(), help="The tuning file, for `linkside estimate --tuning`.")
+@click.option("--start", type=click.Path(), help="A tuning file to start from.")
+@click.option("--free", default="transmission", show_default=True, help="Which noise, by its keys in that file, a,b,c.")
+def tune(robot: str, logs: tuple[str, ...], out: str, start: str | None, free: str) -> None:
+    """Find the noise of a Kalman filter for ROBOT under which recordings are most likely."""
+    from linkside import progress
+    from linkside import tune as module
+
+    loaded = Robot.load(robot)
+    noise = None if start is None else Noise.read(start)
+    _refuse_clashes([Path(out)], [robot, *logs])
+    check_writable(out, (".yaml", ".yml"))
+    recordings = [Log.read(log, loaded) for log in logs]
+    with progress.bar(None) as advance:
+        shown = partial(_show_best, advance)
+        result = module.tune(loaded, recordings, noise, tuple(free.split(",")), shown)
+    result.after.write(out)
+    click.echo(result.to_text(), nl=False)
+    click.echo(f"tuning: {out}")
 
 
 @main.command()
@@ -194,6 +192,10 @@ def demo(figure: str) -> None:
     _draw(plots.demo_figure(result), figure)
     click.echo("Next, your own log:   linkside estimate robot.yaml log.parquet --out estimate.parquet")
     click.echo("      your own robot: linkside check robot.yaml")
+
+
+def _show_best(advance: Callable[[str, int], None], _: int, best: float) -> None:
+    advance(f"log-likelihood {best:.1f}", 1)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,9 +24,6 @@ LAGS = 50
 LEAST_STD = 1e-12
 """Below this a standard deviation is that of something that cannot move."""
 
-STRETCHES = 100
-BLUE, GREEN = "#0072B2", "#009E73"
-
 
 @dataclass(frozen=True)
 class Ratio:
@@ -40,12 +37,18 @@ class Ratio:
         Its bounds.
     inside : float
         Share of samples within their own bounds; should be `Consistency.level`.
+    width : float
+        Degrees of freedom that a sample counts for: what its errors have, less as they are correlated in time.
+    varying : float or None
+        Of an error, the mean without the error's constant part.
     """
 
     mean: float
     low: float
     high: float
     inside: float
+    width: float
+    varying: float | None = None
 
     @property
     def verdict(self) -> str:
@@ -62,7 +65,8 @@ class Consistency:
     level : float
         Probability of all bounds.
     t, nis, nees : (T,)
-        Time, and normalised squares of innovations and of the error of q, per degree of freedom; NaN where there is none.
+        Time, and normalised squares of innovations and of the error of q, per degree of freedom; NaN where there is
+        none.
     innovations, position, tool : Ratio
         Of innovations over the recording, of the error of q, and of the tool's. The last two are None without a truth.
     log_likelihood : float
@@ -103,17 +107,20 @@ class Consistency:
 
     def figure(self) -> Figure:
         """Draw NIS over time, innovations' distribution and autocorrelation, and NEES where there is a truth."""
-        return _draw(self)
+        from .consistency_figure import draw
+
+        return draw(self)
 
     def _verdicts(self) -> list[str]:
-        worst = self.position or self.innovations
-        what = "errors are" if self.position else "innovations are"
-        factor = float(np.sqrt(worst.mean))
-        if worst.verdict == "consistent":
-            return [f"The filter is consistent: {what} as large as it says."]
-        if worst.verdict == "cautious":
-            return [f"The filter is cautious: {what} {1 / factor:.2g} times smaller than it says. No harm is done."]
-        return [f"The filter is overconfident: {what} {factor:.2g} times larger than it says; try linkside tune."]
+        ratio, what = (self.position, "errors") if self.position else (self.innovations, "innovations")
+        factor = float(np.sqrt(ratio.mean))
+        if ratio.verdict == "consistent":
+            return [f"The filter is consistent: {what} are as large as it says."]
+        if ratio.verdict == "cautious":
+            return [f"The filter is cautious: {what} are {_times(1 / factor)} smaller than it says."]
+        constant = ratio.varying is not None and ratio.varying < 0.5 * ratio.mean
+        advice = "most of it is a constant offset, for calibration to find" if constant else "try linkside tune"
+        return [f"The filter is overconfident: {what} are {_times(factor)} larger than it says; {advice}."]
 
     def _whiteness_lines(self) -> list[str]:
         if not self.channels:
@@ -127,7 +134,8 @@ class Consistency:
 
     def _channel_line(self, index: int, name: str) -> str:
         first, size = self.autocorrelation[0, index], np.sqrt(np.nanmean(self.normalised[:, index] ** 2))
-        return f"  {name}: {first:.2f} at lag 1 (white: within ±{self.bound[index]:.2f}), RMS {size:.2f} of what is expected"
+        bound = f"white: within ±{self.bound[index]:.2f}"
+        return f"  {name}: {first:.2f} at lag 1 ({bound}), RMS {size:.2f} times what is expected"
 
 
 def consistency(
@@ -142,8 +150,8 @@ def consistency(
 
     Normalised innovations squared (NIS) of a filter that is right are chi-square, as many degrees of freedom as
     readings, independent from sample to sample; normalised estimation errors squared (NEES) likewise, but errors are
-    correlated in time, so that the bounds of their mean are those of as many samples as are independent. Bar-Shalom, Li and
-    Kirubarajan, "Estimation with applications to tracking and navigation" (2001), section 5.4.
+    correlated in time, so that the bounds of their mean are those of as many samples as are independent. Bar-Shalom,
+    Li and Kirubarajan, "Estimation with applications to tracking and navigation" (2001), section 5.4.
 
     Parameters
     ----------
@@ -219,7 +227,7 @@ def _normalised(estimate: KalmanEstimate, channels: Sequence[str] | None) -> tup
     normalised = np.asarray(estimate.innovation / estimate.innovation_std)
     count, joints = normalised.shape[1], len(estimate.names)
     known = [f"theta_{name}" for name in estimate.names] + [f"reading {i}" for i in range(joints, count)]
-    names = known if channels is None else list(channels)
+    names = list(channels or getattr(estimate, "channels", None) or known)
     if len(names) != count:
         raise EstimatorError(f"{len(names)} channels are named, and the estimate has {count}")
     return normalised, tuple(names)
@@ -253,7 +261,7 @@ def _ratio(squares: FloatArray, degrees: npt.NDArray[Any], level: float, indepen
     kinds, which = np.unique(degrees, return_inverse=True)
     own = stats.chi2.ppf(tails[:, None], kinds)[:, which]
     inside = float(np.mean((squares >= own[0]) & (squares <= own[1])))
-    return Ratio(float(squares.sum()) / total, float(low), float(high), inside)
+    return Ratio(float(squares.sum()) / total, float(low), float(high), inside, independent * float(degrees.mean()))
 
 
 def _independent(squares: FloatArray) -> float:
@@ -263,18 +271,14 @@ def _independent(squares: FloatArray) -> float:
     return min(1.0, float(np.var(known)) / slow) if slow > 0 else 1.0
 
 
-def _position(
-    estimate: KalmanEstimate, truth: Estimate | None, level: float
-) -> tuple[Ratio | None, FloatArray | None]:
+def _position(estimate: KalmanEstimate, truth: Estimate | None, level: float) -> tuple[Ratio | None, FloatArray | None]:
     """NEES of q: over all joints at once where the covariance was kept, else joint by joint."""
     if truth is None:
         return None, None
     if estimate.q_std is None:
         raise EstimatorError("the estimate has no standard deviations to compare its error with")
     error = estimate.q - truth.q[_counterparts(estimate.t, truth.t, "the truth")]
-    squares = _squares(error, estimate.q_std, estimate.covariance)
-    degrees = np.isfinite(error).all(axis=1) * int((estimate.q_std > LEAST_STD).all(axis=0).sum())
-    return _ratio(squares, degrees, level, _independent(squares)), _per_degree(squares, degrees)
+    return _error_ratio(error, estimate.q_std, estimate.covariance, level)
 
 
 def _tool(estimate: KalmanEstimate, truth: Estimate | None, level: float) -> Ratio | None:
@@ -282,9 +286,20 @@ def _tool(estimate: KalmanEstimate, truth: Estimate | None, level: float) -> Rat
     if truth is None or truth.tool_position is None or estimate.tool_position is None or estimate.tool_std is None:
         return None
     error = estimate.tool_position - truth.tool_position[_counterparts(estimate.t, truth.t, "the truth")]
-    squares = _squares(error, estimate.tool_std, None)
-    degrees = np.isfinite(error).all(axis=1) * int((estimate.tool_std > LEAST_STD).all(axis=0).sum())
-    return _ratio(squares, degrees, level, _independent(squares)) if degrees.any() else None
+    return _error_ratio(error, estimate.tool_std, None, level)[0]
+
+
+def _error_ratio(
+    error: FloatArray, std: FloatArray, covariance: FloatArray | None, level: float
+) -> tuple[Ratio | None, FloatArray | None]:
+    """Ratio of an error, (T, k), and its normalised squares per degree of freedom; None where nothing is known."""
+    degrees = np.where(np.isfinite(error).all(axis=1), int((std > LEAST_STD).all(axis=0).sum()), 0)
+    if not degrees.any():
+        return None, None
+    squares = _squares(error, std, covariance)
+    ratio = _ratio(squares, degrees, level, _independent(squares))
+    varying = _squares(error - np.nanmean(error, axis=0), std, covariance)
+    return replace(ratio, varying=float(np.nansum(varying) / degrees.sum())), _per_degree(squares, degrees)
 
 
 def _squares(error: FloatArray, std: FloatArray, covariance: FloatArray | None) -> FloatArray:
@@ -297,94 +312,12 @@ def _squares(error: FloatArray, std: FloatArray, covariance: FloatArray | None) 
     return np.asarray((error * np.linalg.solve(block, error[:, :, None])[:, :, 0]).sum(axis=1))
 
 
+def _times(factor: float) -> str:
+    return f"{factor:.2g} times" if factor >= 1.1 else "slightly"
+
+
 def _line(name: str, ratio: Ratio, level: float) -> str:
-    return (
-        f"{name}: {ratio.mean:.3f} per degree of freedom, {100 * level:g} % bounds {ratio.low:.3f} to {ratio.high:.3f}; "
-        f"{100 * ratio.inside:.1f} % of samples within theirs ({ratio.verdict})"
-    )
-
-
-def _draw(report: Consistency) -> Figure:
-    from matplotlib.figure import Figure
-
-    lower = ["lags", "sizes"] if report.nees is None else ["lags", "nees"]
-    figure = Figure(figsize=(12, 7.2), layout="constrained")
-    axes = figure.subplot_mosaic([["nis", "histogram"], lower], width_ratios=(1.5, 1))
-    figure.suptitle(report.to_text().splitlines()[0])
-    _over_time(axes["nis"], report.t, report.nis, report.innovations, "innovations (NIS)")
-    _histogram(axes["histogram"], report)
-    _lags(axes["lags"], report)
-    if report.nees is None:
-        _sizes(axes["sizes"], report)
-    else:
-        assert report.position is not None
-        _over_time(axes["nees"], report.t, report.nees, report.position, "error of q (NEES)")
-    return figure
-
-
-def _over_time(axes: Any, t: FloatArray, squares: FloatArray, ratio: Ratio, what: str) -> None:
-    """Every sample faintly, their mean over stretches, and the band that this mean should be in."""
-    known = np.flatnonzero(np.isfinite(squares))
-    parts = np.array_split(known, min(STRETCHES, len(known)))
-    means = np.array([squares[part].mean() for part in parts])
-    middles = np.array([t[part].mean() for part in parts])
-    axes.plot(t[known], np.maximum(squares[known], 1e-3), ".", color="0.8", markersize=2, rasterized=True)
-    axes.axhspan(ratio.low, ratio.high, color=GREEN, alpha=0.25)
-    axes.axhline(1, color=GREEN, label="should be 1")
-    axes.plot(middles, np.maximum(means, 1e-3), color=BLUE, linewidth=2, label=f"mean of {len(parts[0])} samples")
-    low, high = np.quantile(means, (0, 1))
-    axes.set(yscale="log", ylim=(min(0.05, low / 2), max(20, 2 * high)), xlabel="time [s]")
-    axes.set(ylabel="per degree of freedom", title=f"{what}: {ratio.mean:.2f}, {ratio.verdict}")
-    _tidy(axes)
-
-
-def _histogram(axes: Any, report: Consistency) -> None:
-    grid = np.linspace(-4.5, 4.5, 91)
-    for index, name in enumerate(report.channels):
-        values = report.normalised[:, index]
-        values = np.clip(values[np.isfinite(values)], grid[0], grid[-1])
-        if len(values):
-            axes.hist(values, grid, density=True, histtype="step", color=_colour(report, index), label=name, alpha=0.8)
-    axes.fill_between(grid, stats.norm.pdf(grid), color=GREEN, alpha=0.3, label="N(0, 1)")
-    axes.set(xlabel="normalised innovation", ylabel="density", title="distribution of innovations", ylim=(0, 1.6))
-    _tidy(axes, _few(report))
-
-
-def _lags(axes: Any, report: Consistency) -> None:
-    lags = 1 + np.arange(len(report.autocorrelation))
-    for index, name in enumerate(report.channels):
-        axes.plot(lags, report.autocorrelation[:, index], ".-", color=_colour(report, index), label=name, alpha=0.8)
-    if report.channels:
-        axes.axhspan(-np.nanmax(report.bound), np.nanmax(report.bound), color=GREEN, alpha=0.3)
-    axes.axhline(0, color=GREEN)
-    axes.set(xlabel="lag [samples]", ylabel="autocorrelation", ylim=(-0.5, 1.05), title="innovations: white if within the band")
-    _tidy(axes, _few(report))
-
-
-def _sizes(axes: Any, report: Consistency) -> None:
-    """Root mean square of each channel's normalised innovations."""
-    sizes = np.sqrt(np.nanmean(report.normalised**2, axis=0)) if report.channels else np.empty(0)
-    colours = [_colour(report, index) for index in range(len(sizes))]
-    axes.barh(report.channels, sizes, color=colours)
-    axes.axvline(1, color=GREEN)
-    axes.invert_yaxis()
-    axes.set(xlabel="RMS of normalised innovations", title="size by channel: should be 1")
-    _tidy(axes, legend=False)
-
-
-def _colour(report: Consistency, index: int) -> Any:
-    from matplotlib import colormaps
-
-    return colormaps["viridis"](0.9 * index / max(1, len(report.channels) - 1))
-
-
-def _few(report: Consistency) -> bool:
-    return 0 < len(report.channels) <= 8
-
-
-def _tidy(axes: Any, legend: bool = True) -> None:
-    axes.grid(True, color="0.92")
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-    if legend:
-        axes.legend(frameon=False, fontsize="small")
+    varying = "" if ratio.varying is None else f", {ratio.varying:.3g} without its constant part"
+    bounds = f"{100 * level:g} % bounds {ratio.low:.3f} to {ratio.high:.3f}"
+    share = f"{100 * ratio.inside:.1f} % of samples within theirs"
+    return f"{name}: {ratio.mean:.3g} per degree of freedom{varying}; {bounds}; {share} ({ratio.verdict})"

@@ -116,13 +116,9 @@ class Estimate:
         """
         file = open_table(path)
         names = _joints(file.names, file.source)
-        groups = {
-            group: columns for group, columns in _groups(names).items() if set(columns) <= set(file.names)
-        }
+        groups = {group: columns for group, columns in _groups(names).items() if set(columns) <= set(file.names)}
         table = file.read([column for columns in groups.values() for column in columns])
-        arrays = {
-            g: np.stack([numbers(table, c, file.source) for c in cs], axis=1) for g, cs in groups.items()
-        }
+        arrays = {g: np.stack([numbers(table, c, file.source) for c in cs], axis=1) for g, cs in groups.items()}
         return cls(names=names, **_complete(arrays, len(names), file.source))
 
     @classmethod
@@ -133,9 +129,7 @@ class Estimate:
             raise EstimatorError("there is no estimate to concatenate")
         for number, part in enumerate(parts):
             if part._form() != parts[0]._form():
-                raise EstimatorError(
-                    f"part {number} has other columns than the first: {part!r}, {parts[0]!r}"
-                )
+                raise EstimatorError(f"part {number} has other columns than the first: {part!r}, {parts[0]!r}")
         arrays: dict[str, Any] = {
             name: np.concatenate([getattr(p, name) for p in parts]) for name in parts[0]._form()[1]
         }
@@ -360,11 +354,21 @@ class EstimateWriter:
         self._file, self._sink, self._held = None, None, []
 
 
-def check_writable(path: str | Path) -> None:
-    """Raise `OutputError` when an estimate could not be written to ``path``; nothing there is changed."""
+def write_text(path: str | Path, text: str) -> None:
+    """Write a small file whole or not at all; `OutputError` when that cannot be."""
     path = Path(path)
-    if path.suffix.lower() not in (".parquet", ".csv"):
-        raise OutputError(f"{path}: a file that ends in .parquet or .csv is expected")
+    with _writing(path):
+        part, file = _open_part(path)
+        with file:
+            file.write(text.encode())
+        os.replace(part, os.path.realpath(path))
+
+
+def check_writable(path: str | Path, suffixes: tuple[str, ...] = (".parquet", ".csv")) -> None:
+    """Raise `OutputError` when a file could not be written to ``path``; nothing there is changed."""
+    path = Path(path)
+    if path.suffix.lower() not in suffixes:
+        raise OutputError(f"{path}: a file that ends in {' or '.join(suffixes)} is expected")
     with _writing(path):
         if path.exists() and not path.is_file():
             raise OutputError(f"{path}: this is not a file, and is in the way")
@@ -439,9 +443,7 @@ def _complete(arrays: dict[str, FloatArray], joints: int, source: str) -> dict[s
     status = arrays.pop("status", np.zeros((rows, 1)))
     if not np.isin(status, np.arange(256)).all():
         raise LogError(f"{source}: column 'status' has a value that is no status")
-    missing = {
-        name: np.full((rows, joints), np.nan) for name in ("dq", "theta", "dtheta") if name not in arrays
-    }
+    missing = {name: np.full((rows, joints), np.nan) for name in ("dq", "theta", "dtheta") if name not in arrays}
     flat = {"t": t, "status": status.reshape(-1).astype(np.uint8)}
     return arrays | missing | flat
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core
-from .errors import EstimatorError, LogError
+from .errors import EstimatorError, LogError, NumericalError
 from .estimate import Estimate, result_of
 from .log import Log
 from .noise import Noise
@@ -251,7 +251,11 @@ class ExtendedKalmanFilter:
             if core is None:
                 kinds = self._kinds(piece)
                 core = self._core(kinds, self.noise.for_log(piece))
-            result = core.run(self._arrays(piece, kinds, before), False, False)
+            arrays = self._arrays(piece, kinds, before)
+            try:
+                result = core.run(arrays, False, False)
+            except NumericalError as error:
+                raise NumericalError(f"{piece.source}: {error}") from None
             before = piece[-1:]
             yield KalmanEstimate(t=piece.t, names=self.robot.names, **result)
 

@@ -145,9 +145,7 @@ class Log:
         return _whole(file.read(layout.present), layout, file.source, allow_gaps)
 
     @classmethod
-    def from_table(
-        cls, table: Any, robot: RobotColumns, source: str = "table", *, allow_gaps: bool = False
-    ) -> Log:
+    def from_table(cls, table: Any, robot: RobotColumns, source: str = "table", *, allow_gaps: bool = False) -> Log:
         """Take a recording from a pandas or Polars data frame, an Arrow table, or a dict of arrays.
 
         Memory is borrowed where its order allows, so leave the table alone while the log is in use. Raises
@@ -159,9 +157,7 @@ class Log:
         return _whole(selected, layout, source, allow_gaps)
 
     @staticmethod
-    def stream(
-        path: str | Path, robot: RobotColumns, rows: int = 65_536, *, allow_gaps: bool = False
-    ) -> LogStream:
+    def stream(path: str | Path, robot: RobotColumns, rows: int = 65_536, *, allow_gaps: bool = False) -> LogStream:
         """Read a file piece by piece, in bounded memory: an iterable of logs of ``rows`` rows each.
 
         The file, its columns and its period are checked at once, each piece as it is read, and time across
@@ -183,6 +179,10 @@ class Log:
             for column in self._layout.needed(signal, self.source, purpose):
                 if column not in self._layout.found:
                     raise self._layout.missing(column, self.source, f" (needed for {purpose})")
+
+    def column(self, signal: str, channel: int) -> str:
+        """Name of one of a signal's columns, as the recording has it."""
+        return self._layout.wanted[signal][channel]
 
     def __len__(self) -> int:
         """Rows."""

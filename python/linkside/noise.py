@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from io import StringIO
 from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy.signal
 from pydantic import BaseModel, ConfigDict, Field
 from ruamel.yaml import YAML
 
-from .errors import EstimatorError, OutputError
+from .errors import EstimatorError
+from .estimate import write_text
 from .log import Log
 from .robot import Robot
 from .source import Source
@@ -86,14 +87,12 @@ class Noise(BaseModel):
         """Read a tuning file: YAML with any of the attributes as keys; `ConfigError` names file, line and key."""
         return Source.read(path).validate(cls)
 
-    def write(self, path: str | PathLike[str]) -> None:
+    def write(self, path: str | Path) -> None:
         """Write a tuning file with everything that differs from the defaults."""
         changed = {k: list(v) if isinstance(v, tuple) else v for k, v in self.model_dump(exclude_defaults=True).items()}
-        try:
-            with Path(path).open("w", encoding="utf-8") as file:
-                YAML().dump(changed, file)
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
+        text = StringIO()
+        YAML().dump(changed, text)
+        write_text(path, text.getvalue())
 
     def updated(self, **changes: Any) -> Noise:
         """Give the same with some attributes changed, checked."""
@@ -147,12 +146,13 @@ def per_joint(name: str, value: float | tuple[float, ...], n: int) -> FloatArray
 
 def jerk_scale(log: Log) -> FloatArray:
     """Density of each joint's jerk (n,), from the third derivative of the motor positions [rad/s³/√Hz]."""
-    window = min(len(log), 2 * round(JERK_TIME / log.period) + 1)
-    window -= 1 - window % 2
-    if window < 5:
+    half = min(len(log) - 1, 2 * round(JERK_TIME / log.period)) // 2
+    if half < 2:
         return np.full(log.theta.shape[1], LEAST_JERK)
     filled = np.where(np.isnan(log.theta), np.nanmean(log.theta, axis=0), log.theta)
-    jerk = scipy.signal.savgol_filter(filled, window, 3, deriv=3, delta=log.period, axis=0)
+    # A cubic through each window of samples: its third derivative is a fixed combination of them.
+    weights = 6 * np.linalg.pinv(np.vander(np.arange(-half, half + 1) * log.period, 4, increasing=True))[3]
+    jerk = np.stack([np.correlate(joint, weights, "valid") for joint in filled.T], axis=1)
     return np.asarray(np.maximum(LEAST_JERK, np.sqrt(np.mean(jerk**2, axis=0) * JERK_TIME)))
 
 

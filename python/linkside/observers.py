@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Literal, overload
@@ -10,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside import _core
-from linkside.errors import EstimatorError, LogError
+from linkside.errors import EstimatorError, LogError, NumericalError
 from linkside.estimate import Estimate, result_of
 from linkside.log import Log
 from linkside.poles import PolePattern, damped
@@ -92,7 +93,7 @@ class AccelerationObserver:
         self._signal = "acceleration" if accelerations == "sensors" else "ddq"
         rate = robot.config.rate_hz
         self._period = period if period is not None or rate is None else 1 / rate
-        self._core = None if self._period is None else self._make(period=self._period)
+        self._core = None if self._period is None else self._designed(self._period)
 
     def step(self, *, theta: Signal, tau: Signal, acceleration: Signal) -> _core.ObserverState:
         """Take one sample and give the state at its time; the first sample starts from rest.
@@ -153,11 +154,17 @@ class AccelerationObserver:
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[Estimate]:
         """Estimate a recording that comes piece by piece, in bounded memory; the same bits as `run`."""
-        core = None
+        core: _core.AccelerationObserver | None = None
+        seen, first = None, 0
         for piece in pieces:
-            arrays = self._arrays(piece)
             core = core or self._designed(piece.period)
-            yield Estimate(t=piece.t, names=self.robot.names, **core.run(*arrays))
+            arrays = self._arrays(piece, seen, first)
+            try:
+                result = core.run(*arrays)
+            except NumericalError as error:
+                raise NumericalError(f"{piece.source}: {error}") from None
+            seen, first = piece[-longest_dropout(piece) :], first + len(piece)
+            yield Estimate(t=piece.t, names=self.robot.names, **result)
 
     def gains(self) -> dict[str, FloatArray]:
         """Continuous-time gains L of each joint in closed form (Remark 3), by the order of its states."""
@@ -173,47 +180,73 @@ class AccelerationObserver:
         # A rate that was stated is exact; the log's time stamps only have it to their own rounding.
         if self._period is not None and np.isclose(period, self._period, rtol=1e-6):
             period = self._period
-        return self._make(period=period)
+        try:
+            return self._make(period=period)
+        except EstimatorError as error:
+            raise EstimatorError(_named(str(error), self.robot.names)) from None
 
-    def _arrays(self, log: Log) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _arrays(self, log: Log, before: Log | None = None, first: int = 0) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Check a log, or a piece of one that begins at row ``first`` after the rows ``before``; give its arrays."""
         log.require("theta", "tau", self._signal, purpose="the acceleration-driven observer")
-        refuse_uneven(log)
-        acceleration = getattr(log, self._signal)
-        tau = log.tau if log.tau is not None else np.full_like(log.theta, np.nan)
+        refuse_uneven(log, before, first)
         elastic = self.robot.elastic
-        refuse_dropouts(log, "theta", log.theta)
-        refuse_dropouts(log, "tau", tau[:, elastic])
-        refuse_dropouts(log, self._signal, acceleration[:, elastic] if self._signal == "ddq" else acceleration)
-        return log.theta, tau, acceleration
+        every = np.ones(len(self.robot.acceleration_channels), bool)
+        needed = {"theta": np.ones_like(elastic), "tau": elastic}
+        needed[self._signal] = elastic if self._signal == "ddq" else every
+        for signal, channels in needed.items():
+            refuse_dropouts(log, signal, channels, before, first)
+        if before is None and np.isnan(log.theta[0]).any():
+            joint = self.robot.names[int(np.argmax(np.isnan(log.theta[0])))]
+            raise LogError(f"{log.source}: row 0: theta_{joint} is missing; an observer cannot start without it")
+        tau = log.tau if log.tau is not None else np.full_like(log.theta, np.nan)
+        return log.theta, tau, getattr(log, self._signal)
 
 
-def refuse_uneven(log: Log) -> None:
+def longest_dropout(log: Log) -> int:
+    """Rows for which an observer bridges a missing reading."""
+    return max(1, round(LONGEST_DROPOUT / log.period))
+
+
+def refuse_uneven(log: Log, before: Log | None = None, first: int = 0) -> None:
     """Raise `LogError` at the first step of time that is not the period, for methods that need an even rate."""
-    steps = np.diff(log.t)
+    steps = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before.t[-1])
     off = np.abs(steps - log.period) > UNEVEN * log.period
     if off.any():
-        row = int(np.argmax(off)) + 1
+        row = int(np.argmax(off))
         raise LogError(
-            f"{log.source}: row {row} (t = {log.t[row]:.6g}): {steps[row - 1]:.6g} s after the row before, where the "
-            f"period is {log.period:.6g} s; this estimator needs an even rate, so resample the log"
+            f"{log.source}: row {first + row} (t = {log.t[row]:.6g}): {steps[row]:.6g} s after the row before, where "
+            f"the period is {log.period:.6g} s; this estimator needs an even rate, so resample the log"
         )
 
 
-def refuse_dropouts(log: Log, signal: str, values: FloatArray) -> None:
-    """Raise `LogError` where a channel of ``values`` is missing longer than an observer can bridge."""
-    longest = max(1, round(LONGEST_DROPOUT / log.period))
-    missing = np.isnan(values)
+def refuse_dropouts(
+    log: Log, signal: str, channels: npt.NDArray[np.bool_], before: Log | None = None, first: int = 0
+) -> None:
+    """Raise `LogError` where one of a signal's ``channels`` is missing for longer than an observer can bridge."""
+    values = getattr(log, signal)
+    if values is None:
+        return
+    missing = np.isnan(values) & channels
+    earlier = np.zeros((0, missing.shape[1]), bool) if before is None else np.isnan(getattr(before, signal)) & channels
     if not missing.any():
         return
     # A run of more than `longest` rows: the count of missing rows over a window equals its length.
-    total = np.cumsum(np.vstack([np.zeros((1, values.shape[1]), int), missing]), axis=0)
-    runs = total[longest + 1 :] - total[: -longest - 1] > longest
+    longest = longest_dropout(log)
+    counts = np.cumsum(np.vstack([np.zeros((1, missing.shape[1]), int), earlier, missing]), axis=0)
+    runs = counts[longest + 1 :] - counts[: -longest - 1] > longest
     if runs.any():
-        row, channel = np.argwhere(runs)[0]
+        start, channel = np.argwhere(runs)[0]
+        row = int(start) - len(earlier)
+        time = log.t[0] + row * log.period
         raise LogError(
-            f"{log.source}: row {row} (t = {log.t[row]:.6g}): channel {channel} of {signal} is missing for more than "
-            f"{LONGEST_DROPOUT} s, longer than an observer can bridge"
+            f"{log.source}: row {first + row} (t = {time:.6g}): '{log.column(signal, int(channel))}' is missing for "
+            f"more than {LONGEST_DROPOUT} s, longer than an observer can bridge"
         )
+
+
+def _named(message: str, joints: Sequence[str]) -> str:
+    """Joints by their names, which the core does not know."""
+    return re.sub(r"\bjoint (\d+)", lambda match: f"joint '{joints[int(match[1])]}'", message)
 
 
 def _one_of(name: str, value: object, allowed: tuple[str, ...]) -> None:

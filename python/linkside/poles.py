@@ -11,10 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy.signal
 
 from linkside.errors import EstimatorError
 
@@ -64,9 +64,16 @@ def damped(frequency: float, damping: Sequence[float] = (0.9, 0.75)) -> PolePatt
 
 def bessel(frequency: float) -> PolePattern:
     """Bessel's poles: the smoothest step response, no overshoot to speak of; ``frequency`` ω [rad/s]."""
-    return PolePattern("bessel", frequency, lambda order: scipy.signal.besselap(order, norm="mag")[1])
+    return PolePattern("bessel", frequency, lambda order: _signal().besselap(order, norm="mag")[1])
 
 
 def butterworth(frequency: float) -> PolePattern:
     """Butterworth's poles: the flattest response up to ``frequency`` ω [rad/s]."""
-    return PolePattern("butterworth", frequency, lambda order: scipy.signal.buttap(order)[1])
+    return PolePattern("butterworth", frequency, lambda order: _signal().buttap(order)[1])
+
+
+def _signal() -> Any:
+    """SciPy's filters, loaded when somebody asks: they take longer than everything else here."""
+    import scipy.signal
+
+    return scipy.signal

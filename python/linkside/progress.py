@@ -19,6 +19,7 @@ from rich.text import Text
 
 from linkside.check import LIMIT, NEVER, CheckReport, prismatic
 from linkside.estimate import Estimate, EstimateError
+from linkside.kalman import KalmanEstimate
 from linkside.robot import Robot
 
 if TYPE_CHECKING:
@@ -72,12 +73,16 @@ class Tally:
         Time that the method took [s].
     status : Counter of str
         Rows by status.
+    nis, used : float
+        Normalised innovation squared and readings used, where the method is a Kalman filter.
     """
 
     rows: int = 0
     motion: float = 0.0
     seconds: float = 0.0
     status: Counter[str] = field(default_factory=Counter)
+    nis: float = 0.0
+    used: int = 0
     _first: float | None = None
 
     def add(self, estimate: Estimate) -> None:
@@ -87,6 +92,9 @@ class Tally:
             self.motion = float(estimate.t[-1]) - self._first
         self.rows += len(estimate)
         self.status.update(estimate.status_summary())
+        if isinstance(estimate, KalmanEstimate) and estimate.nis is not None and estimate.used is not None:
+            self.nis += float(estimate.nis.sum())
+            self.used += int(estimate.used.sum())
 
     def timed(self, items: Iterable[Item], sign: int = 1) -> Iterator[Item]:
         """Add the time that each item takes to come, or with ``sign=-1`` take it off."""
@@ -104,7 +112,8 @@ class Tally:
     def __str__(self) -> str:
         """One line: rows, motion, speed and status."""
         speed = 1e6 * self.seconds / max(self.rows, 1)
-        return f"{self.rows} rows, {self.motion:.6g} s of motion, {speed:.3g} µs per sample; {self._status()}"
+        nis = f"; NIS {self.nis / self.used:.2f} per reading (1 if the noise is right)" if self.used else ""
+        return f"{self.rows} rows, {self.motion:.6g} s of motion, {speed:.3g} µs per sample; {self._status()}{nis}"
 
     def _status(self) -> str:
         if self.status["good"] == self.rows:

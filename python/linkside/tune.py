@@ -237,7 +237,7 @@ class _Search:
     def cost(self, x: FloatArray) -> float:
         """Minus the log-likelihood."""
         try:
-            value = _log_likelihood(self.run(x))
+            value = _total(self.run(x), "log_likelihood")
         except NumericalError:  # this far out the filter diverges
             value = -HOPELESS
         self.evaluations += 1
@@ -285,6 +285,8 @@ class _Search:
         found: dict[str, list[FloatArray]] = {}
         for log, estimate in zip(self.logs, self.run(x, innovations=True), strict=True):
             kinds = ExtendedKalmanFilter(self.robot, **self.settings)._kinds(log)
+            assert estimate.innovation is not None
+            assert estimate.innovation_std is not None
             normalised = estimate.innovation / estimate.innovation_std
             ends = np.cumsum([self._width(kind) for kind in kinds])
             for kind, part in zip(kinds, np.split(normalised, ends[:-1], axis=1), strict=True):
@@ -299,7 +301,7 @@ class _Search:
         """Put together what was found."""
         points = [np.zeros(len(x)), x, x + np.log(factors)]
         (before, most, after) = (self._score(point) for point in points)
-        edges = np.isclose(x[:, None], np.log(span), atol=0.02).any(axis=1)
+        edges = np.abs(x[:, None] - np.log(span)).min(axis=1) < 0.02
         names = [name if joint is None else f"{name}_{self.robot.names[joint]}" for name, joint in self.entries]
         return Tuning(
             *(self.before, self.noise(points[1]), self.noise(points[2])),
@@ -315,9 +317,8 @@ class _Search:
 
     def _score(self, x: FloatArray) -> tuple[float, float]:
         estimates = self.run(x)
-        used = sum(int(e.used.sum()) for e in estimates)
-        return _log_likelihood(estimates), sum(float(e.nis.sum()) for e in estimates) / used
+        return _total(estimates, "log_likelihood"), _total(estimates, "nis") / _total(estimates, "used")
 
 
-def _log_likelihood(estimates: Sequence[KalmanEstimate]) -> float:
-    return sum(float(estimate.log_likelihood.sum()) for estimate in estimates)
+def _total(estimates: Sequence[KalmanEstimate], name: str) -> float:
+    return float(sum(getattr(estimate, name).sum() for estimate in estimates))

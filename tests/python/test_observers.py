@@ -282,9 +282,12 @@ def test_a_short_dropout_is_bridged_and_flagged(signal, channel):
 
 def test_a_long_dropout_is_refused_by_row_and_channel():
     robot, log, _ = load("kr15_short")
-    with pytest.raises(LogError, match=r"log\.parquet: row 300 .*channel 2 of acceleration"):
+    with pytest.raises(LogError, match=r"log\.parquet: row 300 .*'acc_link4_z'"):
         AccelerationObserver(robot).run(with_nan(log, "acceleration", slice(300, 500), 2))
-    with pytest.raises(EstimatorError, match="first sample"):
+    pieces = (with_nan(log, "acceleration", slice(300, 500), 2)[a : a + 90] for a in range(0, 2000, 90))
+    with pytest.raises(LogError, match=r"row 300 \(t = 0.15\)"):
+        list(AccelerationObserver(robot).run_pieces(pieces))
+    with pytest.raises(LogError, match="theta_a1 is missing"):
         AccelerationObserver(robot).run(with_nan(log, "theta", slice(0, 1), 0))
 
 
@@ -319,7 +322,7 @@ def singular_posture(robot):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"poles": {"a": [-1, -2, -3]}}, "3 poles, expected 4"),
+        ({"poles": {"a": [-1, -2, -3]}}, "joint 'a' has 3 poles, expected 4"),
         ({"poles": {"a": [-1, -2, -3, 4]}}, "expected a negative real part"),
         ({"poles": {"a": [-1, -2, -3, -4 + 1j]}}, "without its conjugate"),
         ({"poles": {"b": [-1, -2, -3, -4]}}, "none given for joint 'a'"),

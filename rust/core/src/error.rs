@@ -169,13 +169,3 @@ pub enum RunError {
         sample: usize,
     },
 }
-
-impl RunError {
-    /// The same error when the samples were counted from `offset`.
-    pub(crate) fn later(self, offset: usize) -> Self {
-        match self {
-            Self::NotFinite { sample } => Self::NotFinite { sample: sample + offset },
-            design @ Self::Design(_) => design,
-        }
-    }
-}

@@ -124,6 +124,8 @@ pub struct ExtendedKalmanFilter {
     nis: f64,
     used: u32,
     log_likelihood: f64,
+    /// Samples taken, for messages.
+    taken: usize,
     started: bool,
 }
 
@@ -164,6 +166,7 @@ impl ExtendedKalmanFilter {
             nis: 0.0,
             used: 0,
             log_likelihood: 0.0,
+            taken: 0,
             started: false,
             belief,
             model,
@@ -174,6 +177,7 @@ impl ExtendedKalmanFilter {
 
     /// Forgets the state: the next sample starts anew, from rest.
     pub fn reset(&mut self) {
+        self.taken = 0;
         self.started = false;
     }
 
@@ -342,8 +346,9 @@ impl ExtendedKalmanFilter {
             half.fill(0.0);
             return;
         }
+        let precision = 1.0 / variance;
         for k in 0..stride {
-            gain[k] = projection[k] / variance;
+            gain[k] = projection[k] * precision;
             half[k] = projection[k] - 0.5 * variance * gain[k];
         }
         linear::add_scaled(&mut self.belief.mean, value, gain);
@@ -403,8 +408,9 @@ impl ExtendedKalmanFilter {
                 history.push_update(self);
             }
             if !(self.log_likelihood.is_finite() && self.belief.mean.iter().all(|x| x.is_finite())) {
-                return Err(RunError::NotFinite { sample: i });
+                return Err(RunError::NotFinite { sample: self.taken });
             }
+            self.taken += 1;
             self.report(&mut out, keep);
         }
         Ok(out)

@@ -154,16 +154,14 @@ impl Smoother {
             let to = (from + stretch).min(count);
             starts.push(filter.clone());
             if to < count {
-                filter.run(recording.rows(from..to, &self.filter.model), Keep::default()).map_err(|e| e.later(from))?;
+                filter.run(recording.rows(from..to, &self.filter.model), Keep::default())?;
             }
         }
         self.finish();
         let mut parts = Vec::with_capacity(starts.len());
         for (i, start) in starts.iter().enumerate().rev() {
             let rows = i * stretch..((i + 1) * stretch).min(count);
-            let first = rows.start;
-            let part = self.stretch_back(start, recording.rows(rows, &self.filter.model), keep);
-            parts.push(part.map_err(|e| e.later(first))?);
+            parts.push(self.stretch_back(start, recording.rows(rows, &self.filter.model), keep)?);
         }
         Ok(parts.into_iter().rev().reduce(FilterOutput::followed_by).unwrap_or_default())
     }

@@ -116,6 +116,8 @@ pub struct AccelerationObserver {
     ddq: Vec<f64>,
     tool: [f64; 3],
     status: u8,
+    /// Samples taken, for messages.
+    taken: usize,
     started: bool,
 }
 
@@ -161,6 +163,7 @@ impl AccelerationObserver {
             ddq: vec![0.0; n],
             tool: [f64::NAN; 3],
             status: 0,
+            taken: 0,
             started: false,
             robot,
             settings,
@@ -171,6 +174,7 @@ impl AccelerationObserver {
 
     /// Forgets the state: the next sample starts anew, from rest.
     pub fn reset(&mut self) {
+        self.taken = 0;
         self.started = false;
     }
 
@@ -431,8 +435,9 @@ impl AccelerationObserver {
                 acceleration: &acceleration[i * m..][..m],
             })?;
             if !self.q.iter().chain(&self.dq).all(|x| x.is_finite()) {
-                return Err(RunError::NotFinite { sample: i });
+                return Err(RunError::NotFinite { sample: self.taken });
             }
+            self.taken += 1;
             self.append(&mut out);
         }
         Ok(out)

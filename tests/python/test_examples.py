@@ -1,0 +1,30 @@
+"""The examples run as they are, and come to what the documents say."""
+
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_square_path(tmp_path):
+    start = time.perf_counter()
+    command = [sys.executable, ROOT / "examples/square_path.py", "--out", tmp_path / "figures"]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=tmp_path)
+    assert time.perf_counter() - start < 30
+    for name in ("path", "sides", "error"):
+        assert (tmp_path / f"figures/{name}.png").read_bytes().startswith(b"\x89PNG")
+    ratios = {name: list(map(float, re.findall(r"[\d.]+", cells))) for name, cells in rows(done.stdout)}
+    (_, motors, one), ekf, slow, smoother = (ratios[name][-3:] for name in ratios)
+    assert one == 1
+    assert motors > 2
+    assert smoother[2] < ekf[2] < 0.12
+    assert slow[2] < 1.1 * ekf[2]
+    document = (ROOT / "docs/kalman.md").read_text()
+    assert f"{ratios['EKF, 2 kHz'][2]} with defaults and {ekf[2]} tuned" in document
+
+
+def rows(text):
+    return re.findall(r"^(motors alone|EKF, 2 kHz|EKF, 200 Hz|smoother) ([ \d.]+)$", text, re.MULTILINE)
