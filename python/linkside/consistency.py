@@ -97,6 +97,12 @@ class Consistency:
     bound: FloatArray
     white: npt.NDArray[np.bool_]
 
+    @property
+    def sizes(self) -> FloatArray:
+        """Root mean square of each channel's normalised innovations, (m,); 1 for a filter that is right."""
+        counts = np.maximum(1, np.isfinite(self.normalised).sum(axis=0))
+        return np.asarray(np.sqrt(np.nansum(self.normalised**2, axis=0) / counts))
+
     def to_text(self) -> str:
         """Report in words."""
         parts = [("innovations", self.innovations), ("error of q", self.position), ("error of the tool", self.tool)]
@@ -133,7 +139,7 @@ class Consistency:
         return [*rows, "  errors of the model (stiffness, mass, friction) last from sample to sample, noise does not"]
 
     def _channel_line(self, index: int, name: str) -> str:
-        first, size = self.autocorrelation[0, index], np.sqrt(np.nanmean(self.normalised[:, index] ** 2))
+        first, size = self.autocorrelation[0, index], self.sizes[index]
         bound = f"white: within ±{self.bound[index]:.2f}"
         return f"  {name}: {first:.2f} at lag 1 ({bound}), RMS {size:.2f} times what is expected"
 
@@ -204,7 +210,7 @@ def autocovariance(values: FloatArray, lags: int) -> FloatArray:
     if size == 0:
         return np.zeros(lags + 1)
     spectrum = np.abs(np.fft.rfft(known, 2 * size)) ** 2
-    covariance = np.fft.irfft(spectrum)[: lags + 1] / size
+    covariance = np.fft.irfft(spectrum)[: min(lags + 1, size)] / size
     return np.pad(covariance, (0, lags + 1 - len(covariance)))
 
 

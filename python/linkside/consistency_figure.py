@@ -71,8 +71,8 @@ def _lags(axes: Any, report: Consistency) -> None:
     lags = 1 + np.arange(len(report.autocorrelation))
     for index, name in enumerate(report.channels):
         axes.plot(lags, report.autocorrelation[:, index], ".-", color=_colour(report, index), label=name, alpha=0.8)
-    if report.channels:
-        axes.axhspan(-np.nanmax(report.bound), np.nanmax(report.bound), color=GREEN, alpha=0.3)
+    bound = np.max(report.bound, initial=0, where=np.isfinite(report.bound))
+    axes.axhspan(-bound, bound, color=GREEN, alpha=0.3)
     axes.axhline(0, color=GREEN)
     axes.set(xlabel="lag [samples]", ylabel="autocorrelation", title="innovations: white if within the band")
     _tidy(axes, _few(report))
@@ -80,9 +80,8 @@ def _lags(axes: Any, report: Consistency) -> None:
 
 def _sizes(axes: Any, report: Consistency) -> None:
     """Root mean square of each channel's normalised innovations."""
-    sizes = np.sqrt(np.nanmean(report.normalised**2, axis=0)) if report.channels else np.empty(0)
-    colours = [_colour(report, index) for index in range(len(sizes))]
-    axes.barh(report.channels, sizes, color=colours)
+    colours = [_colour(report, index) for index in range(len(report.channels))]
+    axes.barh(report.channels, report.sizes, color=colours)
     axes.axvline(1, color=GREEN)
     axes.invert_yaxis()
     axes.set(xlabel="RMS of normalised innovations", title="size by channel: should be 1")

@@ -187,6 +187,7 @@ class _Search:
     progress: Progress | None
     evaluations: int = 0
     best: float = -np.inf
+    best_at: FloatArray = field(init=False)
     entries: list[tuple[str, int | None]] = field(init=False)
     base: Noise = field(init=False)
     start: FloatArray = field(init=False)
@@ -241,13 +242,14 @@ class _Search:
         except NumericalError:  # this far out the filter diverges
             value = -HOPELESS
         self.evaluations += 1
-        self.best = max(self.best, value)
+        if value > self.best:
+            self.best, self.best_at = value, np.array(x)
         if self.progress is not None:
             self.progress(self.evaluations, self.best)
         return -value
 
     def maximise(self, span: tuple[float, float]) -> FloatArray:
-        """One factor for all values first, then each its own."""
+        """Look for one factor for all values first, then for each its own."""
         low, high = np.log(span)
         ones = np.ones(len(self.start))
 
@@ -255,20 +257,21 @@ class _Search:
             return self.cost(y * ones)
 
         options = {"xatol": 0.05}
-        common = scipy.optimize.minimize_scalar(together, bounds=(low, high), method="bounded", options=options)
-        first = min((common.x * ones, 0 * ones), key=self.cost)
-        return first if len(ones) == 0 else self._descend(first, (low, high))
+        scipy.optimize.minimize_scalar(together, bounds=(low, high), method="bounded", options=options)
+        self.cost(0 * ones)
+        self._descend((low, high))
+        return self.best_at
 
-    def _descend(self, x: FloatArray, bounds: tuple[float, float]) -> FloatArray:
-        """Powell's method, begun anew where it ended until that gains less than a tenth: valleys here are narrow."""
-        reached = self.cost(x)
+    def _descend(self, bounds: tuple[float, float]) -> None:
+        """Powell's method, begun anew at the best until that gains less than a tenth: valleys here are narrow."""
+        options = {"xtol": 1e-2, "ftol": 1e-9}
         for _ in range(RESTARTS):
-            options = {"xtol": 1e-2, "ftol": 1e-9}
-            found = scipy.optimize.minimize(self.cost, x, method="Powell", bounds=[bounds] * len(x), options=options)
-            if not reached - found.fun > 0.1:
-                break
-            x, reached = np.atleast_1d(found.x), float(found.fun)
-        return np.asarray(np.clip(x, *bounds))
+            reached = self.best
+            scipy.optimize.minimize(
+                self.cost, self.best_at, method="Powell", bounds=[bounds] * len(self.start), options=options
+            )
+            if not self.best - reached > 0.1:
+                return
 
     def widening(self, x: FloatArray) -> FloatArray:
         """The factor on each value that describes readings: the root of its channels' long-run variance, at least 1."""

@@ -35,32 +35,33 @@ pub(crate) fn product(left: &[f64], inner: usize, right: &[f64], stride: usize, 
 
 #[inline(always)]
 fn product_rows<const R: usize>(left: &[f64], inner: usize, right: &[f64], stride: usize, out: &mut [f64]) {
-    let left: [&[f64]; R] = core::array::from_fn(|r| &left[r * inner..][..inner]);
+    let left = &left[..R * inner];
     let (right, step) = (lanes(right), stride / LANES);
     let whole = step / 2 * 2;
     for c in (0..whole).step_by(2) {
-        product_block::<R, 2>(&left, right, step, c, out);
+        product_block::<R, 2>(left, inner, right, step, c, out);
     }
     if whole < step {
-        product_block::<R, 1>(&left, right, step, whole, out);
+        product_block::<R, 1>(left, inner, right, step, whole, out);
     }
 }
 
 /// R rows by W lanes of a product, from lane `c` on.
 #[inline(always)]
 fn product_block<const R: usize, const W: usize>(
-    left: &[&[f64]; R],
+    left: &[f64],
+    inner: usize,
     right: &[Lane],
     step: usize,
     c: usize,
     out: &mut [f64],
 ) {
     let mut sums = [[[0.0; LANES]; W]; R];
-    for (j, row) in right.chunks_exact(step).take(left[0].len()).enumerate() {
+    for (j, row) in right.chunks_exact(step).take(inner).enumerate() {
         let row = &row[c..c + W];
         for r in 0..R {
             for w in 0..W {
-                accumulate(&mut sums[r][w], left[r][j], &row[w]);
+                accumulate(&mut sums[r][w], left[r * inner + j], &row[w]);
             }
         }
     }

@@ -60,7 +60,8 @@ impl<T: Scalar> Kinematics<T> {
             let by_q = body.axis_acceleration.at(&point) + twice(body.axis_rate.angular.cross(&velocity));
             let by_dq = twice(body.axis_rate.at(&point) + body.axis.angular.cross(&velocity));
             let by_ddq = body.axis.at(&point);
-            put(tree.bodies[i].joint, [by_q, by_dq, by_ddq].map(|v| axes.apply_transposed(&v)));
+            let seen = |v: &Vec3<T>| axes.apply_transposed(v);
+            put(tree.bodies[i].joint, [seen(&by_q), seen(&by_dq), seen(&by_ddq)]);
         }
     }
 
@@ -85,8 +86,8 @@ impl<T: Scalar> Kinematics<T> {
         let axes = self.place(frame).axes;
         for i in tree.path(frame.body) {
             let body = &self.bodies[i];
-            let columns = [body.axis_rate.angular, body.axis.angular];
-            put(tree.bodies[i].joint, columns.map(|v| axes.apply_transposed(&v)));
+            let seen = |v: &Vec3<T>| axes.apply_transposed(v);
+            put(tree.bodies[i].joint, [seen(&body.axis_rate.angular), seen(&body.axis.angular)]);
         }
     }
 }

@@ -54,9 +54,10 @@ impl<T: Scalar> Coriolis<T> {
     #[inline(always)]
     pub fn new(inertia: &Inertia<T>, v: &Motion<T>) -> Self {
         let columns = inertia.second.columns();
-        let y = Mat3(core::array::from_fn(|k| v.angular.cross(&columns[k]) + v.linear.scale(inertia.first.0[k])));
+        let column = |k: usize| v.angular.cross(&columns[k]) + v.linear.scale(inertia.first.0[k]);
+        let y = Mat3([column(0), column(1), column(2)]);
         let trace = y.trace();
-        let mut turning = Mat3(y.0.map(|c| -c));
+        let mut turning = Mat3([-y.0[0], -y.0[1], -y.0[2]]);
         for k in 0..3 {
             turning.0[k].0[k] += trace;
         }

@@ -12,7 +12,7 @@ impl<T: Scalar> Mat3<T> {
     /// A constant matrix.
     #[inline(always)]
     pub fn constant(m: &Mat3<f64>) -> Self {
-        Self(m.0.map(|c| Vec3::constant(&c)))
+        Self([Vec3::constant(&m.0[0]), Vec3::constant(&m.0[1]), Vec3::constant(&m.0[2])])
     }
 
     /// `self · v`.
@@ -96,7 +96,8 @@ impl<T: Scalar> Sym3<T> {
     #[inline(always)]
     pub fn rotated(m: &Sym3<f64>, r: &Mat3<T>) -> Self {
         let [xx, xy, xz, yy, yz, zz] = m.0;
-        let rows = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]].map(|row| r.apply_constant(&Vec3(row)));
+        let row = |row: [f64; 3]| r.apply_constant(&Vec3(row));
+        let rows = [row([xx, xy, xz]), row([xy, yy, yz]), row([xz, yz, zz])];
         // rows[k] is column k of R·m; entry (i, j) sums over k.
         let entry =
             |i: usize, j: usize| rows[0].0[i] * r.0[0].0[j] + rows[1].0[i] * r.0[1].0[j] + rows[2].0[i] * r.0[2].0[j];

@@ -4,6 +4,9 @@ use crate::scalar::Scalar;
 use core::ops::{Add, AddAssign, Mul, Neg, Sub, SubAssign};
 
 /// A vector in space.
+///
+/// Written out entry by entry: `map` and `from_fn` are calls that do not always dissolve, and one call that stays costs
+/// a kernel its vector instructions.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Vec3<T>(pub [T; 3]);
 
@@ -11,7 +14,7 @@ impl<T: Scalar> Vec3<T> {
     /// A constant vector.
     #[inline(always)]
     pub fn constant(v: &Vec3<f64>) -> Self {
-        Self(v.0.map(T::constant))
+        Self([T::constant(v.0[0]), T::constant(v.0[1]), T::constant(v.0[2])])
     }
 
     /// Scalar product.
@@ -30,7 +33,7 @@ impl<T: Scalar> Vec3<T> {
     /// `self · k`.
     #[inline(always)]
     pub fn scale(&self, k: T) -> Self {
-        Self(self.0.map(|a| a * k))
+        Self([self.0[0] * k, self.0[1] * k, self.0[2] * k])
     }
 }
 
@@ -61,7 +64,7 @@ impl<T: Scalar> Neg for Vec3<T> {
     type Output = Self;
     #[inline(always)]
     fn neg(self) -> Self {
-        Self(self.0.map(|a| -a))
+        Self([-self.0[0], -self.0[1], -self.0[2]])
     }
 }
 
@@ -69,7 +72,7 @@ impl<T: Scalar> Mul<f64> for Vec3<T> {
     type Output = Self;
     #[inline(always)]
     fn mul(self, k: f64) -> Self {
-        Self(self.0.map(|a| a * k))
+        Self([self.0[0] * k, self.0[1] * k, self.0[2] * k])
     }
 }
 

@@ -3,6 +3,7 @@
 use super::channels::Evaluation;
 use super::gaussian::{Gaussian, Innovation, Row, Symmetric};
 use super::model::{JerkModel, Noise};
+use super::output::{FilterOutput, Keep, Linearised};
 use super::slope::Slope;
 use super::smoother::{History, Smoother};
 use crate::error::{DesignError, RunError};
@@ -46,52 +47,6 @@ impl KalmanStatus {
     pub const GATED: u8 = 8;
     /// Not one reading was used: the row is a prediction.
     pub const PREDICTED: u8 = 16;
-}
-
-/// What to keep of each sample beyond the estimate.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Keep {
-    /// The whole state and its covariance.
-    pub covariance: bool,
-    /// Innovations, and their standard deviations.
-    pub innovations: bool,
-}
-
-/// Estimates of a recording, row-major, one row a sample.
-#[derive(Clone, Debug, Default)]
-pub struct FilterOutput {
-    /// Link positions (n).
-    pub q: Vec<f64>,
-    /// Link velocities (n).
-    pub dq: Vec<f64>,
-    /// Link accelerations (n).
-    pub ddq: Vec<f64>,
-    /// Motor positions (n).
-    pub theta: Vec<f64>,
-    /// Motor velocities (n).
-    pub dtheta: Vec<f64>,
-    /// Standard deviations of link positions (n).
-    pub q_std: Vec<f64>,
-    /// Tool centre point (3); empty when the robot has none.
-    pub tool: Vec<f64>,
-    /// Its standard deviations (3).
-    pub tool_std: Vec<f64>,
-    /// See [`KalmanStatus`].
-    pub status: Vec<u8>,
-    /// Normalised innovation squared; its mean should be the number of readings used.
-    pub nis: Vec<f64>,
-    /// Readings used.
-    pub used: Vec<u32>,
-    /// Logarithm of the readings' probability density.
-    pub log_likelihood: Vec<f64>,
-    /// The whole state (states), when kept.
-    pub state: Vec<f64>,
-    /// Its covariance (states × states), when kept.
-    pub covariance: Vec<f64>,
-    /// Reading less prediction (channels), when kept.
-    pub innovation: Vec<f64>,
-    /// Its standard deviation (channels), when kept.
-    pub innovation_std: Vec<f64>,
 }
 
 /// Kalman filter with exact derivatives; a step allocates nothing.
@@ -393,15 +348,16 @@ impl ExtendedKalmanFilter {
         keep: Keep,
         mut history: Option<&mut History>,
     ) -> Result<FilterOutput, RunError> {
-        let mut out = FilterOutput::default();
-        for i in 0..recording.dt.len() {
+        let count = recording.dt.len();
+        let mut out = FilterOutput::zeros(count, &self.model, keep);
+        for i in 0..count {
             let sample = recording.sample(i, &self.model);
             self.advance(&sample)?;
             if let Some(history) = &mut history {
                 history.push_prediction(sample.dt, &self.belief);
             }
             if keep.innovations {
-                self.report_innovations(&sample, &mut out);
+                self.report_innovations(i, &sample, &mut out);
             }
             self.correct(&sample);
             if let Some(history) = &mut history {
@@ -411,13 +367,13 @@ impl ExtendedKalmanFilter {
                 return Err(RunError::NotFinite { sample: self.taken });
             }
             self.taken += 1;
-            self.report(&mut out, keep);
+            self.report(i, &mut out, keep);
         }
         Ok(out)
     }
 
     /// What was predicted against what was read, before any reading is used.
-    fn report_innovations(&mut self, sample: &KalmanSample<'_>, out: &mut FilterOutput) {
+    fn report_innovations(&mut self, at: usize, sample: &KalmanSample<'_>, out: &mut FilterOutput) {
         let d = self.reference.len();
         let stride = self.belief.covariance.stride;
         self.reference.copy_from_slice(&self.belief.mean[..d]);
@@ -427,38 +383,26 @@ impl ExtendedKalmanFilter {
             let row = row(&self.evaluation, &self.model, i);
             let variance = row.dot(&self.projections[i * stride..][..stride]) + self.reading_variance(i);
             let bias = row.bias.map_or(0.0, |b| self.belief.mean[b]);
-            out.innovation.push(reading - self.evaluation.prediction[i] - bias);
-            out.innovation_std.push(variance.sqrt());
+            let slot = at * self.innovations.len() + i;
+            out.innovation[slot] = reading - self.evaluation.prediction[i] - bias;
+            out.innovation_std[slot] = variance.sqrt();
         }
     }
 
     #[inline(always)]
-    fn report(&mut self, out: &mut FilterOutput, keep: Keep) {
-        let Self { model, belief, evaluation, tool_jacobian, .. } = self;
-        let n = model.joints();
-        let mean = &belief.mean;
-        out.q.extend_from_slice(&mean[..n]);
-        out.dq.extend_from_slice(&mean[n..2 * n]);
-        out.ddq.extend_from_slice(&mean[2 * n..3 * n]);
-        out.q_std.extend((0..n).map(|j| belief.covariance.at(j, j).sqrt()));
-        // The first n channels are the motors.
-        for (row, prediction) in evaluation.jacobian.chunks_exact(3 * n).zip(&evaluation.prediction).take(n) {
-            let (theta, dtheta) = motor(row, *prediction, mean, &self.reference, &self.jerk);
-            out.theta.push(theta);
-            out.dtheta.push(dtheta);
-        }
-        if let Some(tool) = evaluation.tool(&model.robot, &mean[..n], tool_jacobian) {
-            out.tool.extend_from_slice(&tool.0);
-            let p = &belief.covariance;
-            out.tool_std.extend(tool_std(tool_jacobian, n, |i, j| p.at(i, j)));
-        }
-        out.status.push(self.status);
-        out.nis.push(self.nis);
-        out.used.push(self.used);
-        out.log_likelihood.push(self.log_likelihood);
+    fn report(&mut self, i: usize, out: &mut FilterOutput, keep: Keep) {
+        let Self { model, belief, evaluation, .. } = self;
+        out.status[i] = self.status;
+        out.nis[i] = self.nis;
+        out.used[i] = self.used;
+        out.log_likelihood[i] = self.log_likelihood;
+        let Gaussian { mean, covariance } = belief;
+        let at = |r: usize, c: usize| covariance.at(r, c);
+        let Evaluation { jacobian, prediction, .. } = &*evaluation;
+        out.write_motors(i, mean, Linearised { jacobian, prediction, reference: &self.reference, jerk: &self.jerk });
+        out.write_links(i, model, mean, at, evaluation, &mut self.tool_jacobian);
         if keep.covariance {
-            out.state.extend_from_slice(mean);
-            out.covariance.extend(belief.covariance.dense());
+            out.write_state(i, mean, at);
         }
     }
 }
@@ -468,37 +412,6 @@ impl ExtendedKalmanFilter {
 fn row<'a>(evaluation: &'a Evaluation, model: &JerkModel, i: usize) -> Row<'a> {
     let d = 3 * model.joints();
     Row { dense: &evaluation.jacobian[i * d..][..d], bias: model.biases[i] }
-}
-
-impl FilterOutput {
-    /// This stretch and the one after it.
-    pub(super) fn followed_by(mut self, mut later: Self) -> Self {
-        for (mine, others) in self.fields().into_iter().zip(later.fields()) {
-            mine.append(others);
-        }
-        self.status.append(&mut later.status);
-        self.used.append(&mut later.used);
-        self
-    }
-
-    fn fields(&mut self) -> [&mut Vec<f64>; 14] {
-        [
-            &mut self.q,
-            &mut self.dq,
-            &mut self.ddq,
-            &mut self.theta,
-            &mut self.dtheta,
-            &mut self.q_std,
-            &mut self.tool,
-            &mut self.tool_std,
-            &mut self.nis,
-            &mut self.log_likelihood,
-            &mut self.state,
-            &mut self.covariance,
-            &mut self.innovation,
-            &mut self.innovation_std,
-        ]
-    }
 }
 
 /// A filter's run, to be compiled for each instruction set.
@@ -516,32 +429,6 @@ impl Kernel for Run<'_, '_> {
     fn run(self) -> Self::Output {
         self.filter.run_with(self.recording, self.keep, self.history)
     }
-}
-
-/// Motor position and velocity at `state`, from the motor channel's row linearised at `reference`.
-#[inline(always)]
-pub(super) fn motor(row: &[f64], prediction: f64, state: &[f64], reference: &[f64], jerk: &[f64]) -> (f64, f64) {
-    let n = jerk.len();
-    let (mut theta, mut dtheta) = (prediction, 0.0);
-    for k in 0..3 * n {
-        theta += row[k] * (state[k] - reference[k]);
-        dtheta += row[k] * if k < 2 * n { state[n + k] } else { jerk[k - 2 * n] };
-    }
-    (theta, dtheta)
-}
-
-/// Standard deviations of J x for x with covariance `p`, J 3 × n.
-pub(super) fn tool_std(jacobian: &[f64], n: usize, p: impl Fn(usize, usize) -> f64) -> [f64; 3] {
-    core::array::from_fn(|axis| {
-        let row = &jacobian[axis * n..][..n];
-        let mut sum = 0.0;
-        for i in 0..n {
-            for j in 0..n {
-                sum += row[i] * p(i, j) * row[j];
-            }
-        }
-        sum.max(0.0).sqrt()
-    })
 }
 
 /// A recording, row-major.

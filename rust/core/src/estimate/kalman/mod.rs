@@ -4,13 +4,13 @@ mod channels;
 mod filter;
 mod gaussian;
 mod model;
+mod output;
 mod slope;
 mod smoother;
 
 pub use channels::{Channel, Evaluation};
-pub use filter::{
-    ExtendedKalmanFilter, FilterOutput, FilterSettings, KalmanRecording, KalmanSample, KalmanStatus, Keep,
-};
+pub use filter::{ExtendedKalmanFilter, FilterSettings, KalmanRecording, KalmanSample, KalmanStatus};
 pub use gaussian::{Gaussian, Row, Symmetric};
 pub use model::{Further, JerkModel, Noise};
+pub use output::{FilterOutput, Keep};
 pub use smoother::Smoother;

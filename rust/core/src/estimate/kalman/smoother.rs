@@ -4,9 +4,10 @@
 //! with covariance Λ runs backwards through the same rows and gains, and the smoothed state is x⁻ − P⁻λ with
 //! covariance P⁻ − P⁻ΛP⁻. No predicted covariance is inverted, badly scaled as they are (10⁻¹² to 1).
 
-use super::filter::{ExtendedKalmanFilter, FilterOutput, KalmanRecording, Keep, Run, motor, tool_std};
+use super::filter::{ExtendedKalmanFilter, KalmanRecording, Run};
 use super::gaussian::{Gaussian, Innovation, Symmetric};
 use super::model::JerkModel;
+use super::output::{FilterOutput, Keep, Linearised};
 use crate::error::RunError;
 use crate::linear;
 use crate::simd::{self, Kernel};
@@ -51,6 +52,18 @@ impl History {
     #[inline(always)]
     fn covariance(&self, i: usize) -> &[f64] {
         &self.covariances[i * self.kept * self.stride..][..self.kept * self.stride]
+    }
+
+    /// Where the channels of sample `i` were linearised.
+    #[inline(always)]
+    fn linearised(&self, model: &JerkModel, i: usize) -> Linearised<'_> {
+        let (n, m) = (model.joints(), model.channels());
+        Linearised {
+            jacobian: &self.jacobians[i * m * 3 * n..][..m * 3 * n],
+            prediction: &self.predictions[i * m..][..m],
+            reference: &self.references[i * 3 * n..][..3 * n],
+            jerk: &self.jerks[i * n..][..n],
+        }
     }
 
     /// Gains at sample `i`, one padded row a channel.
@@ -194,13 +207,8 @@ impl Smoother {
         let count = recording.dt.len();
         recording.check(&filter.model)?;
         let mut history = History::with_capacity(count, &filter.model, self.big.stride, keep.covariance);
-        let forward = Keep { covariance: false, ..keep };
-        let run = Run { filter: &mut filter, recording, keep: forward, history: Some(&mut history) };
+        let run = Run { filter: &mut filter, recording, keep, history: Some(&mut history) };
         let mut out = simd::dispatch(simd::level(), run)?;
-        if keep.covariance {
-            out.state = vec![0.0; count * self.big.n];
-            out.covariance = vec![0.0; count * self.big.n * self.big.n];
-        }
         simd::dispatch(simd::level(), Back { smoother: self, history: &history, out: &mut out, keep });
         Ok(out)
     }
@@ -275,32 +283,13 @@ impl Smoother {
     #[inline(always)]
     fn report(&mut self, history: &History, i: usize, out: &mut FilterOutput, keep: Keep) {
         let Self { filter, mean, smoothed, big, .. } = self;
-        let (n, m, stride) = (filter.model.joints(), filter.model.channels(), big.stride);
+        let ExtendedKalmanFilter { model, evaluation, tool_jacobian, .. } = filter;
+        let stride = big.stride;
         let at = |r: usize, c: usize| smoothed[r * stride + c];
-        out.q[i * n..][..n].copy_from_slice(&mean[..n]);
-        out.dq[i * n..][..n].copy_from_slice(&mean[n..2 * n]);
-        out.ddq[i * n..][..n].copy_from_slice(&mean[2 * n..3 * n]);
-        for j in 0..n {
-            out.q_std[i * n + j] = at(j, j).max(0.0).sqrt();
-        }
-        for j in 0..n {
-            let row = &history.jacobians[(i * m + j) * 3 * n..][..3 * n];
-            let (reference, jerk) = (&history.references[i * 3 * n..][..3 * n], &history.jerks[i * n..][..n]);
-            let both = motor(row, history.predictions[i * m + j], mean, reference, jerk);
-            (out.theta[i * n + j], out.dtheta[i * n + j]) = both;
-        }
-        let ExtendedKalmanFilter { evaluation, model, tool_jacobian, .. } = filter;
-        if let Some(tool) = evaluation.tool(&model.robot, &mean[..n], tool_jacobian) {
-            out.tool[i * 3..][..3].copy_from_slice(&tool.0);
-            out.tool_std[i * 3..][..3].copy_from_slice(&tool_std(tool_jacobian, n, at));
-        }
+        out.write_motors(i, mean, history.linearised(model, i));
+        out.write_links(i, model, mean, at, evaluation, tool_jacobian);
         if keep.covariance {
-            let states = big.n;
-            out.state[i * states..][..states].copy_from_slice(mean);
-            for r in 0..states {
-                let to = &mut out.covariance[(i * states + r) * states..][..states];
-                to.copy_from_slice(&smoothed[r * stride..][..states]);
-            }
+            out.write_state(i, mean, at);
         }
     }
 }

@@ -1,0 +1,175 @@
+//! What a filter or a smoother gives back.
+
+use super::channels::Evaluation;
+use super::model::JerkModel;
+
+/// What to keep of each sample beyond the estimate.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Keep {
+    /// The whole state and its covariance.
+    pub covariance: bool,
+    /// Innovations, and their standard deviations.
+    pub innovations: bool,
+}
+
+/// Estimates of a recording, row-major, one row a sample.
+#[derive(Clone, Debug, Default)]
+pub struct FilterOutput {
+    /// Link positions (n).
+    pub q: Vec<f64>,
+    /// Link velocities (n).
+    pub dq: Vec<f64>,
+    /// Link accelerations (n).
+    pub ddq: Vec<f64>,
+    /// Motor positions (n).
+    pub theta: Vec<f64>,
+    /// Motor velocities (n).
+    pub dtheta: Vec<f64>,
+    /// Standard deviations of link positions (n).
+    pub q_std: Vec<f64>,
+    /// Tool centre point (3); empty when the robot has none.
+    pub tool: Vec<f64>,
+    /// Its standard deviations (3).
+    pub tool_std: Vec<f64>,
+    /// See [`KalmanStatus`].
+    pub status: Vec<u8>,
+    /// Normalised innovation squared; its mean should be the number of readings used.
+    pub nis: Vec<f64>,
+    /// Readings used.
+    pub used: Vec<u32>,
+    /// Logarithm of the readings' probability density.
+    pub log_likelihood: Vec<f64>,
+    /// The whole state (states), when kept.
+    pub state: Vec<f64>,
+    /// Its covariance (states × states), when kept.
+    pub covariance: Vec<f64>,
+    /// Reading less prediction (channels), when kept.
+    pub innovation: Vec<f64>,
+    /// Its standard deviation (channels), when kept.
+    pub innovation_std: Vec<f64>,
+}
+
+/// Where the channels of a sample were linearised, and what came of it.
+#[derive(Clone, Copy)]
+pub(super) struct Linearised<'a> {
+    pub(super) jacobian: &'a [f64],
+    pub(super) prediction: &'a [f64],
+    pub(super) reference: &'a [f64],
+    pub(super) jerk: &'a [f64],
+}
+
+impl FilterOutput {
+    /// Room for `count` samples.
+    pub(super) fn zeros(count: usize, model: &JerkModel, keep: Keep) -> Self {
+        let (n, m, states) = (model.joints(), model.channels(), model.states());
+        let rows = |width: usize| vec![0.0; count * width];
+        let tool = if model.robot.tool.is_some() { 3 } else { 0 };
+        let innovations = if keep.innovations { m } else { 0 };
+        let states = if keep.covariance { states } else { 0 };
+        Self {
+            q: rows(n),
+            dq: rows(n),
+            ddq: rows(n),
+            theta: rows(n),
+            dtheta: rows(n),
+            q_std: rows(n),
+            tool: rows(tool),
+            tool_std: rows(tool),
+            status: vec![0; count],
+            nis: rows(1),
+            used: vec![0; count],
+            log_likelihood: rows(1),
+            state: rows(states),
+            covariance: rows(states * states),
+            innovation: rows(innovations),
+            innovation_std: rows(innovations),
+        }
+    }
+
+    /// Motor positions and velocities of sample `i` at `state`; the first n channels are the motors'.
+    #[inline(always)]
+    pub(super) fn write_motors(&mut self, i: usize, state: &[f64], at: Linearised<'_>) {
+        let n = at.jerk.len();
+        for (j, row) in at.jacobian.chunks_exact(3 * n).take(n).enumerate() {
+            let (mut theta, mut dtheta) = (at.prediction[j], 0.0);
+            for k in 0..3 * n {
+                theta += row[k] * (state[k] - at.reference[k]);
+                dtheta += row[k] * if k < 2 * n { state[n + k] } else { at.jerk[k - 2 * n] };
+            }
+            (self.theta[i * n + j], self.dtheta[i * n + j]) = (theta, dtheta);
+        }
+    }
+
+    /// Links and tool of sample `i`, with their standard deviations.
+    #[inline(always)]
+    pub(super) fn write_links(
+        &mut self,
+        i: usize,
+        model: &JerkModel,
+        state: &[f64],
+        covariance: impl Fn(usize, usize) -> f64,
+        evaluation: &mut Evaluation,
+        tool_jacobian: &mut [f64],
+    ) {
+        let n = model.joints();
+        self.q[i * n..][..n].copy_from_slice(&state[..n]);
+        self.dq[i * n..][..n].copy_from_slice(&state[n..2 * n]);
+        self.ddq[i * n..][..n].copy_from_slice(&state[2 * n..3 * n]);
+        for j in 0..n {
+            self.q_std[i * n + j] = covariance(j, j).max(0.0).sqrt();
+        }
+        if let Some(tool) = evaluation.tool(&model.robot, &state[..n], tool_jacobian) {
+            self.tool[i * 3..][..3].copy_from_slice(&tool.0);
+            for (std, row) in self.tool_std[i * 3..][..3].iter_mut().zip(tool_jacobian.chunks_exact(n)) {
+                let mut variance = 0.0;
+                for r in 0..n {
+                    for c in 0..n {
+                        variance += row[r] * covariance(r, c) * row[c];
+                    }
+                }
+                *std = variance.max(0.0).sqrt();
+            }
+        }
+    }
+
+    /// The whole state of sample `i`, and its covariance.
+    #[inline(always)]
+    pub(super) fn write_state(&mut self, i: usize, state: &[f64], covariance: impl Fn(usize, usize) -> f64) {
+        let states = state.len();
+        self.state[i * states..][..states].copy_from_slice(state);
+        for r in 0..states {
+            for (c, slot) in self.covariance[(i * states + r) * states..][..states].iter_mut().enumerate() {
+                *slot = covariance(r, c);
+            }
+        }
+    }
+
+    /// This stretch and the one after it.
+    pub(super) fn followed_by(mut self, mut later: Self) -> Self {
+        for (mine, others) in self.fields().into_iter().zip(later.fields()) {
+            mine.append(others);
+        }
+        self.status.append(&mut later.status);
+        self.used.append(&mut later.used);
+        self
+    }
+
+    fn fields(&mut self) -> [&mut Vec<f64>; 14] {
+        [
+            &mut self.q,
+            &mut self.dq,
+            &mut self.ddq,
+            &mut self.theta,
+            &mut self.dtheta,
+            &mut self.q_std,
+            &mut self.tool,
+            &mut self.tool_std,
+            &mut self.nis,
+            &mut self.log_likelihood,
+            &mut self.state,
+            &mut self.covariance,
+            &mut self.innovation,
+            &mut self.innovation_std,
+        ]
+    }
+}
