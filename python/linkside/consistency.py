@@ -37,8 +37,10 @@ class Ratio:
         Its bounds.
     inside : float
         Share of samples within their own bounds; should be `Consistency.level`.
-    width : float
-        Degrees of freedom that a sample counts for: what its errors have, less as they are correlated in time.
+    degrees : float
+        Degrees of freedom of a sample.
+    independent : float
+        Share of samples that count as independent; 1 for innovations.
     varying : float or None
         Of an error, the mean without the error's constant part.
     """
@@ -47,7 +49,8 @@ class Ratio:
     low: float
     high: float
     inside: float
-    width: float
+    degrees: float
+    independent: float
     varying: float | None = None
 
     @property
@@ -125,7 +128,8 @@ class Consistency:
         if ratio.verdict == "cautious":
             return [f"The filter is cautious: {what} are {_times(1 / factor)} smaller than it says."]
         constant = ratio.varying is not None and ratio.varying < 0.5 * ratio.mean
-        advice = "most of it is a constant offset, for calibration to find" if constant else "try linkside tune"
+        sees = self.innovations.verdict == "overconfident"  # no innovation shows an offset at rest
+        advice = "try linkside tune" if sees or not constant else "most of it is a constant offset: calibrate"
         return [f"The filter is overconfident: {what} are {_times(factor)} larger than it says; {advice}."]
 
     def _whiteness_lines(self) -> list[str]:
@@ -267,7 +271,8 @@ def _ratio(squares: FloatArray, degrees: npt.NDArray[Any], level: float, indepen
     kinds, which = np.unique(degrees, return_inverse=True)
     own = stats.chi2.ppf(tails[:, None], kinds)[:, which]
     inside = float(np.mean((squares >= own[0]) & (squares <= own[1])))
-    return Ratio(float(squares.sum()) / total, float(low), float(high), inside, independent * float(degrees.mean()))
+    mean = float(squares.sum()) / total
+    return Ratio(mean, float(low), float(high), inside, float(degrees.mean()), independent)
 
 
 def _independent(squares: FloatArray) -> float:

@@ -44,7 +44,7 @@ def _over_time(axes: Any, t: FloatArray, squares: FloatArray, ratio: Ratio, what
     parts = np.array_split(known, min(STRETCHES, len(known)))
     means = np.array([squares[part].mean() for part in parts])
     middles = np.array([t[part].mean() for part in parts])
-    freedom = ratio.width * len(known) / len(parts)
+    freedom = ratio.degrees * max(1.0, ratio.independent * len(known) / len(parts))
     band = stats.chi2.ppf([0.5 - level / 2, 0.5 + level / 2], freedom) / freedom
     axes.plot(t[known], np.maximum(squares[known], 1e-3), ".", color="0.8", markersize=2, rasterized=True)
     axes.axhspan(max(band[0], 1e-3), band[1], color=GREEN, alpha=0.25, label=f"{100 * level:g} % band of the line")

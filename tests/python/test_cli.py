@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
-from linkside import AccelerationObserver, Estimate, Log, Robot, cli, demo, poles, progress
+from linkside import AccelerationObserver, Estimate, Log, Noise, Robot, cli, demo, methods, poles, progress
 
 DATA = Path(__file__).parents[1] / "data"
 ACCURACY = {  # RMS of the tool error, offset out [mm]
@@ -121,11 +121,79 @@ def test_a_method_that_needs_the_whole_log_has_it(folder, monkeypatch):
     def build(robot, options):
         return lambda pieces: map(AccelerationObserver(robot).run, pieces)
 
-    monkeypatch.setitem(cli.METHODS, "observer", cli.Method("", build, whole=True))
+    method = methods.Method("", (), build, whole=lambda _: True)
+    monkeypatch.setitem(cli.METHODS, "observer", method)
     monkeypatch.setattr(cli, "ROWS", 7)
     succeed(*estimate())
     whole = AccelerationObserver(robot := Robot.load("robot.yaml")).run(Log.read("log.parquet", robot))
     np.testing.assert_array_equal(Estimate.read("out.parquet").q, whole.q)
+
+
+KALMAN = {  # RMS of the tool error of filter and smoother, offset out [mm]
+    demo.FOLDER: (0.05, 0.046),
+    DATA / "kr15_long": (0.20, 0.19),
+    DATA / "kr15_six_axes": (0.006, 0.003),
+    DATA / "arm2_square": (0.013, 0.006),
+}
+
+
+@pytest.mark.parametrize("recording", KALMAN, ids=lambda value: value.name)
+@pytest.mark.parametrize("method", [0, 1], ids=["ekf", "smoother"])
+def test_kalman_methods_reach_their_accuracy(tmp_path, recording, method):
+    out = tmp_path / "out.parquet"
+    files = recording / "robot.yaml", recording / "log.parquet"
+    text = succeed("estimate", *files, "--out", out, "--with", ["ekf", "smoother"][method])
+    assert Estimate.read(out).error_against(recording / "truth.parquet").tool_rms_centred <= KALMAN[recording][method]
+    assert re.search(r"NIS [\d.]+ per reading", text)
+    assert {"q_std_" + Robot.load(files[0]).names[0], "tool_std_x"} <= set(pq.read_schema(out).names)
+    assert list(tmp_path.iterdir()) == [out]
+
+
+def test_tuning_on_a_wrong_model_helps_and_its_file_is_taken(tmp_path):
+    recording, tuning = DATA / "arm2_square_mismatch", tmp_path / "tuning.yaml"
+    files = recording / "robot.yaml", recording / "log.parquet"
+    text = succeed("tune", *files, "--out", tuning)
+    assert "log-likelihood" in text
+    assert Noise.read(tuning) != Noise()
+    for method, bound in (("ekf", 0.26), ("smoother", 0.18)):
+        out = tmp_path / f"{method}.parquet"
+        succeed("estimate", *files, "--out", out, "--with", method, "--tuning", tuning)
+        assert Estimate.read(out).error_against(recording / "truth.parquet").tool_rms_centred <= bound
+
+
+def test_a_declared_delay_reaches_the_kalman_methods(folder):
+    edit("robot.yaml", "  noise_std: 0.05", "  noise_std: 0.05\n  delay: 0.001")
+    for method in ("ekf", "smoother"):
+        succeed(*estimate("--with", method, out=f"{method}.parquet"))
+    assert not np.array_equal(Estimate.read("ekf.parquet").q, Estimate.read("smoother.parquet").q)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--with", "ekf", "--poles", "300"], ["--poles is not for --with ekf"]),
+        (["--with", "smoother", "--bias"], ["--bias is not for --with smoother"]),
+        (["--gate", "5"], ["--gate is not for --with observer"]),
+        (["--with", "ekf", "--tuning", "none.yaml"], ["none.yaml", "no such file"]),
+        (["--with", "ekf", "--tuning", "robot.yaml"], ["robot.yaml:1", "urdf"]),
+        (["--with", "ekf", "--gate", "-1"], ["gate is -1"]),
+    ],
+)
+def test_options_that_do_not_fit_a_method_are_refused(folder, arguments, words):
+    refuse(*estimate(*arguments), words=words)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--out", "tuning.txt"], ["tuning.txt", ".yaml"]),
+        (["--out", "robot.yaml"], ["robot.yaml", "written over"]),
+        (["--out", "tuning.yaml", "--free", "speed"], ["'speed' is not one of"]),
+        (["--out", "gone/tuning.yaml"], ["no directory"]),
+    ],
+)
+def test_tuning_that_cannot_be_is_refused(folder, arguments, words):
+    refuse("tune", "robot.yaml", "log.parquet", *arguments, words=words)
 
 
 @pytest.mark.parametrize(
@@ -361,7 +429,7 @@ def interrupting(act):
 
         return run
 
-    return cli.Method("", build)
+    return methods.Method("", (), build)
 
 
 def raise_interrupt():

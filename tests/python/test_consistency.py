@@ -133,7 +133,7 @@ def test_a_constant_offset_is_told_apart():
     report = consistency(ExtendedKalmanFilter(robot, NOISE, **RIGHT).run(log, covariance=True), truth)
     assert report.position.verdict == "overconfident"
     assert report.position.varying < 0.1 * report.position.mean
-    assert "calibration" in report.to_text()
+    assert "calibrate" in report.to_text()
     assert "run with innovations=True" in report.to_text()
 
 

@@ -427,9 +427,7 @@ def test_rows_are_matched_by_time():
     estimate = replace(truth[20:80:3], t=truth.t[20:80:3] + 1e-9)
     assert set(estimate.error_against(truth).rms.values()) == {0.0}
     shifted = replace(truth, t=truth.t + 0.0001)
-    refusal(
-        EstimatorError, lambda: shifted.error_against(truth), "times differ: row 0 (t = 0.0001)", "the truth"
-    )
+    refusal(EstimatorError, lambda: shifted.error_against(truth), "times differ: row 0 (t = 0.0001)", "the truth")
     refusal(EstimatorError, lambda: truth.error_against(truth[:99]), "times differ: row 99")
     refusal(EstimatorError, lambda: truth.error_against(truth[1:]), "times differ: row 0 (t = 0)")
     refusal(EstimatorError, lambda: truth[:0].error_against(truth), "nothing to compare")

@@ -121,8 +121,7 @@ def test_arrays_are_contiguous_float64_and_read_only():
 def test_repr_is_one_line_with_source_size_and_signals():
     text = repr(Log.from_table(recording(), Robot(), source="monday"))
     assert text == (
-        "Log(monday: 20 rows every 0.0005 s, 2 joints, "
-        "t theta dtheta tau ddq qref dqref ddqref acceleration rate)"
+        "Log(monday: 20 rows every 0.0005 s, 2 joints, t theta dtheta tau ddq qref dqref ddqref acceleration rate)"
     )
 
 
@@ -303,9 +302,7 @@ def test_require_names_the_first_missing_column_and_a_likely_one():
     log.require()
     log.require("theta", "rate")
     message = refusal(lambda: log.require("theta", "tau", purpose="the observer"))
-    assert message == (
-        "log.parquet: column 'tau_a' is missing (needed for the observer); did you mean 'tau_A'?"
-    )
+    assert message == ("log.parquet: column 'tau_a' is missing (needed for the observer); did you mean 'tau_A'?")
     refusal(lambda: log.require("acceleration"), "'acc_z' is missing (needed for this estimator)")
     refusal(lambda: log.require("dtheta"), "'dtheta_b' is missing")
 

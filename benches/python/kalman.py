@@ -1,0 +1,83 @@
+"""Kalman filter and smoother: recordings with mean and covariance kept, single steps, and what one would use instead."""
+
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+from timing import Result, microseconds
+from two_link import Array, Problem
+
+from linkside import ExtendedKalmanFilter, Log, Noise, RauchTungStriebelSmoother, Robot
+
+DATA = Path(__file__).parents[2] / "tests/data"
+AGREE = 1e-9  # rad
+NOISE = Noise(torsion=0.0)  # so that a reading's noise is a constant, as the peers have it
+
+PEERS = {"numba": "numba_ekf", "filterpy": "filterpy_ekf", "dynamax": "dynamax_ekf"}
+"""What has to be installed, and the file that uses it; each has `run(problem)`, which gives the means (T, 10)."""
+
+
+def bench() -> Iterator[Result]:
+    """Two joints, one sensor of two axes: 10 states, 4 readings. Six joints, three sensors: 33 states, 15 readings."""
+    two, six = load("arm2_square", axes="xz"), load("kr15_six_axes")
+    yield from against_peers("EKF, 2 joints, 10 states", *two)
+    yield smoother("smoother, 2 joints, 10 states", *two)
+    yield step("EKF step from Python, 2 joints", *two, most=1.5)
+    yield Result("EKF, 6 joints, 33 states", timed(ExtendedKalmanFilter, *six), most=6.0)
+    yield smoother("smoother, 6 joints, 33 states", *six)
+    yield step("EKF step from Python, 6 joints", *six)
+
+
+def load(name: str, axes: str = "xyz") -> tuple[Robot, Log, Noise]:
+    """A robot, its recording, and the noise with the jerk that was read off it."""
+    settings = Robot.load(DATA / name / "robot.yaml").config.model_dump(exclude={"urdf"})
+    for sensor in settings["accelerometers"]:
+        sensor["axes"] = axes
+    robot = Robot.from_urdf(DATA / name / "robot.urdf", **settings)
+    log = Log.read(DATA / name / "log.parquet", robot)
+    return robot, log, NOISE.for_log(log)
+
+
+def against_peers(what: str, robot: Robot, log: Log, noise: Noise) -> Iterator[Result]:
+    """Recordings; each peer that is installed is first made sure to compute the same."""
+    ours = timed(ExtendedKalmanFilter, robot, log, noise)
+    expected = ExtendedKalmanFilter(robot, noise).run(log).q
+    problem = Problem.of(robot, log, noise)
+    for name, file in PEERS.items():
+        most = 0.35 if name == "numba" else None
+        try:
+            run: Callable[[Problem], tuple[Array, Array]] = import_module(file).run
+        except ImportError as error:
+            yield Result(what, ours, f"{name}: {error.name} is not installed", most=most)
+            continue
+        apart = np.abs(run(problem)[0][:, :2] - expected).max()
+        if not apart <= AGREE:
+            raise SystemExit(f"{what}: linkside and {name} are {apart:.1e} rad apart, this compares nothing")
+        loop = microseconds(lambda run=run: run(problem), len(log))
+        yield Result(what, ours, name, loop, most=most)
+
+
+def timed(method: type[ExtendedKalmanFilter], robot: Robot, log: Log, noise: Noise) -> float:
+    """A recording, mean and covariance of the state kept."""
+    estimator = method(robot, noise)
+    return microseconds(lambda: estimator.run(log, covariance=True), len(log), repeats=25)
+
+
+def smoother(what: str, robot: Robot, log: Log, noise: Noise) -> Result:
+    """Beside the filter."""
+    ours, filtered = (timed(m, robot, log, noise) for m in (RauchTungStriebelSmoother, ExtendedKalmanFilter))
+    return Result(what, ours, "linkside's filter", filtered, least_ratio=0.4)
+
+
+def step(what: str, robot: Robot, log: Log, noise: Noise, most: float | None = None) -> Result:
+    """One sample after the other into the same array, as a control loop would."""
+    ekf = ExtendedKalmanFilter(robot, noise)
+    out, dt = ekf.step(dt=log.period, theta=log.theta[0]), log.period
+    samples = list(zip(log.theta, log.acceleration, log.dtheta, log.ddqref, strict=True))
+
+    def loop() -> None:
+        for theta, acceleration, dtheta, ddqref in samples:
+            ekf.step(dt=dt, theta=theta, acceleration=acceleration, dtheta=dtheta, ddqref=ddqref, out=out)
+
+    return Result(what, microseconds(loop, len(samples)), most=most)
