@@ -25,8 +25,8 @@ lint: $(VENV)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
-bench: $(VENV)
-	$(PIP) ".[test]"
+bench: $(VENV) ## beside what one would use instead
+	$(PIP) ".[test,bench]"
 	$(BIN)/python benches/python/run.py
 
 docs: $(VENV) ## API reference of both languages, into docs/api

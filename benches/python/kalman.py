@@ -1,4 +1,4 @@
-"""Kalman filter and smoother: recordings with mean and covariance kept, single steps, and what one would use instead."""
+"""Kalman filter and smoother, mean and covariance kept, against other Kalman filters on the same model."""
 
 from collections.abc import Callable, Iterator
 from importlib import import_module

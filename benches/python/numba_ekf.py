@@ -10,10 +10,10 @@ from two_link import measure as python_measure
 
 JOINTS, MOVING, READINGS, STATES = 2, 6, 4, 10
 
-measure = njit(fastmath=True)(python_measure)
+measure = njit(python_measure)
 
 
-@njit(fastmath=True)
+@njit
 def run(problem: Problem) -> tuple[Array, Array]:
     """Means (T, 10) and covariances (T, 10, 10)."""
     count = len(problem.readings)
@@ -31,7 +31,7 @@ def run(problem: Problem) -> tuple[Array, Array]:
     return means, covariances
 
 
-@njit(fastmath=True)
+@njit
 def predict(problem: Problem, x: Array, p: Array, jerk: Array) -> None:
     """x ← F x + G u, P ← F P Fᵀ + Q."""
     t = problem.period
@@ -56,10 +56,8 @@ def predict(problem: Problem, x: Array, p: Array, jerk: Array) -> None:
         p[MOVING + i, MOVING + i] += problem.walk[i]
 
 
-@njit(fastmath=True)
-def correct(
-    problem: Problem, x: Array, p: Array, prediction: Array, jacobian: Array, reading: Array, g: Array
-) -> None:
+@njit
+def correct(problem: Problem, x: Array, p: Array, prediction: Array, jacobian: Array, reading: Array, g: Array) -> None:
     """Use the readings; all are linearised at the x that this starts from."""
     moved = np.zeros(MOVING)
     for i in range(READINGS):

@@ -34,8 +34,9 @@ class Arm(NamedTuple):
     @classmethod
     def of(cls, robot: Robot) -> "Arm":
         """Read masses and lengths off a robot."""
-        (m1, m2), (c1, c2) = zip(*((i.mass, complex(i.lever[0], i.lever[2])) for i in robot.model.inertias[1:]))
-        i1, i2 = (inertia.inertia[1, 1] for inertia in robot.model.inertias[1:])
+        _, one, two = robot.model.inertias
+        m1, m2, i1, i2 = one.mass, two.mass, one.inertia[1, 1], two.inertia[1, 1]
+        c1, c2 = (complex(link.lever[0], link.lever[2]) for link in (one, two))
         x, _, z = robot.model.jointPlacements[2].translation
         mount = robot.accelerometers[0]
         turned = np.exp(1j * mount.rpy[1])

@@ -11,11 +11,13 @@
 from . import demo, poles, sensors
 from .errors import ConfigError, EstimatorError, LinksideError, LogError, NumericalError, OutputError
 from .estimate import Estimate, EstimateWriter, Status
+from .fixed_lag import FixedLagSmoother
 from .kalman import ExtendedKalmanFilter, KalmanEstimate, RauchTungStriebelSmoother
 from .log import Log
 from .noise import Noise
 from .observers import AccelerationObserver
 from .robot import Robot
+from .stretches import smooth_file
 
 __all__ = [
     "AccelerationObserver",
@@ -24,6 +26,7 @@ __all__ = [
     "EstimateWriter",
     "EstimatorError",
     "ExtendedKalmanFilter",
+    "FixedLagSmoother",
     "KalmanEstimate",
     "LinksideError",
     "Log",
@@ -37,4 +40,5 @@ __all__ = [
     "demo",
     "poles",
     "sensors",
+    "smooth_file",
 ]

@@ -20,7 +20,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from linkside.errors import EstimatorError, LinksideError, LogError, OutputError
-from linkside.log import numbers, open_table
+from linkside.tables import numbers, open_table
 
 if TYPE_CHECKING:
     import pandas  # type: ignore[import-untyped]
@@ -215,7 +215,8 @@ class Estimate:
         return f"Estimate({len(self)} rows, {len(self.names)} joints, {groups}; status: {status or 'none'})"
 
     def _form(self) -> tuple[tuple[str, ...], list[str]]:
-        there = [f.name for f in fields(self) if f.name != "names" and getattr(self, f.name) is not None]
+        arrays = (f.name for f in fields(self) if f.name not in ("names", "channels"))
+        there = [name for name in arrays if getattr(self, name) is not None]
         return self.names, there
 
 

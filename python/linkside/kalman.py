@@ -42,6 +42,8 @@ class KalmanEstimate(Estimate):
         The filter's whole state: q, dq, ddq, then the biases of the channels that have one. ``covariance`` is its.
     innovation, innovation_std : (T, m), optional
         Readings less their predictions, and the standard deviations of these differences.
+    channels : tuple of str
+        The m columns of the log that were read.
     """
 
     nis: FloatArray | None = None
@@ -50,6 +52,7 @@ class KalmanEstimate(Estimate):
     state: FloatArray | None = None
     innovation: FloatArray | None = None
     innovation_std: FloatArray | None = None
+    channels: tuple[str, ...] = ()
 
 
 class ExtendedKalmanFilter:
@@ -222,7 +225,12 @@ class ExtendedKalmanFilter:
             core = self._core(kinds, noise)
             (outcome,) = core.run_all([self._arrays(log, kinds)], self._smooth, covariance, innovations)
             result = result_of(log.source, outcome)
-        return KalmanEstimate(t=log.t, names=self.robot.names, **result)
+        return self._estimate(log, kinds, result)
+
+    def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> KalmanEstimate:
+        columns = {"motor": "theta"}
+        channels = tuple(name for kind in kinds for name in log.columns(columns.get(kind, kind)))
+        return KalmanEstimate(t=log.t, names=self.robot.names, channels=channels, **result)
 
     def _run_late(
         self, log: Log, kinds: tuple[str, ...], noise: Noise, covariance: bool, innovations: bool
@@ -257,7 +265,7 @@ class ExtendedKalmanFilter:
             except NumericalError as error:
                 raise NumericalError(f"{piece.source}: {error}") from None
             before = piece[-1:]
-            yield KalmanEstimate(t=piece.t, names=self.robot.names, **result)
+            yield self._estimate(piece, kinds, result)
 
     def _kinds(self, log: Log) -> tuple[str, ...]:
         """Kinds of channels to use, in the filter's order."""

@@ -239,7 +239,7 @@ def refuse_dropouts(
         row = int(start) - len(earlier)
         time = log.t[0] + row * log.period
         raise LogError(
-            f"{log.source}: row {first + row} (t = {time:.6g}): '{log.column(signal, int(channel))}' is missing for "
+            f"{log.source}: row {first + row} (t = {time:.6g}): '{log.columns(signal)[int(channel)]}' is missing for "
             f"more than {LONGEST_DROPOUT} s, longer than an observer can bridge"
         )
 

@@ -95,7 +95,7 @@ def smooth_pieces(
         starts = list(_forward(smoother, pieces, spill))
         _backward(starts, spill)
         for index in range(len(starts)):
-            arrays = _load(spill / f"{index}.estimate")
+            arrays: dict[str, Any] = _load(spill / f"{index}.estimate")
             yield KalmanEstimate(names=smoother.robot.names, **arrays)
 
 

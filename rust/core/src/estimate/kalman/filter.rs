@@ -402,7 +402,7 @@ impl ExtendedKalmanFilter {
         out.write_motors(i, mean, Linearised { jacobian, prediction, reference: &self.reference, jerk: &self.jerk });
         out.write_links(i, model, mean, at, evaluation, &mut self.tool_jacobian);
         if keep.covariance {
-            out.write_state(i, mean, at);
+            out.write_state(i, mean, &covariance.data, covariance.stride);
         }
     }
 }

@@ -132,15 +132,14 @@ impl FilterOutput {
         }
     }
 
-    /// The whole state of sample `i`, and its covariance.
+    /// The whole state of sample `i`, and its covariance, rows of which are `stride` apart in `covariance`.
     #[inline(always)]
-    pub(super) fn write_state(&mut self, i: usize, state: &[f64], covariance: impl Fn(usize, usize) -> f64) {
+    pub(super) fn write_state(&mut self, i: usize, state: &[f64], covariance: &[f64], stride: usize) {
         let states = state.len();
         self.state[i * states..][..states].copy_from_slice(state);
-        for r in 0..states {
-            for (c, slot) in self.covariance[(i * states + r) * states..][..states].iter_mut().enumerate() {
-                *slot = covariance(r, c);
-            }
+        let out = &mut self.covariance[i * states * states..][..states * states];
+        for (out, row) in out.chunks_exact_mut(states).zip(covariance.chunks_exact(stride)) {
+            out.copy_from_slice(&row[..states]);
         }
     }
 

@@ -289,7 +289,7 @@ impl Smoother {
         out.write_motors(i, mean, history.linearised(model, i));
         out.write_links(i, model, mean, at, evaluation, tool_jacobian);
         if keep.covariance {
-            out.write_state(i, mean, at);
+            out.write_state(i, mean, smoothed, stride);
         }
     }
 }
