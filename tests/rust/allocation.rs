@@ -7,6 +7,7 @@ use arm::{Mounting, arm, drive};
 use core::cell::Cell;
 use core::hint::black_box;
 use linkside_core::dynamics::{Kinematics, Loads};
+use linkside_core::estimate::kalman::{ExtendedKalmanFilter, FilterSettings, Further, JerkModel, KalmanSample, Noise};
 use linkside_core::estimate::observer::{
     AccelerationObserver, AccelerationSource, Complex, Form, Sample, Settings, link_position_at_rest,
 };
@@ -101,6 +102,35 @@ fn a_step_allocates_nothing() {
             assert_eq!(count, 0, "{form:?}, {source:?}");
         }
     }
+}
+
+#[test]
+fn a_kalman_step_allocates_nothing() {
+    let model =
+        JerkModel::new(Arc::new(robot()), Further { links: true, torques: true, rates: false }, &[true; 24]).unwrap();
+    let noise = Noise {
+        jerk: vec![20.0; 6],
+        reading: vec![1e-3; 24],
+        torsion: 1e-3,
+        bias_walk: vec![1e-6; 24],
+        initial: vec![1e-3; 18],
+        initial_bias: vec![1e-4; 24],
+    };
+    let settings = FilterSettings { gate: Some(50.0), iterations: 2, damping: true };
+    let mut filter = ExtendedKalmanFilter::new(model, noise, settings).unwrap();
+    let (readings, missing) = ([0.1; 24], [f64::NAN; 24]);
+    let mut step = |readings: &[f64], dtheta: &[f64]| {
+        filter.step(KalmanSample { dt: 5e-4, readings, dtheta, jerk: &[0.5; 6] }).unwrap();
+    };
+    step(&readings, &[0.0; 6]);
+    let count = allocations(|| {
+        for dtheta in [[0.0; 6], [f64::NAN; 6]] {
+            step(&readings, &dtheta);
+            step(&missing, &dtheta);
+            step(&readings, &dtheta);
+        }
+    });
+    assert_eq!(count, 0);
 }
 
 #[test]

@@ -199,13 +199,13 @@ impl ExtendedKalmanFilter {
         self.reference.copy_from_slice(&self.belief.mean[..n]);
         self.linearise();
         if self.settings.iterations > 1 {
-            self.prior.clone_from(&self.belief);
+            self.prior.copy_from(&self.belief);
         }
         self.update(sample.readings, self.settings.gate);
         for _ in 1..self.settings.iterations {
             self.reference.copy_from_slice(&self.belief.mean[..n]);
             self.linearise();
-            self.belief.clone_from(&self.prior);
+            self.belief.copy_from(&self.prior);
             self.update(sample.readings, None);
         }
     }

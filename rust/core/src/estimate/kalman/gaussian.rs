@@ -96,4 +96,11 @@ impl Gaussian {
         }
         Self { mean: vec![0.0; std.len()], covariance }
     }
+
+    /// Takes over another belief of the same size, without allocating.
+    #[inline(always)]
+    pub(crate) fn copy_from(&mut self, other: &Self) {
+        self.mean.copy_from_slice(&other.mean);
+        self.covariance.data.copy_from_slice(&other.covariance.data);
+    }
 }
