@@ -367,7 +367,8 @@ impl ExtendedKalmanFilter {
                 return Err(RunError::NotFinite { sample: self.taken });
             }
             self.taken += 1;
-            self.report(i, &mut out, keep);
+            // A smoother writes the state itself, on its way back.
+            self.report(i, &mut out, keep.covariance && history.is_none());
         }
         Ok(out)
     }
@@ -390,7 +391,7 @@ impl ExtendedKalmanFilter {
     }
 
     #[inline(always)]
-    fn report(&mut self, i: usize, out: &mut FilterOutput, keep: Keep) {
+    fn report(&mut self, i: usize, out: &mut FilterOutput, whole: bool) {
         let Self { model, belief, evaluation, .. } = self;
         out.status[i] = self.status;
         out.nis[i] = self.nis;
@@ -401,7 +402,7 @@ impl ExtendedKalmanFilter {
         let Evaluation { jacobian, prediction, .. } = &*evaluation;
         out.write_motors(i, mean, Linearised { jacobian, prediction, reference: &self.reference, jerk: &self.jerk });
         out.write_links(i, model, mean, at, evaluation, &mut self.tool_jacobian);
-        if keep.covariance {
+        if whole {
             out.write_state(i, mean, &covariance.data, covariance.stride);
         }
     }
