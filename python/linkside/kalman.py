@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core
-from .errors import EstimatorError, LogError, NumericalError
+from .errors import EstimatorError, NumericalError
 from .estimate import Estimate, result_of
 from .log import Log
 from .noise import Noise
@@ -305,9 +305,8 @@ class ExtendedKalmanFilter:
         signals = {"motor": log.theta, "acceleration": log.acceleration}
         parts = [signals[k] if k in signals else getattr(log, k) for k in kinds]
         readings = np.hstack([np.zeros((len(log), 0)) if part is None else part for part in parts])
-        if before is None and np.isnan(log.theta[0]).any():
-            joint = self.robot.names[int(np.argmax(np.isnan(log.theta[0])))]
-            raise LogError(f"{log.source}: row 0: theta_{joint} is missing; a filter cannot start without it")
+        if before is None:
+            log.require_start("a filter")
         dt = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before.t[-1])
         dtheta = log.dtheta if log.dtheta is not None else np.full_like(log.theta, np.nan)
         return dt, np.ascontiguousarray(readings), dtheta, _jerk(log, dt, before)

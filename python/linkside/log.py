@@ -177,6 +177,19 @@ class Log:
                 if column not in self._layout.found:
                     raise self._layout.missing(column, self.source, f" (needed for {purpose})")
 
+    def require_start(self, purpose: str) -> None:
+        """Insist on every motor position in the first row: an estimate cannot start from rest without them.
+
+        Raises
+        ------
+        LogError
+            Naming the first that is missing.
+        """
+        missing = np.flatnonzero(np.isnan(self.theta[0]))
+        if len(missing):
+            column = self.columns("theta")[int(missing[0])]
+            raise LogError(f"{self.source}: row 0: {column} is missing; {purpose} cannot start without it")
+
     def columns(self, signal: str) -> tuple[str, ...]:
         """Names of a signal's columns, as the recording has them."""
         return self._layout.wanted[signal]

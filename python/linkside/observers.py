@@ -195,9 +195,8 @@ class AccelerationObserver:
         needed[self._signal] = elastic if self._signal == "ddq" else every
         for signal, channels in needed.items():
             refuse_dropouts(log, signal, channels, before, first)
-        if before is None and np.isnan(log.theta[0]).any():
-            joint = self.robot.names[int(np.argmax(np.isnan(log.theta[0])))]
-            raise LogError(f"{log.source}: row 0: theta_{joint} is missing; an observer cannot start without it")
+        if before is None:
+            log.require_start("an observer")
         tau = log.tau if log.tau is not None else np.full_like(log.theta, np.nan)
         return log.theta, tau, getattr(log, self._signal)
 

@@ -6,9 +6,10 @@ use arm::{Mounting, arm, drive};
 use core::f64::consts::PI;
 use linkside_core::dynamics::{Kinematics, Loads};
 use linkside_core::error::{DesignError, RunError};
+use linkside_core::estimate::Status;
 use linkside_core::estimate::observer::{
     AccelerationMap, AccelerationObserver, AccelerationSource, Complex, Form, JointModel, Poles, Recording, Sample,
-    Sampled, Settings, Status, Trajectory, closed_form_gains, link_position_at_rest,
+    Sampled, Settings, Trajectory, closed_form_gains, link_position_at_rest,
 };
 use linkside_core::robot::{Drive, MotorFriction, Robot, SoftWindup};
 use nalgebra::{DMatrix, DVector};

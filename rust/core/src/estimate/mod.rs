@@ -2,3 +2,6 @@
 
 pub mod kalman;
 pub mod observer;
+mod status;
+
+pub use status::Status;

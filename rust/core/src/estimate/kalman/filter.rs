@@ -7,6 +7,7 @@ use super::output::{FilterOutput, Keep, Linearised};
 use super::slope::Slope;
 use super::smoother::{History, Smoother};
 use crate::error::{DesignError, RunError};
+use crate::estimate::Status;
 use crate::estimate::observer::link_position_at_rest;
 use crate::linear;
 use crate::simd::{self, Kernel};
@@ -34,19 +35,6 @@ pub struct KalmanSample<'a> {
     pub dtheta: &'a [f64],
     /// Jerk of the links since the sample before, as commanded (n) [rad/s³].
     pub jerk: &'a [f64],
-}
-
-/// What happened at a sample; 0 is good, otherwise a sum of these. Bits are shared with the observers'.
-#[derive(Clone, Copy, Debug)]
-pub struct KalmanStatus;
-
-impl KalmanStatus {
-    /// A reading was missing.
-    pub const MISSING: u8 = 2;
-    /// A reading was left out as an outlier.
-    pub const GATED: u8 = 8;
-    /// Not one reading was used: the row is a prediction.
-    pub const PREDICTED: u8 = 16;
 }
 
 /// Kalman filter with exact derivatives; a step allocates nothing.
@@ -146,7 +134,7 @@ impl ExtendedKalmanFilter {
         &self.belief
     }
 
-    /// See [`KalmanStatus`].
+    /// See [`Status`](crate::estimate::Status).
     pub fn status(&self) -> u8 {
         self.status
     }
@@ -227,7 +215,7 @@ impl ExtendedKalmanFilter {
         self.project();
         for (i, &reading) in readings.iter().enumerate() {
             self.innovations[i] = if reading.is_nan() {
-                self.status |= KalmanStatus::MISSING;
+                self.status |= Status::BRIDGED;
                 Innovation::NONE
             } else {
                 self.innovate(i, reading, gate)
@@ -236,7 +224,7 @@ impl ExtendedKalmanFilter {
         }
         self.belief.covariance.subtract_outer(&self.gains, &self.halves);
         if self.used == 0 {
-            self.status |= KalmanStatus::PREDICTED;
+            self.status |= Status::PREDICTED;
         }
     }
 
@@ -272,7 +260,7 @@ impl ExtendedKalmanFilter {
         }
         self.gated[i] |= gate.is_some_and(|g| value * value > g * g * variance);
         if self.gated[i] {
-            self.status |= KalmanStatus::GATED;
+            self.status |= Status::GATED;
             return Innovation::NONE;
         }
         Innovation { value, variance }

@@ -9,7 +9,7 @@ mod slope;
 mod smoother;
 
 pub use channels::{Channel, Evaluation};
-pub use filter::{ExtendedKalmanFilter, FilterSettings, KalmanRecording, KalmanSample, KalmanStatus};
+pub use filter::{ExtendedKalmanFilter, FilterSettings, KalmanRecording, KalmanSample};
 pub use gaussian::{Gaussian, Row, Symmetric};
 pub use model::{Further, JerkModel, Noise};
 pub use output::{FilterOutput, Keep};

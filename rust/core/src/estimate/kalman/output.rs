@@ -31,7 +31,7 @@ pub struct FilterOutput {
     pub tool: Vec<f64>,
     /// Its standard deviations (3).
     pub tool_std: Vec<f64>,
-    /// See [`KalmanStatus`].
+    /// See [`Status`](crate::estimate::Status).
     pub status: Vec<u8>,
     /// Normalised innovation squared; its mean should be the number of readings used.
     pub nis: Vec<f64>,

@@ -3,13 +3,17 @@
 mod acceleration;
 mod gains;
 mod poles;
+mod recording;
 mod rest;
 mod run;
 mod sampled;
+mod settings;
 
 pub use acceleration::{AccelerationMap, Sight};
 pub use gains::{JointModel, closed_form_gains};
 pub use poles::{Complex, Poles};
+pub use recording::{Recording, Sample, Trajectory};
 pub use rest::link_position_at_rest;
-pub use run::{AccelerationObserver, AccelerationSource, Form, Recording, Sample, Settings, Status, Trajectory};
+pub use run::AccelerationObserver;
 pub use sampled::Sampled;
+pub use settings::{AccelerationSource, Form, Settings};

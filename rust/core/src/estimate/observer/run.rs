@@ -2,93 +2,18 @@
 
 use super::acceleration::{AccelerationMap, Sight};
 use super::gains::JointModel;
-use super::poles::{Complex, Poles};
+use super::poles::Poles;
+use super::recording::{Recording, Sample, Trajectory};
 use super::rest::link_position_at_rest;
 use super::sampled::{Sampled, State};
+use super::settings::{AccelerationSource, Form, Settings, check};
 use crate::dynamics::Kinematics;
 use crate::error::{DesignError, RunError};
+use crate::estimate::Status;
 use crate::robot::Robot;
 use crate::simd::{self, Kernel};
 use rayon::prelude::*;
 use std::sync::Arc;
-
-/// Where the link accelerations come from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum AccelerationSource {
-    /// Measured for every joint, as Theorems 1 and 2 assume.
-    Joints,
-    /// From accelerometers on the links, by the inverse of their map at the estimate (eq. (12)).
-    Sensors,
-}
-
-/// Which of the two estimates of a sample is reported.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Form {
-    /// After the sample's own motor position is used.
-    Current,
-    /// Before: what was predicted for it.
-    Predictor,
-}
-
-/// What an [`AccelerationObserver`] is made with.
-#[derive(Clone, Debug)]
-pub struct Settings {
-    /// Sampling period [s].
-    pub period: f64,
-    /// Error poles [1/s] of each joint: four, five with a bias state, three for a rigid joint.
-    pub poles: Vec<Vec<Complex>>,
-    /// Whether each elastic joint has a state for the bias of its measured acceleration.
-    pub bias: bool,
-    /// Reported estimate.
-    pub form: Form,
-    /// Source of link accelerations.
-    pub source: AccelerationSource,
-    /// Combinations of accelerations known worse than this are damped [rad/s²].
-    pub worst_acceleration_std: f64,
-}
-
-/// One sample of a log; NaN where a reading is missing.
-#[derive(Clone, Copy, Debug)]
-pub struct Sample<'a> {
-    /// Motor positions θ (n) [rad].
-    pub theta: &'a [f64],
-    /// Motor torques τ (n) [N m], held until the next sample.
-    pub tau: &'a [f64],
-    /// Accelerometer channels [m/s²], or link accelerations (n) [rad/s²].
-    pub acceleration: &'a [f64],
-}
-
-/// What happened at a sample; 0 is good, otherwise a sum of these.
-#[derive(Clone, Copy, Debug)]
-pub struct Status;
-
-impl Status {
-    /// Some combination of accelerations was damped near a singular posture.
-    pub const DAMPED: u8 = 1;
-    /// A reading was missing and bridged.
-    pub const BRIDGED: u8 = 2;
-    /// Some combination of accelerations was not seen at all.
-    pub const UNSEEN: u8 = 4;
-}
-
-/// Estimates of a recording, row-major, one row a sample.
-#[derive(Clone, Debug, Default)]
-pub struct Trajectory {
-    /// Link positions (n).
-    pub q: Vec<f64>,
-    /// Link velocities (n).
-    pub dq: Vec<f64>,
-    /// Link accelerations (n).
-    pub ddq: Vec<f64>,
-    /// Motor positions (n).
-    pub theta: Vec<f64>,
-    /// Motor velocities (n).
-    pub dtheta: Vec<f64>,
-    /// Tool centre point (3); empty when the robot has none.
-    pub tool: Vec<f64>,
-    /// See [`Status`].
-    pub status: Vec<u8>,
-}
 
 /// Link state from motor positions, motor torques and accelerations, without the links' dynamics
 /// (De Luca, Schröder and Thümmel 2007, Theorems 1 and 2, and eq. (12)).
@@ -405,7 +330,7 @@ impl AccelerationObserver {
         self.tool
     }
 
-    /// See [`Status`].
+    /// See [`Status`](crate::estimate::Status).
     pub fn status(&self) -> u8 {
         self.status
     }
@@ -478,51 +403,4 @@ impl Kernel for Run<'_, '_> {
     fn run(self) -> Self::Output {
         self.observer.run_here(self.recording)
     }
-}
-
-/// A recording: `count` samples of θ, τ and acceleration, row-major.
-#[derive(Clone, Copy, Debug)]
-pub struct Recording<'a> {
-    /// Number of samples.
-    pub count: usize,
-    /// θ, n columns.
-    pub theta: &'a [f64],
-    /// τ, n columns.
-    pub tau: &'a [f64],
-    /// Acceleration channels.
-    pub acceleration: &'a [f64],
-}
-
-impl Trajectory {
-    fn with_capacity(count: usize, n: usize, tool: bool) -> Self {
-        let joints = || Vec::with_capacity(count * n);
-        Self {
-            q: joints(),
-            dq: joints(),
-            ddq: joints(),
-            theta: joints(),
-            dtheta: joints(),
-            tool: Vec::with_capacity(if tool { 3 * count } else { 0 }),
-            status: Vec::with_capacity(count),
-        }
-    }
-}
-
-fn check(robot: &Robot, settings: &Settings) -> Result<(), DesignError> {
-    let Settings { period, worst_acceleration_std: worst, .. } = *settings;
-    for (what, value) in [("the sampling period", period), ("worst_acceleration_std", worst)] {
-        if !(value > 0.0 && value.is_finite()) {
-            return Err(DesignError::Range { what, value, expected: "a positive number" });
-        }
-    }
-    if settings.poles.len() != robot.len() {
-        let (found, expected) = (settings.poles.len(), robot.len());
-        return Err(DesignError::Length { what: "poles", found, expected });
-    }
-    let joints = robot.drives.iter().filter(|d| d.elastic).count();
-    let channels = robot.acceleration_channels();
-    if settings.source == AccelerationSource::Sensors && channels < joints {
-        return Err(DesignError::TooFewAccelerations { joints, channels });
-    }
-    Ok(())
 }

@@ -1,0 +1,59 @@
+//! What an observer takes and gives: samples, recordings and estimates.
+
+/// One sample of a log; NaN where a reading is missing.
+#[derive(Clone, Copy, Debug)]
+pub struct Sample<'a> {
+    /// Motor positions θ (n) [rad].
+    pub theta: &'a [f64],
+    /// Motor torques τ (n) [N m], held until the next sample.
+    pub tau: &'a [f64],
+    /// Accelerometer channels [m/s²], or link accelerations (n) [rad/s²].
+    pub acceleration: &'a [f64],
+}
+
+/// A recording: `count` samples of θ, τ and acceleration, row-major.
+#[derive(Clone, Copy, Debug)]
+pub struct Recording<'a> {
+    /// Number of samples.
+    pub count: usize,
+    /// θ, n columns.
+    pub theta: &'a [f64],
+    /// τ, n columns.
+    pub tau: &'a [f64],
+    /// Acceleration channels.
+    pub acceleration: &'a [f64],
+}
+
+/// Estimates of a recording, row-major, one row a sample.
+#[derive(Clone, Debug, Default)]
+pub struct Trajectory {
+    /// Link positions (n).
+    pub q: Vec<f64>,
+    /// Link velocities (n).
+    pub dq: Vec<f64>,
+    /// Link accelerations (n).
+    pub ddq: Vec<f64>,
+    /// Motor positions (n).
+    pub theta: Vec<f64>,
+    /// Motor velocities (n).
+    pub dtheta: Vec<f64>,
+    /// Tool centre point (3); empty when the robot has none.
+    pub tool: Vec<f64>,
+    /// See [`Status`](crate::estimate::Status).
+    pub status: Vec<u8>,
+}
+
+impl Trajectory {
+    pub(super) fn with_capacity(count: usize, n: usize, tool: bool) -> Self {
+        let joints = || Vec::with_capacity(count * n);
+        Self {
+            q: joints(),
+            dq: joints(),
+            ddq: joints(),
+            theta: joints(),
+            dtheta: joints(),
+            tool: Vec::with_capacity(if tool { 3 * count } else { 0 }),
+            status: Vec::with_capacity(count),
+        }
+    }
+}

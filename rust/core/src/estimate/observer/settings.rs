@@ -1,0 +1,61 @@
+//! What an observer is made with.
+
+use super::poles::Complex;
+use crate::error::DesignError;
+use crate::robot::Robot;
+
+/// Where the link accelerations come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AccelerationSource {
+    /// Measured for every joint, as Theorems 1 and 2 assume.
+    Joints,
+    /// From accelerometers on the links, by the inverse of their map at the estimate (eq. (12)).
+    Sensors,
+}
+
+/// Which of the two estimates of a sample is reported.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Form {
+    /// After the sample's own motor position is used.
+    Current,
+    /// Before: what was predicted for it.
+    Predictor,
+}
+
+/// What an [`AccelerationObserver`] is made with.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// Sampling period [s].
+    pub period: f64,
+    /// Error poles [1/s] of each joint: four, five with a bias state, three for a rigid joint.
+    pub poles: Vec<Vec<Complex>>,
+    /// Whether each elastic joint has a state for the bias of its measured acceleration.
+    pub bias: bool,
+    /// Reported estimate.
+    pub form: Form,
+    /// Source of link accelerations.
+    pub source: AccelerationSource,
+    /// Combinations of accelerations known worse than this are damped [rad/s²].
+    pub worst_acceleration_std: f64,
+}
+
+/// # Errors
+/// A setting out of its range, or fewer accelerations than elastic joints.
+pub(super) fn check(robot: &Robot, settings: &Settings) -> Result<(), DesignError> {
+    let Settings { period, worst_acceleration_std: worst, .. } = *settings;
+    for (what, value) in [("the sampling period", period), ("worst_acceleration_std", worst)] {
+        if !(value > 0.0 && value.is_finite()) {
+            return Err(DesignError::Range { what, value, expected: "a positive number" });
+        }
+    }
+    if settings.poles.len() != robot.len() {
+        let (found, expected) = (settings.poles.len(), robot.len());
+        return Err(DesignError::Length { what: "poles", found, expected });
+    }
+    let joints = robot.drives.iter().filter(|d| d.elastic).count();
+    let channels = robot.acceleration_channels();
+    if settings.source == AccelerationSource::Sensors && channels < joints {
+        return Err(DesignError::TooFewAccelerations { joints, channels });
+    }
+    Ok(())
+}

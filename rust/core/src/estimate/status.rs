@@ -1,0 +1,18 @@
+//! What there is to know about a row of an estimate.
+
+/// What happened at a sample; 0 is good, otherwise a sum of these. All estimators share the bits.
+#[derive(Clone, Copy, Debug)]
+pub struct Status;
+
+impl Status {
+    /// Some combination of accelerations was damped near a singular posture.
+    pub const DAMPED: u8 = 1;
+    /// A reading was missing and bridged.
+    pub const BRIDGED: u8 = 2;
+    /// Some combination of accelerations was not seen at all.
+    pub const UNSEEN: u8 = 4;
+    /// A reading was left out as an outlier.
+    pub const GATED: u8 = 8;
+    /// Not one reading was used: the row is a prediction.
+    pub const PREDICTED: u8 = 16;
+}
