@@ -417,7 +417,7 @@ proptest! {
         let torque = gravity_torque(&robot, &q);
         for (joint, drive) in robot.drives.iter().enumerate() {
             let torsion = theta[joint] - q[joint];
-            let spring = drive.stiffness * torsion + drive.nonlinear_torque(torsion);
+            let spring = drive.spring_torque(torsion);
             let residual = if drive.elastic { spring - torque[joint] } else { torsion };
             // The rounding of angles of up to three radians, stiffened.
             prop_assert!(residual.abs() <= 1e-9 * (1.0 + torque[joint].abs() + 1e-3 * drive.stiffness), "{residual}");

@@ -1,7 +1,7 @@
 //! Forward-mode derivative numbers.
 
 use super::Scalar;
-use core::ops::{Add, AddAssign, Mul, Neg, Sub, SubAssign};
+use core::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
 /// A value with its derivatives along `N` directions; exact, as each operation applies its own rule.
 ///
@@ -48,8 +48,31 @@ impl<const N: usize> Scalar for Dual<N> {
 
     #[inline(always)]
     fn sin_cos(self) -> (Self, Self) {
-        let (s, c) = self.value.sin_cos();
+        let (s, c) = Scalar::sin_cos(self.value);
         (self.chain(s, c), self.chain(c, -s))
+    }
+
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        let root = self.value.sqrt();
+        self.chain(root, 0.5 / root)
+    }
+
+    #[inline(always)]
+    fn exp(self) -> Self {
+        let value = Scalar::exp(self.value);
+        self.chain(value, value)
+    }
+
+    #[inline(always)]
+    fn tanh(self) -> Self {
+        let value = Scalar::tanh(self.value);
+        self.chain(value, 1.0 - value * value)
+    }
+
+    #[inline(always)]
+    fn map(self, f: impl Fn(f64) -> f64) -> Self {
+        Self::constant(f(self.value))
     }
 }
 
@@ -78,6 +101,17 @@ impl<const N: usize> Mul for Dual<N> {
         let mut product = self.chain(self.value * other.value, other.value);
         product += other.chain(0.0, self.value);
         product
+    }
+}
+
+impl<const N: usize> Div for Dual<N> {
+    type Output = Self;
+    #[inline(always)]
+    fn div(self, other: Self) -> Self {
+        let quotient = self.value / other.value;
+        let mut out = self.chain(quotient, 1.0 / other.value);
+        out += other.chain(0.0, -quotient / other.value);
+        out
     }
 }
 

@@ -1,7 +1,7 @@
 //! Several samples or particles at once.
 
-use super::Scalar;
-use core::ops::{Add, AddAssign, Mul, Neg, Sub, SubAssign};
+use super::{Scalar, trig};
+use core::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
 /// `L` independent numbers that go through a kernel together, one vector register or two.
 ///
@@ -38,10 +38,36 @@ impl<const L: usize> Scalar for Lanes<L> {
     #[inline(always)]
     fn sin_cos(self) -> (Self, Self) {
         let mut out = (Self::default(), Self::default());
-        for i in 0..L {
-            (out.0.0[i], out.1.0[i]) = Scalar::sin_cos(self.0[i]);
+        if self.0.iter().all(|x| trig::is_reducible(*x)) {
+            for i in 0..L {
+                (out.0.0[i], out.1.0[i]) = trig::reduced(self.0[i]);
+            }
+        } else {
+            for i in 0..L {
+                (out.0.0[i], out.1.0[i]) = trig::sin_cos(self.0[i]);
+            }
         }
         out
+    }
+
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        self.each(f64::sqrt)
+    }
+
+    #[inline(always)]
+    fn exp(self) -> Self {
+        self.each(Scalar::exp)
+    }
+
+    #[inline(always)]
+    fn tanh(self) -> Self {
+        self.each(Scalar::tanh)
+    }
+
+    #[inline(always)]
+    fn map(self, f: impl Fn(f64) -> f64) -> Self {
+        self.each(f)
     }
 }
 
@@ -66,6 +92,14 @@ impl<const L: usize> Mul for Lanes<L> {
     #[inline(always)]
     fn mul(self, other: Self) -> Self {
         self.zip(other, |a, b| a * b)
+    }
+}
+
+impl<const L: usize> Div for Lanes<L> {
+    type Output = Self;
+    #[inline(always)]
+    fn div(self, other: Self) -> Self {
+        self.zip(other, |a, b| a / b)
     }
 }
 

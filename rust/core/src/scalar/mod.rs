@@ -1,6 +1,7 @@
 //! The number types that one kernel text serves: `f64`, first derivatives ([`Dual`]) and several samples at once ([`Lanes`]).
 
 mod dual;
+mod exponential;
 mod lanes;
 mod trig;
 
@@ -8,9 +9,9 @@ pub use dual::Dual;
 pub use lanes::Lanes;
 
 use core::fmt::Debug;
-use core::ops::{Add, AddAssign, Mul, Neg, Sub, SubAssign};
+use core::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
-/// What a dynamics kernel asks of its numbers: a ring with sine and cosine.
+/// What a dynamics kernel asks of its numbers: a field with the functions of mechanics.
 ///
 /// Constants of the robot stay `f64` and multiply from the right, so that a derivative number pays for them once.
 /// No fused multiply-add: results are then the same bits on every processor, and lanes equal `f64` by `==`.
@@ -25,6 +26,7 @@ pub trait Scalar:
     + Add<Output = Self>
     + Sub<Output = Self>
     + Mul<Output = Self>
+    + Div<Output = Self>
     + Neg<Output = Self>
     + Mul<f64, Output = Self>
     + Add<f64, Output = Self>
@@ -36,6 +38,18 @@ pub trait Scalar:
 
     /// `(sin self, cos self)`, self in radians, to within 1 ulp or so of the true values.
     fn sin_cos(self) -> (Self, Self);
+
+    /// Square root.
+    fn sqrt(self) -> Self;
+
+    /// e^self, to within 2 ulp; below −708 it is zero, and 709 is taken for what exceeds it.
+    fn exp(self) -> Self;
+
+    /// Hyperbolic tangent, to within 2 ulp.
+    fn tanh(self) -> Self;
+
+    /// `f` of the value, or of each lane; a constant: derivatives are dropped.
+    fn map(self, f: impl Fn(f64) -> f64) -> Self;
 }
 
 impl Scalar for f64 {
@@ -47,5 +61,25 @@ impl Scalar for f64 {
     #[inline(always)]
     fn sin_cos(self) -> (Self, Self) {
         trig::sin_cos(self)
+    }
+
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        f64::sqrt(self)
+    }
+
+    #[inline(always)]
+    fn exp(self) -> Self {
+        exponential::exp(self)
+    }
+
+    #[inline(always)]
+    fn tanh(self) -> Self {
+        exponential::tanh(self)
+    }
+
+    #[inline(always)]
+    fn map(self, f: impl Fn(f64) -> f64) -> Self {
+        f(self)
     }
 }

@@ -30,13 +30,18 @@ const COS: [f64; 6] = [
 /// `(sin x, cos x)`.
 #[inline(always)]
 pub(super) fn sin_cos(x: f64) -> (f64, f64) {
-    // Written so that NaN and infinity take the fallback, too.
-    if x.abs() <= LIMIT { reduced(x) } else { x.sin_cos() }
+    if is_reducible(x) { reduced(x) } else { x.sin_cos() }
+}
+
+/// Whether [`reduced`] may be used; NaN and infinity may not.
+#[inline(always)]
+pub(super) fn is_reducible(x: f64) -> bool {
+    x.abs() <= LIMIT
 }
 
 /// Reduction to |r| ≤ π/4, two polynomials, and a choice by quadrant, without a branch.
 #[inline(always)]
-fn reduced(x: f64) -> (f64, f64) {
+pub(super) fn reduced(x: f64) -> (f64, f64) {
     let shifted = x * TWO_OVER_PI + ROUND;
     let quadrant = shifted.to_bits();
     let k = shifted - ROUND;

@@ -37,7 +37,7 @@ pub fn link_position_at_rest(robot: &Robot, theta: &[f64]) -> Result<Vec<f64>, D
     loads.inverse_dynamics_into(tree, &kinematics, &mut gravity);
     let balanced = robot.drives.iter().enumerate().filter(|(_, d)| d.elastic).all(|(j, d)| {
         let torsion = theta[j] - q[j];
-        let residual = d.stiffness * torsion + d.nonlinear_torque(torsion) - gravity[j];
+        let residual = d.spring_torque(torsion) - gravity[j];
         residual.abs() <= 1e-9 * (gravity[j].abs() + d.stiffness * theta[j].abs() * 1e-3 + 1.0)
     });
     if balanced { Ok(q) } else { Err(DesignError::NoEquilibrium) }
