@@ -7,7 +7,9 @@ use arm::{Mounting, arm, drive};
 use core::cell::Cell;
 use core::hint::black_box;
 use linkside_core::dynamics::{Kinematics, Loads};
-use linkside_core::estimate::kalman::{ExtendedKalmanFilter, FilterSettings, Further, JerkModel, KalmanSample, Noise};
+use linkside_core::estimate::kalman::{
+    ExtendedKalmanFilter, FilterSettings, Further, Inputs, JerkDriven, JerkModel, KalmanSample, Noise,
+};
 use linkside_core::estimate::observer::{
     AccelerationObserver, AccelerationSource, Complex, Form, Sample, Settings, link_position_at_rest,
 };
@@ -116,11 +118,12 @@ fn a_kalman_step_allocates_nothing() {
         initial: vec![1e-3; 18],
         initial_bias: vec![1e-4; 24],
     };
-    let settings = FilterSettings { gate: Some(50.0), iterations: 2, damping: true };
-    let mut filter = ExtendedKalmanFilter::new(model, noise, settings).unwrap();
+    let settings = FilterSettings { gate: Some(50.0), iterations: 2 };
+    let mut filter = ExtendedKalmanFilter::new(JerkDriven::new(model, noise, true).unwrap(), settings).unwrap();
     let (readings, missing) = ([0.1; 24], [f64::NAN; 24]);
     let mut step = |readings: &[f64], dtheta: &[f64]| {
-        filter.step(KalmanSample { dt: 5e-4, readings, dtheta, jerk: &[0.5; 6] }).unwrap();
+        let inputs = Inputs { dtheta, jerk: &[0.5; 6], tau: &[] };
+        filter.step(KalmanSample { dt: 5e-4, readings, inputs }).unwrap();
     };
     step(&readings, &[0.0; 6]);
     let count = allocations(|| {

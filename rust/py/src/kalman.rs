@@ -6,7 +6,8 @@ use crate::gil::Release;
 use crate::robot::Robot;
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
-    self, FilterOutput, FilterSettings, Further, JerkModel, KalmanRecording, KalmanSample, Keep,
+    self, FilterOutput, FilterSettings, Further, Inputs, JerkDriven, JerkModel, KalmanRecording, KalmanSample, Keep,
+    Model,
 };
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -36,7 +37,7 @@ impl From<Noise> for kalman::Noise {
 #[pyclass(module = "linkside._core")]
 #[derive(Clone)]
 pub(crate) struct ExtendedKalmanFilter {
-    filter: kalman::ExtendedKalmanFilter,
+    filter: kalman::ExtendedKalmanFilter<JerkDriven>,
     tool: bool,
     live: Live,
 }
@@ -113,10 +114,11 @@ impl ExtendedKalmanFilter {
     ) -> PyResult<Self> {
         let build = || {
             let model = JerkModel::new(Arc::clone(&robot.0), Further { rates, links, torques }, &biased)?;
-            kalman::ExtendedKalmanFilter::new(model, noise.into(), FilterSettings { gate, iterations, damping })
+            let model = JerkDriven::new(model, noise.into(), damping)?;
+            kalman::ExtendedKalmanFilter::new(model, FilterSettings { gate, iterations })
         };
         let filter = build().map_err(IntoPyErr::into_py_err)?;
-        let (n, m) = (filter.model().joints(), filter.model().channels());
+        let (n, m) = (filter.model().robot().len(), filter.model().channels());
         let live =
             Live { readings: vec![f64::NAN; m], dtheta: vec![f64::NAN; n], ddqref: Vec::new(), jerk: vec![0.0; n] };
         Ok(Self { filter, tool: robot.0.tool.is_some(), live })
@@ -166,7 +168,8 @@ impl ExtendedKalmanFilter {
             further.as_ref(),
         )?;
         let Live { readings, dtheta, jerk, .. } = &self.live;
-        self.filter.step(KalmanSample { dt, readings, dtheta, jerk }).map_err(IntoPyErr::into_py_err)?;
+        let inputs = Inputs { dtheta, jerk, tau: &[] };
+        self.filter.step(KalmanSample { dt, readings, inputs }).map_err(IntoPyErr::into_py_err)?;
         out.copy_from_slice(&self.filter.belief().mean);
         Ok(self.filter.status())
     }
@@ -212,20 +215,20 @@ impl ExtendedKalmanFilter {
     }
 }
 
-fn recording<'a>(model: &JerkModel, arrays: &'a Arrays<'_>) -> PyResult<KalmanRecording<'a>> {
+fn recording<'a>(model: &JerkDriven, arrays: &'a Arrays<'_>) -> PyResult<KalmanRecording<'a>> {
     let (dt, readings, dtheta, jerk) = arrays;
+    let n = model.robot().len();
     Ok(KalmanRecording {
         dt: rows("dt", dt, dt.len())?,
         readings: rows("readings", readings, model.channels())?,
-        dtheta: rows("dtheta", dtheta, model.joints())?,
-        jerk: rows("jerk", jerk, model.joints())?,
+        inputs: Inputs { dtheta: rows("dtheta", dtheta, n)?, jerk: rows("jerk", jerk, n)?, tau: &[] },
     })
 }
 
 /// The fields of an estimate, by name, as arrays of one row a sample; what was not kept is not there.
-fn into_dict<'py>(py: Python<'py>, o: FilterOutput, model: &JerkModel, tool: bool) -> PyResult<Bound<'py, PyDict>> {
+fn into_dict<'py>(py: Python<'py>, o: FilterOutput, model: &JerkDriven, tool: bool) -> PyResult<Bound<'py, PyDict>> {
     let out = PyDict::new(py);
-    let (n, m, states, count) = (model.joints(), model.channels(), model.states(), o.status.len());
+    let (n, m, states, count) = (model.robot().len(), model.channels(), model.states(), o.status.len());
     let put = |name: &str, values: Vec<f64>, shape: &[usize]| {
         let shape: Vec<usize> = core::iter::once(count).chain(shape.iter().copied()).collect();
         out.set_item(name, shaped(py, values, shape)?)
@@ -256,7 +259,7 @@ fn into_dict<'py>(py: Python<'py>, o: FilterOutput, model: &JerkModel, tool: boo
 /// Smoother that takes a recording's stretches from the last to the first.
 #[pyclass(module = "linkside._core")]
 pub(crate) struct StretchSmoother {
-    smoother: kalman::Smoother,
+    smoother: kalman::Smoother<JerkDriven>,
     tool: bool,
 }
 

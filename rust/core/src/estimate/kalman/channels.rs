@@ -151,22 +151,6 @@ impl Evaluation {
         });
         sensor.axes.len()
     }
-
-    /// The tool's position, and its derivative in q handed to `jacobian` (3 × n, row-major); after [`evaluate`](Self::evaluate)
-    /// or at `q`.
-    #[inline(always)]
-    pub(crate) fn tool(&mut self, robot: &Robot, q: &[f64], jacobian: &mut [f64]) -> Option<Vec3<f64>> {
-        let tool = robot.tool.as_ref()?;
-        let n = robot.len();
-        self.kinematics.set_position(&robot.tree, q);
-        jacobian.fill(0.0);
-        self.kinematics.position_jacobian(&robot.tree, tool, |joint, column| {
-            for (axis, value) in column.0.iter().enumerate() {
-                jacobian[axis * n + joint] = *value;
-            }
-        });
-        Some(self.kinematics.position(tool))
-    }
 }
 
 #[inline(always)]

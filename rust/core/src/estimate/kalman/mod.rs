@@ -1,16 +1,21 @@
-//! Kalman filter and smoother on the acceleration-driven model (Axelsson, Karlsson and Norrlöf 2012).
+//! Kalman filter and smoother, and the models that they run on.
 
 mod channels;
+mod correction;
 mod filter;
 mod gaussian;
+mod jerk;
 mod model;
 mod output;
+mod recording;
 mod slope;
 mod smoother;
 
 pub use channels::{Channel, Evaluation};
-pub use filter::{ExtendedKalmanFilter, FilterSettings, KalmanRecording, KalmanSample};
+pub use filter::{ExtendedKalmanFilter, FilterSettings};
 pub use gaussian::{Gaussian, Row, Symmetric};
-pub use model::{Further, JerkModel, Noise};
+pub use jerk::{Further, JerkDriven, JerkModel, Noise};
+pub use model::{Linearised, Model};
 pub use output::{FilterOutput, Keep};
+pub use recording::{Inputs, KalmanRecording, KalmanSample};
 pub use smoother::Smoother;

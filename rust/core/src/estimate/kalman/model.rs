@@ -1,229 +1,76 @@
-//! The acceleration-driven model: links moved by jerk, motor and sensors as measurements, readings with slow biases.
+//! What a Kalman filter asks of a model.
 
-use super::channels::Channel;
 use super::gaussian::{Gaussian, Symmetric};
+use super::output::FilterOutput;
+use super::recording::{KalmanRecording, KalmanSample};
 use crate::error::DesignError;
 use crate::robot::Robot;
-use std::sync::Arc;
 
-/// State (q, q̇, q̈, biases) and the channels that measure it (Axelsson, Karlsson and Norrlöf 2012, eqs. (9)–(17)).
-#[derive(Clone, Debug)]
-pub struct JerkModel {
-    pub(crate) robot: Arc<Robot>,
-    pub(crate) channels: Vec<Channel>,
-    /// The state that is each channel's bias.
-    pub(crate) biases: Vec<Option<usize>>,
-    states: usize,
-}
-
-/// Standard deviations of everything that is random.
-#[derive(Clone, Debug)]
-pub struct Noise {
-    /// Density of each joint's jerk (n) [rad/s³/√Hz]: its acceleration wanders by this in one second.
-    pub jerk: Vec<f64>,
-    /// One reading's noise (channels) [the channel's unit].
-    pub reading: Vec<f64>,
-    /// Relative error of the predicted torsion, as of a stiffness that is not quite right.
-    pub torsion: f64,
-    /// By how much each channel's bias wanders in one second (channels) [unit/√s].
-    pub bias_walk: Vec<f64>,
-    /// Initial position, velocity and acceleration of each joint (3n) [rad, rad/s, rad/s²].
-    pub initial: Vec<f64>,
-    /// Initial bias (channels).
-    pub initial_bias: Vec<f64>,
-}
-
-/// Channels that a log may have beside motor positions and accelerometers.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Further {
-    /// The robot's gyroscopes.
-    pub rates: bool,
-    /// Link positions of all joints.
-    pub links: bool,
-    /// Transmission torques of all joints.
-    pub torques: bool,
-}
-
-impl Further {
-    /// All channels: motor positions, accelerometer axes, gyroscope axes, link positions, torques.
-    fn channels(self, robot: &Robot) -> Vec<Channel> {
-        let joints = || 0..robot.len();
-        let mut channels: Vec<_> = joints().map(Channel::Motor).collect();
-        for (sensor, s) in robot.accelerometers.iter().enumerate() {
-            channels.extend(s.axes.iter().map(|&axis| Channel::Acceleration { sensor, axis }));
-        }
-        for (sensor, s) in robot.gyroscopes.iter().enumerate().filter(|_| self.rates) {
-            channels.extend(s.axes.iter().map(|&axis| Channel::Rate { sensor, axis }));
-        }
-        channels.extend(joints().filter(|_| self.links).map(Channel::Link));
-        channels.extend(joints().filter(|_| self.torques).map(Channel::Torque));
-        channels
-    }
-}
-
-impl JerkModel {
-    /// Motor positions and accelerometers, and `further` channels that the log has; each with a bias state where `biased`
-    /// says so, in the same order.
-    ///
-    /// # Errors
-    /// Lengths that differ.
-    pub fn new(robot: Arc<Robot>, further: Further, biased: &[bool]) -> Result<Self, DesignError> {
-        let channels = further.channels(&robot);
-        expect_length("biased", biased.len(), channels.len())?;
-        let mut states = 3 * robot.len();
-        let mut number = |&biased: &bool| {
-            states += usize::from(biased);
-            biased.then(|| states - 1)
-        };
-        let biases = biased.iter().map(&mut number).collect();
-        Ok(Self { robot, channels, biases, states })
-    }
+/// A process and the channels that measure it.
+///
+/// The state begins with the link positions (n). Channels depend on its first [`dense`](Self::dense) entries, and each
+/// may have one further state that is its bias. Filter and smoother see nothing else of a model.
+pub trait Model: Clone + Send + Sync {
+    /// The robot.
+    fn robot(&self) -> &Robot;
 
     /// Number of states.
-    pub fn states(&self) -> usize {
-        self.states
-    }
+    fn states(&self) -> usize;
 
-    /// Number of joints.
-    pub fn joints(&self) -> usize {
-        self.robot.len()
-    }
+    /// Number of leading states on which channels may depend by more than a bias.
+    fn dense(&self) -> usize;
+
+    /// The state that is each channel's bias (channels).
+    fn biases(&self) -> &[Option<usize>];
 
     /// Number of channels.
-    pub fn channels(&self) -> usize {
-        self.channels.len()
+    fn channels(&self) -> usize {
+        self.biases().len()
     }
 
-    /// Number of accelerometer channels.
-    pub fn acceleration_channels(&self) -> usize {
-        self.robot.acceleration_channels()
-    }
-
-    /// Links at `q`, at rest, with the initial uncertainty of `noise`.
-    pub(crate) fn initial(&self, q: &[f64], noise: &Noise) -> Gaussian {
-        let mut std = noise.initial.clone();
-        for (bias, value) in self.biases.iter().zip(&noise.initial_bias) {
-            std.extend(bias.map(|_| *value));
-        }
-        let mut belief = Gaussian::independent(&std);
-        belief.mean[..q.len()].copy_from_slice(q);
-        belief
-    }
-
-    /// Time update over `dt` [s] under a constant `jerk` (n): x ← F x + G u, P ← F P Fᵀ + Q.
+    /// Whether a recording has all that the model needs, in arrays that fit.
     ///
-    /// F is three blocks wide, so the product is a few row and column sums in place of two dense products. Process
-    /// noise enters as in eq. (10): an increment of acceleration at the start of the interval.
-    #[inline(always)]
-    pub(crate) fn predict(&self, belief: &mut Gaussian, noise: &Noise, dt: f64, jerk: &[f64]) {
-        let n = self.joints();
-        let half = 0.5 * dt * dt;
-        for j in 0..n {
-            let (dq, ddq, u) = (belief.mean[n + j], belief.mean[2 * n + j], jerk[j]);
-            belief.mean[j] += dt * dq + half * ddq + half * dt / 3.0 * u;
-            belief.mean[n + j] += dt * ddq + half * u;
-            belief.mean[2 * n + j] += dt * u;
-        }
-        let p = &mut belief.covariance;
-        advance_rows(p, n, dt, half);
-        for row in p.data.chunks_exact_mut(p.stride) {
-            let (q, rest) = row.split_at_mut(n);
-            let (dq, rest) = rest.split_at_mut(n);
-            for j in 0..n {
-                q[j] += dt * dq[j] + half * rest[j];
-                dq[j] += dt * rest[j];
-            }
-        }
-        self.add_process_noise(p, noise, dt, half);
-        p.mirror();
-    }
+    /// # Errors
+    /// Wrong lengths.
+    fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError>;
 
-    #[inline(always)]
-    fn add_process_noise(&self, p: &mut Symmetric, noise: &Noise, dt: f64, half: f64) {
-        let (n, stride) = (self.joints(), p.stride);
-        for j in 0..n {
-            let variance = noise.jerk[j] * noise.jerk[j] * dt;
-            let g = [half, dt, 1.0];
-            for a in 0..3 {
-                for b in a..3 {
-                    p.data[(a * n + j) * stride + b * n + j] += g[a] * g[b] * variance;
-                }
-            }
-        }
-        for (bias, walk) in self.biases.iter().zip(&noise.bias_walk) {
-            if let Some(b) = *bias {
-                p.data[b * stride + b] += walk * walk * dt;
-            }
-        }
-    }
+    /// The belief at a recording's first sample, at rest.
+    ///
+    /// # Errors
+    /// A first sample without a motor position that it needs, or no static equilibrium.
+    fn start(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) -> Result<(), DesignError>;
+
+    /// Time update from the sample before: x ← f(x), P ← F P Fᵀ + Q.
+    fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian);
+
+    /// Predicts the channels of the sample last predicted to, and their derivatives, at a state's first
+    /// [`dense`](Self::dense) entries.
+    fn linearise(&mut self, reference: &[f64]);
+
+    /// What [`linearise`](Self::linearise) found.
+    fn linearised(&self) -> Linearised<'_>;
+
+    /// Variance of a channel's noise, where the model was linearised.
+    fn variance(&self, channel: usize) -> f64;
+
+    /// How many numbers [`remember`](Self::remember) writes.
+    fn memory(&self) -> usize;
+
+    /// What [`report`](Self::report) and [`retreat`](Self::retreat) need of this sample.
+    fn remember(&self, memory: &mut Vec<f64>);
 
     /// The adjoint of [`predict`](Self::predict): λ ← Fᵀ λ, Λ ← Fᵀ Λ F.
-    #[inline(always)]
-    pub(crate) fn retreat(&self, lambda: &mut [f64], big: &mut Symmetric, dt: f64) {
-        let n = self.joints();
-        let half = 0.5 * dt * dt;
-        for j in 0..n {
-            lambda[2 * n + j] += dt * lambda[n + j] + half * lambda[j];
-            lambda[n + j] += dt * lambda[j];
-        }
-        let stride = big.stride;
-        let (q, rest) = big.data.split_at_mut(n * stride);
-        let (dq, rest) = rest.split_at_mut(n * stride);
-        let ddq = &mut rest[..n * stride];
-        for i in 0..n * stride {
-            ddq[i] += dt * dq[i] + half * q[i];
-            dq[i] += dt * q[i];
-        }
-        for row in big.data.chunks_exact_mut(stride) {
-            for j in 0..n {
-                row[2 * n + j] += dt * row[n + j] + half * row[j];
-                row[n + j] += dt * row[j];
-            }
-        }
-        big.mirror();
-    }
+    fn retreat(&mut self, memory: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric);
 
-    /// # Errors
-    /// A length that does not fit the model, a standard deviation that is negative or not a number, and a reading
-    /// without noise.
-    pub(crate) fn check(&self, noise: &Noise) -> Result<(), DesignError> {
-        let (n, m) = (self.joints(), self.channels());
-        let Noise { jerk, reading, torsion, bias_walk, initial, initial_bias } = noise;
-        let lengths = [
-            ("jerk", jerk, n),
-            ("reading", reading, m),
-            ("bias_walk", bias_walk, m),
-            ("initial", initial, 3 * n),
-            ("initial_bias", initial_bias, m),
-            ("torsion", &vec![*torsion], 1),
-        ];
-        for (what, values, expected) in lengths {
-            expect_length(what, values.len(), expected)?;
-            let bad = |v: &&f64| !(v.is_finite() && **v >= 0.0);
-            if let Some(&value) = values.iter().find(bad) {
-                return Err(DesignError::Range { what, value, expected: "a standard deviation of at least 0" });
-            }
-        }
-        match reading.iter().find(|v| **v == 0.0) {
-            Some(&value) => Err(DesignError::Range { what: "reading", value, expected: "greater than 0" }),
-            None => Ok(()),
-        }
-    }
+    /// Writes links and motors at `state` into row `i`.
+    fn report(&mut self, memory: &[f64], state: &[f64], i: usize, out: &mut FilterOutput);
 }
 
-/// Rows of F P.
-#[inline(always)]
-fn advance_rows(p: &mut Symmetric, n: usize, dt: f64, half: f64) {
-    let size = n * p.stride;
-    let (q, rest) = p.data.split_at_mut(size);
-    let (dq, rest) = rest.split_at_mut(size);
-    let ddq = &rest[..size];
-    for i in 0..size {
-        q[i] += dt * dq[i] + half * ddq[i];
-        dq[i] += dt * ddq[i];
-    }
-}
-
-fn expect_length(what: &'static str, found: usize, expected: usize) -> Result<(), DesignError> {
-    if found == expected { Ok(()) } else { Err(DesignError::Length { what, found, expected }) }
+/// Channels at one state.
+#[derive(Clone, Copy, Debug)]
+pub struct Linearised<'a> {
+    /// Predictions, without bias (channels).
+    pub prediction: &'a [f64],
+    /// Their derivatives, channels × dense, row-major.
+    pub jacobian: &'a [f64],
 }

@@ -1,7 +1,9 @@
 //! What a filter or a smoother gives back.
 
-use super::channels::Evaluation;
-use super::model::JerkModel;
+use super::correction::Correction;
+use super::model::Model;
+use crate::dynamics::Kinematics;
+use crate::robot::Robot;
 
 /// What to keep of each sample beyond the estimate.
 #[derive(Clone, Copy, Debug, Default)]
@@ -49,21 +51,12 @@ pub struct FilterOutput {
     pub innovation_std: Vec<f64>,
 }
 
-/// Where the channels of a sample were linearised, and what came of it.
-#[derive(Clone, Copy)]
-pub(super) struct Linearised<'a> {
-    pub(super) jacobian: &'a [f64],
-    pub(super) prediction: &'a [f64],
-    pub(super) reference: &'a [f64],
-    pub(super) jerk: &'a [f64],
-}
-
 impl FilterOutput {
     /// Room for `count` samples.
-    pub(super) fn zeros(count: usize, model: &JerkModel, keep: Keep) -> Self {
-        let (n, m, states) = (model.joints(), model.channels(), model.states());
+    pub(super) fn zeros(count: usize, model: &impl Model, keep: Keep) -> Self {
+        let (n, m, states) = (model.robot().len(), model.channels(), model.states());
         let rows = |width: usize| vec![0.0; count * width];
-        let tool = if model.robot.tool.is_some() { 3 } else { 0 };
+        let tool = if model.robot().tool.is_some() { 3 } else { 0 };
         let innovations = if keep.innovations { m } else { 0 };
         let states = if keep.covariance { states } else { 0 };
         Self {
@@ -86,41 +79,32 @@ impl FilterOutput {
         }
     }
 
-    /// Motor positions and velocities of sample `i` at `state`; the first n channels are the motors'.
+    /// How well sample `i` fitted.
     #[inline(always)]
-    pub(super) fn write_motors(&mut self, i: usize, state: &[f64], at: Linearised<'_>) {
-        let n = at.jerk.len();
-        for (j, row) in at.jacobian.chunks_exact(3 * n).take(n).enumerate() {
-            let (mut theta, mut dtheta) = (at.prediction[j], 0.0);
-            for k in 0..3 * n {
-                theta += row[k] * (state[k] - at.reference[k]);
-                dtheta += row[k] * if k < 2 * n { state[n + k] } else { at.jerk[k - 2 * n] };
-            }
-            (self.theta[i * n + j], self.dtheta[i * n + j]) = (theta, dtheta);
-        }
+    pub(super) fn write_fit(&mut self, i: usize, correction: &Correction) {
+        self.status[i] = correction.status;
+        self.nis[i] = correction.nis;
+        self.used[i] = correction.used;
+        self.log_likelihood[i] = correction.log_likelihood;
     }
 
-    /// Links and tool of sample `i`, with their standard deviations.
+    /// The tool at sample `i`, and the standard deviations of links and tool.
     #[inline(always)]
     pub(super) fn write_links(
         &mut self,
         i: usize,
-        model: &JerkModel,
+        robot: &Robot,
         state: &[f64],
         covariance: impl Fn(usize, usize) -> f64,
-        evaluation: &mut Evaluation,
-        tool_jacobian: &mut [f64],
+        tool: &mut Tool,
     ) {
-        let n = model.joints();
-        self.q[i * n..][..n].copy_from_slice(&state[..n]);
-        self.dq[i * n..][..n].copy_from_slice(&state[n..2 * n]);
-        self.ddq[i * n..][..n].copy_from_slice(&state[2 * n..3 * n]);
+        let n = robot.len();
         for j in 0..n {
             self.q_std[i * n + j] = covariance(j, j).max(0.0).sqrt();
         }
-        if let Some(tool) = evaluation.tool(&model.robot, &state[..n], tool_jacobian) {
-            self.tool[i * 3..][..3].copy_from_slice(&tool.0);
-            for (std, row) in self.tool_std[i * 3..][..3].iter_mut().zip(tool_jacobian.chunks_exact(n)) {
+        if let Some(position) = tool.set(robot, &state[..n]) {
+            self.tool[i * 3..][..3].copy_from_slice(&position);
+            for (std, row) in self.tool_std[i * 3..][..3].iter_mut().zip(tool.jacobian.chunks_exact(n)) {
                 let mut variance = 0.0;
                 for r in 0..n {
                     for c in 0..n {
@@ -170,5 +154,34 @@ impl FilterOutput {
             &mut self.innovation,
             &mut self.innovation_std,
         ]
+    }
+}
+
+/// The tool centre point and how it moves with the joints.
+#[derive(Clone, Debug)]
+pub(super) struct Tool {
+    kinematics: Kinematics<f64>,
+    /// ∂p/∂q, 3 × n, row-major.
+    jacobian: Vec<f64>,
+}
+
+impl Tool {
+    pub(super) fn new(robot: &Robot) -> Self {
+        Self { kinematics: Kinematics::new(&robot.tree), jacobian: vec![0.0; 3 * robot.len()] }
+    }
+
+    /// Position at `q`, the derivative beside; none of a robot without a tool.
+    #[inline(always)]
+    fn set(&mut self, robot: &Robot, q: &[f64]) -> Option<[f64; 3]> {
+        let frame = robot.tool.as_ref()?;
+        let Self { kinematics, jacobian } = self;
+        kinematics.set_position(&robot.tree, q);
+        jacobian.fill(0.0);
+        kinematics.position_jacobian(&robot.tree, frame, |joint, column| {
+            for (row, value) in jacobian.chunks_exact_mut(q.len()).zip(column.0) {
+                row[joint] = value;
+            }
+        });
+        Some(kinematics.position(frame).0)
     }
 }

@@ -4,10 +4,12 @@
 //! with covariance Λ runs backwards through the same rows and gains, and the smoothed state is x⁻ − P⁻λ with
 //! covariance P⁻ − P⁻ΛP⁻. No predicted covariance is inverted, badly scaled as they are (10⁻¹² to 1).
 
-use super::filter::{ExtendedKalmanFilter, KalmanRecording, Run};
+use super::correction::Correction;
+use super::filter::{ExtendedKalmanFilter, Run};
 use super::gaussian::{Gaussian, Innovation, Symmetric};
-use super::model::JerkModel;
-use super::output::{FilterOutput, Keep, Linearised};
+use super::model::Model;
+use super::output::{FilterOutput, Keep};
+use super::recording::KalmanRecording;
 use crate::error::RunError;
 use crate::linear;
 use crate::simd::{self, Kernel};
@@ -15,36 +17,33 @@ use crate::simd::{self, Kernel};
 /// What the filter knew at each sample of a stretch.
 #[derive(Clone, Debug)]
 pub(super) struct History {
-    /// Rows of the predicted covariance that are kept: those of q, q̇ and q̈, or all.
+    /// Rows of the predicted covariance that are kept: those that channels depend on, or all.
     kept: usize,
     stride: usize,
     dt: Vec<f64>,
     means: Vec<f64>,
     covariances: Vec<f64>,
-    predictions: Vec<f64>,
-    references: Vec<f64>,
     jacobians: Vec<f64>,
     gains: Vec<f64>,
     innovations: Vec<Innovation>,
-    jerks: Vec<f64>,
+    /// What the model remembers.
+    memories: Vec<f64>,
 }
 
 impl History {
-    fn with_capacity(count: usize, model: &JerkModel, stride: usize, whole: bool) -> Self {
-        let (n, m, states) = (model.joints(), model.channels(), model.states());
-        let kept = if whole { states } else { 3 * n };
+    fn with_capacity(count: usize, model: &impl Model, stride: usize, whole: bool) -> Self {
+        let (d, m, states) = (model.dense(), model.channels(), model.states());
+        let kept = if whole { states } else { d };
         Self {
             kept,
             stride,
             dt: Vec::with_capacity(count),
             means: Vec::with_capacity(count * states),
             covariances: Vec::with_capacity(count * kept * stride),
-            predictions: Vec::with_capacity(count * m),
-            references: Vec::with_capacity(count * 3 * n),
-            jacobians: Vec::with_capacity(count * m * 3 * n),
+            jacobians: Vec::with_capacity(count * m * d),
             gains: Vec::with_capacity(count * m * stride),
             innovations: Vec::with_capacity(count * m),
-            jerks: Vec::with_capacity(count * n),
+            memories: Vec::with_capacity(count * model.memory()),
         }
     }
 
@@ -54,16 +53,11 @@ impl History {
         &self.covariances[i * self.kept * self.stride..][..self.kept * self.stride]
     }
 
-    /// Where the channels of sample `i` were linearised.
+    /// What the model remembered of sample `i`.
     #[inline(always)]
-    fn linearised(&self, model: &JerkModel, i: usize) -> Linearised<'_> {
-        let (n, m) = (model.joints(), model.channels());
-        Linearised {
-            jacobian: &self.jacobians[i * m * 3 * n..][..m * 3 * n],
-            prediction: &self.predictions[i * m..][..m],
-            reference: &self.references[i * 3 * n..][..3 * n],
-            jerk: &self.jerks[i * n..][..n],
-        }
+    fn memory(&self, i: usize) -> &[f64] {
+        let size = self.memories.len() / self.dt.len();
+        &self.memories[i * size..][..size]
     }
 
     /// Gains at sample `i`, one padded row a channel.
@@ -79,13 +73,11 @@ impl History {
         self.covariances.extend_from_slice(&belief.covariance.data[..self.kept * self.stride]);
     }
 
-    pub(super) fn push_update(&mut self, filter: &ExtendedKalmanFilter) {
-        self.predictions.extend_from_slice(&filter.evaluation.prediction);
-        self.references.extend_from_slice(&filter.reference);
-        self.jacobians.extend_from_slice(&filter.evaluation.jacobian);
-        self.gains.extend_from_slice(&filter.gains);
-        self.innovations.extend_from_slice(&filter.innovations);
-        self.jerks.extend_from_slice(&filter.jerk);
+    pub(super) fn push_update(&mut self, model: &impl Model, correction: &Correction) {
+        self.jacobians.extend_from_slice(model.linearised().jacobian);
+        self.gains.extend_from_slice(&correction.gains);
+        self.innovations.extend_from_slice(&correction.innovations);
+        model.remember(&mut self.memories);
     }
 }
 
@@ -94,8 +86,8 @@ impl History {
 /// The filter's history is kept for one stretch of the recording at a time: a first pass leaves a belief at the start
 /// of each, and each is filtered again on the way back. Memory is bounded by the stretch, whatever the recording's length.
 #[derive(Clone, Debug)]
-pub struct Smoother {
-    filter: ExtendedKalmanFilter,
+pub struct Smoother<M> {
+    filter: ExtendedKalmanFilter<M>,
     /// λ and Λ.
     lambda: Vec<f64>,
     big: Symmetric,
@@ -109,14 +101,14 @@ pub struct Smoother {
 }
 
 /// The way back through a stretch, to be compiled for each instruction set.
-struct Back<'a> {
-    smoother: &'a mut Smoother,
+struct Back<'a, M> {
+    smoother: &'a mut Smoother<M>,
     history: &'a History,
     out: &'a mut FilterOutput,
     keep: Keep,
 }
 
-impl Kernel for Back<'_> {
+impl<M: Model> Kernel for Back<'_, M> {
     type Output = ();
 
     #[inline(always)]
@@ -126,7 +118,8 @@ impl Kernel for Back<'_> {
             smoother.back(history, i);
             smoother.smooth(history, i, keep.covariance);
             smoother.report(history, i, out, keep);
-            smoother.filter.model.retreat(&mut smoother.lambda, &mut smoother.big, history.dt[i]);
+            let Smoother { filter, lambda, big, .. } = &mut *smoother;
+            filter.model.retreat(history.memory(i), history.dt[i], lambda, big);
         }
     }
 }
@@ -134,9 +127,9 @@ impl Kernel for Back<'_> {
 /// Bytes of history that a stretch may take.
 const STRETCH: usize = 256 << 20;
 
-impl Smoother {
+impl<M: Model> Smoother<M> {
     /// A smoother on `filter`'s model, noise and settings; it starts from rest at a recording's first sample.
-    pub fn new(filter: &ExtendedKalmanFilter) -> Self {
+    pub fn new(filter: &ExtendedKalmanFilter<M>) -> Self {
         let mut filter = filter.clone();
         filter.reset();
         let states = filter.model.states();
@@ -182,8 +175,8 @@ impl Smoother {
     /// Samples whose history fits into the memory set aside.
     pub fn stretch(&self) -> usize {
         let (states, stride) = (self.big.n, self.big.stride);
-        let (n, m) = (self.filter.model.joints(), self.filter.model.channels());
-        let numbers = states * (stride + 1) + m * (3 * n + stride + 3) + 4 * n + 1;
+        let model = &self.filter.model;
+        let numbers = states * (stride + 1) + model.channels() * (model.dense() + stride + 2) + model.memory() + 1;
         (STRETCH / (8 * numbers)).max(1)
     }
 
@@ -199,13 +192,13 @@ impl Smoother {
     /// As [`ExtendedKalmanFilter::run`].
     pub fn stretch_back(
         &mut self,
-        start: &ExtendedKalmanFilter,
+        start: &ExtendedKalmanFilter<M>,
         recording: KalmanRecording<'_>,
         keep: Keep,
     ) -> Result<FilterOutput, RunError> {
         let mut filter = start.clone();
         let count = recording.dt.len();
-        recording.check(&filter.model)?;
+        filter.model.check(&recording)?;
         let mut history = History::with_capacity(count, &filter.model, self.big.stride, keep.covariance);
         let run = Run { filter: &mut filter, recording, keep, history: Some(&mut history) };
         let mut out = simd::dispatch(simd::level(), run)?;
@@ -248,12 +241,12 @@ impl Smoother {
     #[inline(always)]
     fn load_rows(&mut self, history: &History, i: usize) -> usize {
         let model = &self.filter.model;
-        let (m, d) = (model.channels(), 3 * model.joints());
+        let (m, d) = (model.channels(), model.dense());
         for (c, row) in self.rows.chunks_exact_mut(self.big.stride).enumerate() {
             row.fill(0.0);
             if history.innovations[i * m + c].variance.is_finite() {
                 row[..d].copy_from_slice(&history.jacobians[(i * m + c) * d..][..d]);
-                if let Some(b) = model.biases[c] {
+                if let Some(b) = model.biases()[c] {
                     row[b] = 1.0;
                 }
             }
@@ -269,7 +262,7 @@ impl Smoother {
         for (r, row) in predicted.chunks_exact(stride).enumerate() {
             self.mean[r] = history.means[i * states + r] - linear::dot(row, &self.lambda);
         }
-        let rows = if whole { states } else { self.filter.model.joints() };
+        let rows = if whole { states } else { self.filter.model.robot().len() };
         linear::product(&predicted[..rows * stride], stride, data, stride, &mut self.product);
         for r in 0..rows {
             for c in r..rows {
@@ -283,11 +276,10 @@ impl Smoother {
     #[inline(always)]
     fn report(&mut self, history: &History, i: usize, out: &mut FilterOutput, keep: Keep) {
         let Self { filter, mean, smoothed, big, .. } = self;
-        let ExtendedKalmanFilter { model, evaluation, tool_jacobian, .. } = filter;
+        let ExtendedKalmanFilter { model, tool, .. } = filter;
         let stride = big.stride;
-        let at = |r: usize, c: usize| smoothed[r * stride + c];
-        out.write_motors(i, mean, history.linearised(model, i));
-        out.write_links(i, model, mean, at, evaluation, tool_jacobian);
+        model.report(history.memory(i), mean, i, out);
+        out.write_links(i, model.robot(), mean, |r, c| smoothed[r * stride + c], tool);
         if keep.covariance {
             out.write_state(i, mean, smoothed, stride);
         }

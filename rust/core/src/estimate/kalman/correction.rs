@@ -1,0 +1,162 @@
+//! The measurement update, one channel after the other.
+
+use super::gaussian::{Gaussian, Innovation, Row, Symmetric};
+use super::model::Model;
+use crate::estimate::Status;
+use crate::linear;
+
+/// Scratch and outcome of a measurement update.
+#[derive(Clone, Debug)]
+pub(super) struct Correction {
+    /// Where the channels are linearised.
+    pub(super) reference: Vec<f64>,
+    /// H P, each row after the channels before it (channels × states, padded).
+    projections: Vec<f64>,
+    pub(super) gains: Vec<f64>,
+    halves: Vec<f64>,
+    pub(super) innovations: Vec<Innovation>,
+    /// Channels left out at this sample by the gate.
+    pub(super) gated: Vec<bool>,
+    pub(super) status: u8,
+    pub(super) nis: f64,
+    pub(super) used: u32,
+    pub(super) log_likelihood: f64,
+}
+
+impl Correction {
+    pub(super) fn new(model: &impl Model, stride: usize) -> Self {
+        let m = model.channels();
+        Self {
+            reference: vec![0.0; model.dense()],
+            projections: vec![0.0; m * stride],
+            gains: vec![0.0; m * stride],
+            halves: vec![0.0; m * stride],
+            innovations: vec![Innovation::NONE; m],
+            gated: vec![false; m],
+            status: 0,
+            nis: 0.0,
+            used: 0,
+            log_likelihood: 0.0,
+        }
+    }
+
+    /// Uses `readings`, all channels linearised at the reference.
+    ///
+    /// For one row h, with g = P hᵀ, s = h g + r and any gain k, Joseph's form (1 − k h) P (1 − k h)ᵀ + k r kᵀ is
+    /// P − k mᵀ − m kᵀ with m = g − s k/2: symmetric by construction, an error of k entering squared, nothing inverted.
+    /// P itself is touched once, when all channels are through; until then each g is corrected by those before it.
+    #[inline(always)]
+    pub(super) fn update(&mut self, model: &impl Model, belief: &mut Gaussian, readings: &[f64], gate: Option<f64>) {
+        (self.status, self.nis, self.used, self.log_likelihood) = (0, 0.0, 0, 0.0);
+        self.project(model, belief);
+        for (i, &reading) in readings.iter().enumerate() {
+            self.innovations[i] = if reading.is_nan() {
+                self.status |= Status::BRIDGED;
+                Innovation::NONE
+            } else {
+                self.innovate(model, belief, i, reading, gate)
+            };
+            self.use_channel(belief, i);
+        }
+        belief.covariance.subtract_outer(&self.gains, &self.halves);
+        if self.used == 0 {
+            self.status |= Status::PREDICTED;
+        }
+    }
+
+    /// Rows of H P.
+    #[inline(always)]
+    fn project(&mut self, model: &impl Model, belief: &Gaussian) {
+        let Symmetric { stride, ref data, .. } = belief.covariance;
+        linear::product(model.linearised().jacobian, model.dense(), data, stride, &mut self.projections);
+        for (projection, bias) in self.projections.chunks_exact_mut(stride).zip(model.biases()) {
+            if let Some(b) = *bias {
+                linear::add_scaled(projection, 1.0, &data[b * stride..][..stride]);
+            }
+        }
+    }
+
+    /// Channel `i`'s innovation after the channels before it; none when the gate shuts it out.
+    #[inline(always)]
+    fn innovate(
+        &mut self,
+        model: &impl Model,
+        belief: &Gaussian,
+        i: usize,
+        reading: f64,
+        gate: Option<f64>,
+    ) -> Innovation {
+        let stride = belief.covariance.stride;
+        let row = row(model, i);
+        let (before, own) = self.projections.split_at_mut(i * stride);
+        let own = &mut own[..stride];
+        for (j, earlier) in before.chunks_exact(stride).enumerate() {
+            let variance = self.innovations[j].variance;
+            if variance.is_finite() {
+                linear::add_scaled(own, -row.dot(earlier) / variance, earlier);
+            }
+        }
+        let variance = row.dot(own) + model.variance(i);
+        let mut value = reading - model.linearised().prediction[i] - row.bias.map_or(0.0, |b| belief.mean[b]);
+        for (k, h) in row.dense.iter().enumerate() {
+            value -= h * (belief.mean[k] - self.reference[k]);
+        }
+        self.gated[i] |= gate.is_some_and(|g| value * value > g * g * variance);
+        if self.gated[i] {
+            self.status |= Status::GATED;
+            return Innovation::NONE;
+        }
+        Innovation { value, variance }
+    }
+
+    /// Moves the mean by channel `i`'s innovation and readies what the covariance loses.
+    #[inline(always)]
+    fn use_channel(&mut self, belief: &mut Gaussian, i: usize) {
+        let Innovation { value, variance } = self.innovations[i];
+        let stride = belief.covariance.stride;
+        let projection = &self.projections[i * stride..][..stride];
+        let (gain, half) = (&mut self.gains[i * stride..][..stride], &mut self.halves[i * stride..][..stride]);
+        if variance.is_infinite() {
+            gain.fill(0.0);
+            half.fill(0.0);
+            return;
+        }
+        let precision = 1.0 / variance;
+        for k in 0..stride {
+            gain[k] = projection[k] * precision;
+            half[k] = projection[k] - 0.5 * variance * gain[k];
+        }
+        linear::add_scaled(&mut belief.mean, value, gain);
+        let squared = value * value / variance;
+        self.nis += squared;
+        self.used += 1;
+        self.log_likelihood -= 0.5 * (squared + (core::f64::consts::TAU * variance).ln());
+    }
+
+    /// What is predicted against what is read, before any reading is used: differences and their standard deviations.
+    pub(super) fn compare(
+        &mut self,
+        model: &impl Model,
+        belief: &Gaussian,
+        readings: &[f64],
+        innovation: &mut [f64],
+        std: &mut [f64],
+    ) {
+        self.project(model, belief);
+        let stride = belief.covariance.stride;
+        for (i, reading) in readings.iter().enumerate() {
+            let row = row(model, i);
+            let variance = row.dot(&self.projections[i * stride..][..stride]) + model.variance(i);
+            let bias = row.bias.map_or(0.0, |b| belief.mean[b]);
+            innovation[i] = reading - model.linearised().prediction[i] - bias;
+            std[i] = variance.sqrt();
+        }
+    }
+}
+
+/// Channel `i`'s row of H.
+#[inline(always)]
+fn row(model: &impl Model, i: usize) -> Row<'_> {
+    let d = model.dense();
+    Row { dense: &model.linearised().jacobian[i * d..][..d], bias: model.biases()[i] }
+}
