@@ -96,6 +96,7 @@ class ExtendedKalmanFilter:
         cls,
         robot: Robot,
         *,
+        motor_velocities: bool,
         rates: bool,
         links: bool,
         torques: bool,

@@ -46,7 +46,7 @@ class Noise(BaseModel):
     torsion
         Relative error of the predicted torsion, as of a stiffness that is not quite right.
     motor_velocity
-        Noise of the motor velocity that the damping torque is computed from [rad/s].
+        Noise of the motor velocity, which the damping torque is computed from [rad/s].
     acceleration, rate
         Noise of accelerometers and gyroscopes, in multiples of their ``noise_std``.
     link
@@ -112,6 +112,7 @@ class Noise(BaseModel):
                 self.acceleration_bias,
                 self.acceleration_bias_walk,
             ),
+            "dtheta": (np.full(n, self.motor_velocity), 0.0, 0.0),
             "rate": (self.rate * _sensor_noise(robot.gyroscopes), self.rate_bias, self.rate_bias_walk),
             "q": (np.full(n, self.link), 0.0, 0.0),
             "torque": (np.full(n, self.joint_torque), 0.0, 0.0),

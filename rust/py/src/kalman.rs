@@ -100,9 +100,10 @@ type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'py>, Matrix
 #[pymethods]
 impl ExtendedKalmanFilter {
     #[new]
-    #[pyo3(signature = (robot, *, rates, links, torques, biased, noise, gate, iterations, damping))]
+    #[pyo3(signature = (robot, *, motor_velocities, rates, links, torques, biased, noise, gate, iterations, damping))]
     fn new(
         robot: &Robot,
+        motor_velocities: bool,
         rates: bool,
         links: bool,
         torques: bool,
@@ -113,7 +114,8 @@ impl ExtendedKalmanFilter {
         damping: bool,
     ) -> PyResult<Self> {
         let build = || {
-            let model = JerkModel::new(Arc::clone(&robot.0), Further { rates, links, torques }, &biased)?;
+            let model =
+                JerkModel::new(Arc::clone(&robot.0), Further { motor_velocities, rates, links, torques }, &biased)?;
             let model = JerkDriven::new(model, noise.into(), damping)?;
             kalman::ExtendedKalmanFilter::new(model, FilterSettings { gate, iterations })
         };
