@@ -157,8 +157,9 @@ impl<T: Scalar> Evaluation<T> {
     }
 }
 
+/// The recorded axes of `value`.
 #[inline(always)]
-fn scatter<T: Scalar>(sensor: &Sensor, value: &Vec3<T>, out: &mut [T]) {
+pub(super) fn scatter<T: Scalar>(sensor: &Sensor, value: &Vec3<T>, out: &mut [T]) {
     for (slot, &axis) in out.iter_mut().zip(&sensor.axes) {
         *slot = value.0[axis];
     }

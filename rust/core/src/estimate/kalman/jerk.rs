@@ -4,7 +4,7 @@ use super::channels::{Channel, Evaluation};
 use super::gaussian::{Gaussian, Symmetric};
 use super::model::{Linearised, Model};
 use super::output::FilterOutput;
-use super::recording::{KalmanRecording, KalmanSample, expect_length};
+use super::recording::{KalmanRecording, KalmanSample, check_deviations, check_readings, expect_length};
 use super::slope::Slope;
 use crate::error::DesignError;
 use crate::estimate::observer::link_position_at_rest;
@@ -54,7 +54,7 @@ pub struct Further {
 
 impl Further {
     /// All channels: motor positions, accelerometer axes, motor velocities, gyroscope axes, link positions, torques.
-    fn channels(self, robot: &Robot) -> Vec<Channel> {
+    pub(super) fn channels(self, robot: &Robot) -> Vec<Channel> {
         let joints = || 0..robot.len();
         let mut channels: Vec<_> = joints().map(Channel::Motor).collect();
         for (sensor, s) in robot.accelerometers.iter().enumerate() {
@@ -211,17 +211,8 @@ impl JerkModel {
             ("initial_bias", initial_bias, m),
             ("torsion", &vec![*torsion], 1),
         ];
-        for (what, values, expected) in lengths {
-            expect_length(what, values.len(), expected)?;
-            let bad = |v: &&f64| !(v.is_finite() && **v >= 0.0);
-            if let Some(&value) = values.iter().find(bad) {
-                return Err(DesignError::Range { what, value, expected: "a standard deviation of at least 0" });
-            }
-        }
-        match reading.iter().find(|v| **v == 0.0) {
-            Some(&value) => Err(DesignError::Range { what: "reading", value, expected: "greater than 0" }),
-            None => Ok(()),
-        }
+        lengths.iter().try_for_each(|(what, values, expected)| check_deviations(what, values, *expected))?;
+        check_readings(reading)
     }
 }
 
