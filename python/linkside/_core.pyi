@@ -10,6 +10,7 @@ from .errors import LinksideError
 
 __all__ = [
     "AccelerationObserver",
+    "ElasticJointFilter",
     "ExtendedKalmanFilter",
     "ObserverState",
     "Robot",

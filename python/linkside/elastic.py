@@ -52,7 +52,7 @@ class ElasticNoise(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    link_acceleration: Std | tuple[Std, ...] = 1e-2
+    link_acceleration: Std | tuple[Std, ...] = 3e-3
     motor_acceleration: Std | tuple[Std, ...] = 1e-2
     torque: Std = 1.0
     disturbance: Std = 0.1
@@ -205,7 +205,7 @@ class ElasticJointFilter:
         Raises
         ------
         LogError
-            A column is missing, a motor position at the first sample, or a torque anywhere.
+            A column is missing, or a motor position or torque at the first sample.
         NumericalError
             The estimate is no longer finite; names the sample.
         """
@@ -218,16 +218,17 @@ class ElasticJointFilter:
         """Estimate a recording that comes piece by piece, in bounded memory; the same bits as `run`."""
         core: _core.ElasticJointFilter | None = None
         kinds: tuple[str, ...] = ()
-        before: Log | None = None
+        before: tuple[float, FloatArray] | None = None
         for piece in pieces:
             if core is None:
                 kinds = self._kinds(piece)
                 core = self._core(kinds)
+            arrays = self._arrays(piece, kinds, before)
             try:
-                result = core.run(self._arrays(piece, kinds, before))
+                result = core.run(arrays)
             except NumericalError as error:
                 raise NumericalError(f"{piece.source}: {error}") from None
-            before = piece[-1:]
+            before = float(piece.t[-1]), arrays[2][-1:]
             yield self._estimate(piece, kinds, result)
 
     def step(
@@ -265,12 +266,12 @@ class ElasticJointFilter:
             torques, biases. ``covariance`` and ``status`` tell the rest.
         """
         live = self._live or self._start()
-        parts = [("theta", theta, self.robot.n)]
+        parts: list[tuple[str, Signal | None, int]] = [("theta", theta, self.robot.n)]
         if "acceleration" in self._live_kinds:
             parts.append(("acceleration", acceleration, len(self.robot.acceleration_channels)))
         if "dtheta" in self._live_kinds:
             parts.append(("dtheta", dtheta, self.robot.n))
-        parts.append(("further", further, sum(self._width(kind) for kind in self._live_kinds[-3:] if kind in FURTHER)))
+        parts.append(("further", further, sum(self._width(kind) for kind in self._live_kinds if kind in FURTHER)))
         readings = np.concatenate([_sized(*part) for part in parts])
         out = np.empty(live.states) if out is None else out
         self.status = live.step(dt, readings, tau, out)
@@ -326,7 +327,7 @@ class ElasticJointFilter:
         if "acceleration" in kinds and is_late(self.robot):
             raise EstimatorError(
                 "the elastic-joint filter takes accelerations as they come, and robot.yaml gives an accelerometer a "
-                "corner_frequency or a delay; set accelerations=False, or use the filter on the acceleration-driven model"
+                "corner_frequency or a delay; set accelerations=False, or use ExtendedKalmanFilter"
             )
         return _core.ElasticJointFilter(
             self.robot.core,
@@ -343,13 +344,13 @@ class ElasticJointFilter:
             iterations=self._iterations,
         )
 
-    def _arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:
-        """Steps of time, readings and motor torques, one row a sample."""
+    def _arrays(self, log: Log, kinds: tuple[str, ...], before: tuple[float, FloatArray] | None = None) -> Arrays:
+        """Steps of time, readings and motor torques, one row a sample; ``before``: time and torques of the last one."""
         if before is None:
-            log.require_start("a filter")
+            log.require_start("a filter", ("theta", "tau"))
         readings = np.hstack([log.theta if kind == "motor" else getattr(log, kind) for kind in kinds])
-        dt = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before.t[-1])
-        return dt, np.ascontiguousarray(readings), _torques(log, before)
+        dt = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before[0])
+        return dt, np.ascontiguousarray(readings), _torques(log, None if before is None else before[1])
 
 
 class ElasticJointSmoother(ElasticJointFilter):
@@ -366,16 +367,15 @@ FURTHER = ("rate", "q", "torque")
 """Kinds of channels that `step` takes as further readings."""
 
 
-def _torques(log: Log, before: Log | None) -> FloatArray:
-    """Motor torques (T, n); a missing one is the one before it."""
+def _torques(log: Log, before: FloatArray | None) -> FloatArray:
+    """Motor torques (T, n); a missing one is the one before it, at first that of the row ``before``."""
     assert log.tau is not None  # `_kinds` has asked for it
     missing = np.isnan(log.tau)
     if not missing.any():
         return log.tau
-    first = np.zeros_like(log.tau[:1]) if before is None or before.tau is None else np.nan_to_num(before.tau[-1:])
-    tau = np.vstack([first, log.tau])
+    tau = log.tau if before is None else np.vstack([before, log.tau])
     rows = np.arange(len(tau))[:, None] * ~np.isnan(tau)
-    return np.ascontiguousarray(np.take_along_axis(tau, np.maximum.accumulate(rows, axis=0), axis=0)[1:])
+    return np.ascontiguousarray(np.take_along_axis(tau, np.maximum.accumulate(rows, axis=0), axis=0)[-len(log) :])
 
 
 def _sized(name: str, signal: Signal | None, size: int) -> FloatArray:

@@ -184,7 +184,7 @@ class ExtendedKalmanFilter:
         dtheta, ddqref : (n,)
             Motor velocities [rad/s] and commanded link accelerations [rad/s²], where there are any.
         further : (k,)
-            Readings of the kinds asked for (``dtheta``, ``rate``, ``q``, ``torque``), one after the other in this order.
+            Readings of the kinds asked for, one after the other: ``dtheta``, ``rate``, ``q``, ``torque``.
         out : (states,)
             Array to write the result into.
 
