@@ -14,6 +14,8 @@ __all__ = [
     "ObserverState",
     "Robot",
     "StretchSmoother",
+    "derivative_order",
+    "feedforward",
     "observer_gains",
 ]
 
@@ -138,3 +140,5 @@ class StretchSmoother:
     ) -> dict[str, npt.NDArray[Any]]: ...
 
 def observer_gains(robot: Robot, joint: int, poles: Sequence[complex]) -> _Array: ...
+def derivative_order(robot: Robot) -> int: ...
+def feedforward(robot: Robot, t: _Array, derivatives: _Array) -> dict[str, _Array]: ...

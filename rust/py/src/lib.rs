@@ -1,6 +1,7 @@
 //! The Python face of `linkside-core`: converts, calls, raises. No arithmetic here.
 
 mod array;
+mod control;
 mod error;
 mod gil;
 mod kalman;
@@ -12,6 +13,8 @@ use pyo3::prelude::*;
 /// Compiled kernels of linkside.
 #[pymodule]
 mod _core {
+    #[pymodule_export]
+    use crate::control::{derivative_order, feedforward};
     #[pymodule_export]
     use crate::kalman::{ExtendedKalmanFilter, StretchSmoother};
     #[pymodule_export]
