@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import comb, factorial
+from math import comb, factorial, perm
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numpy.polynomial import Chebyshev, Polynomial
+from numpy.polynomial import Chebyshev
 
 from . import tree
 from .errors import EstimatorError
@@ -74,17 +74,17 @@ class Trajectory:
     @property
     def q(self) -> FloatArray:
         """Positions, (T, n)."""
-        return self.derivatives[0]
+        return np.asarray(self.derivatives[0])
 
     @property
     def dq(self) -> FloatArray:
         """Velocities, (T, n)."""
-        return self.derivatives[1]
+        return np.asarray(self.derivatives[1])
 
     @property
     def ddq(self) -> FloatArray:
         """Accelerations, (T, n)."""
-        return self.derivatives[2]
+        return np.asarray(self.derivatives[2])
 
     def held(self, before: float = 0.0, after: float = 0.0) -> Trajectory:
         """Give the same motion with pauses [s] at its ends; time goes on from the same start."""
@@ -101,8 +101,8 @@ def rest_to_rest(
 ) -> Trajectory:
     """Move from point to point along polynomials of time, at rest at each.
 
-    A polynomial of degree 2m + 1 has m derivatives that vanish at its ends: a quintic has velocity and acceleration, one
-    of degree 7 also the jerk, one of degree 9 (the default) its derivative, too.
+    A polynomial of degree 2m + 1 has m derivatives that vanish at its ends: of a quintic velocity and
+    acceleration, at degree 7 the jerk as well, at degree 9 (the default) its derivative, too.
 
     Parameters
     ----------
@@ -133,7 +133,8 @@ def rest_to_rest(
 def spline(times: npt.ArrayLike, points: npt.ArrayLike, period: float, *, continuity: int = 4) -> Trajectory:
     """Pass through points at given times, from rest to rest, along one spline.
 
-    It is of degree 2 c + 1 for continuity c: its derivatives up to c vanish at both ends, those up to 2 c are continuous.
+    It is of degree 2 c + 1 for continuity c: its derivatives up to c vanish at both ends; inside, those up to 2 c are
+    continuous.
 
     Parameters
     ----------
@@ -150,12 +151,12 @@ def spline(times: npt.ArrayLike, points: npt.ArrayLike, period: float, *, contin
 
     points, knots = _points(points), np.asarray(times, float)
     if knots.shape != (len(points),) or knots[0] != 0 or not (np.diff(knots) > 0).all():
-        raise EstimatorError(f"spline: expected {len(points)} rising times from 0, one a point, got {times}")
+        raise EstimatorError(f"spline: expected {len(points)} rising times from 0, one a point, got {knots}")
     if not 1 <= continuity <= 7:
         raise EstimatorError(f"spline: continuity is {continuity}, expected 1 to 7")
     ends = [(order, np.zeros(points.shape[1])) for order in range(1, continuity + 1)]
     curve = make_interp_spline(knots, points, k=2 * continuity + 1, bc_type=(ends, ends))
-    t = period * np.arange(1 + _samples("the last time", float(knots[-1]), period))
+    t = period * np.arange(1.0 + _samples("the last time", float(knots[-1]), period))
     degree = 2 * continuity + 1
     derivatives = [curve(np.minimum(t, knots[-1]), order) for order in range(degree + 1)]
     return Trajectory(t, np.array(derivatives), continuity)
@@ -296,21 +297,23 @@ class _InverseKinematics:
 def _timing(seconds: float, period: float, smooth: int) -> FloatArray:
     """Share of a movement that is done, with its derivatives, (HIGHEST + 1, samples).
 
-    The regularised incomplete beta function I_u(m + 1, m + 1); by its symmetry it is computed in the first half only, where
-    its powers of u do not cancel.
+    It is the regularised incomplete beta function I_u(m + 1, m + 1), whose slope is proportional to (u (1 − u))ᵐ.
     """
+    from scipy.special import beta, betainc
+
     m = smooth
-    rate = Polynomial([0.0] * m + [comb(m, k) * (-1) ** k for k in range(m + 1)])
-    share = rate.integ() * (factorial(2 * m + 1) / factorial(m) ** 2)
-    u = np.arange(1 + _samples("duration", seconds, period)) * period / seconds
-    late = u > 0.5
-    near = np.where(late, 1 - u, u)
-    rows = []
-    for order in range(HIGHEST + 1):
-        value = share.deriv(order)(near) if order else share(near)
-        mirrored = float(order == 0) - (-1.0) ** order * value
-        rows.append(np.where(late, mirrored, value) / seconds**order)
+    u = np.clip(np.arange(1 + _samples("duration", seconds, period)) * period / seconds, 0, 1)
+    up, down = _powers(u, m), _powers(1 - u, m) * (-1.0) ** np.arange(HIGHEST)[:, None]
+    rows = [betainc(m + 1, m + 1, u)]
+    for order in range(HIGHEST):
+        terms = (comb(order, j) * up[j] * down[order - j] for j in range(order + 1))
+        rows.append(sum(terms) / beta(m + 1, m + 1) / seconds ** (order + 1))
     return np.array(rows)
+
+
+def _powers(u: FloatArray, m: int) -> FloatArray:
+    """Derivatives of uᵐ, (HIGHEST, samples)."""
+    return np.array([perm(m, j) * u ** max(m - j, 0) for j in range(HIGHEST)])
 
 
 def _composed(path: Sequence[Any], share: FloatArray) -> FloatArray:
@@ -340,7 +343,7 @@ def _product(a: FloatArray, b: FloatArray) -> FloatArray:
 def _joined(parts: Sequence[FloatArray], period: float, smooth: int) -> Trajectory:
     """Movements one after the other; each begins where the one before ended."""
     derivatives = np.concatenate([parts[0], *(part[:, 1:] for part in parts[1:])], axis=1)
-    return Trajectory(period * np.arange(derivatives.shape[1]), np.ascontiguousarray(derivatives), smooth)
+    return Trajectory(period * np.arange(float(derivatives.shape[1])), np.ascontiguousarray(derivatives), smooth)
 
 
 def _first(count: int) -> FloatArray:

@@ -37,7 +37,7 @@ def move(period=1e-3, degree=17):
 
 @pytest.mark.parametrize("case", CASES)
 def test_torque_is_that_of_collocation(case):
-    """At Chebyshev nodes: links by Pinocchio, each transmission's equation solved by collocation, from the outside in."""
+    """Links by Pinocchio at Chebyshev nodes, each transmission's equation by collocation, from the outside in."""
     damping, coupling, order = CASES[case]
     robot = arm(damping, coupling)
     assert derivative_order(robot) == order
@@ -96,9 +96,7 @@ def integrated(robot, desired):
     """Positions of links and motors under the desired torque, every 0.1 s, by Pinocchio and SciPy."""
     torque = make_interp_spline(desired.t, desired.tau, k=7)
     data = robot.model.createData()
-    stiffness, damping, inertia = (
-        np.array([getattr(d, name) for d in robot.drives]) for name in ("stiffness", "damping", "motor_inertia")
-    )
+    damping, inertia = (np.array([getattr(d, name) for d in robot.drives]) for name in ("damping", "motor_inertia"))
 
     def rate(t, x):
         q, theta, dq, dtheta = x.reshape(4, 2)

@@ -1,4 +1,4 @@
-"""Trajectories: derivatives against SciPy's and each other, continuity as stated, lines of the tool against Pinocchio."""
+"""Trajectories: derivatives against each other, continuity as stated, lines of the tool against Pinocchio."""
 
 import numpy as np
 import pinocchio as pin
@@ -37,13 +37,25 @@ def test_rest_to_rest_is_the_incomplete_beta_function(degree, duration, seed):
     motion = rest_to_rest([start, end], duration, period, degree=degree)
     m = degree // 2
     share = betainc(m + 1, m + 1, np.linspace(0, 1, 41))[:, None]
-    assert np.abs(motion.q - start - share * (end - start)).max() < 1e-11
+    assert np.abs(motion.q - start - share * (end - start)).max() < 1e-12
     ends = (
         motion.derivatives[1 : motion.continuity + 1][:, [0, -1]] * duration ** np.arange(1, m + 1)[:, None, None, None]
     )
     assert np.abs(ends).max() < 1e-6 * np.abs(motion.derivatives[m] * duration**m).max() + 1e-12
     assert np.abs(motion.derivatives[m + 1, 0]).max() > 0
     assert motion.continuity == m
+
+
+@pytest.mark.parametrize(
+    ("degree", "coefficients"),
+    [(5, [10, -15, 6]), (7, [35, -84, 70, -20]), (9, [126, -420, 540, -315, 70])],
+)
+def test_low_degrees_are_the_polynomials_of_the_textbook(degree, coefficients):
+    motion = rest_to_rest([[0.0], [1.0]], 1, 0.05, degree=degree)
+    polynomial = np.polynomial.Polynomial([0] * (degree // 2 + 1) + coefficients)
+    for order in range(degree + 3):
+        expected = (polynomial.deriv(order) if order else polynomial)(motion.t)
+        assert np.abs(motion.derivatives[order, :, 0] - expected).max() < 1e-12 * max(1, np.abs(expected).max())
 
 
 def test_derivatives_are_those_of_the_motion():
