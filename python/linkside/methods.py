@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 from .estimate import Estimate
 from .kalman import ExtendedKalmanFilter, RauchTungStriebelSmoother
 from .log import Log
 from .noise import Noise
-from .observers import AccelerationObserver
+from .observer_tuning import ObserverTuning
 from .poles import PolePattern
 from .robot import Robot
 from .sensing import is_late
@@ -28,7 +28,7 @@ class Options:
     poles: PolePattern
     bias: bool
     form: Literal["current", "predictor"]
-    tuning: Noise | None
+    tuning: Any
     gate: float | None
 
 
@@ -46,16 +46,20 @@ class Method:
         Makes it for a robot.
     whole
         Whether it takes a log as one piece, for a robot.
+    read_tuning
+        Reads its tuning file.
     """
 
     help: str
     takes: tuple[str, ...]
     build: Callable[[Robot, Options], Run]
     whole: Callable[[Robot], bool] = lambda _: False
+    read_tuning: Callable[[str], Any] = Noise.read
 
 
 def _observer(robot: Robot, options: Options) -> Run:
-    return AccelerationObserver(robot, options.poles, bias=options.bias, form=options.form).run_pieces
+    tuning = options.tuning or ObserverTuning()
+    return tuning.observer(robot, options.poles, bias=options.bias, form=options.form).run_pieces
 
 
 def _ekf(robot: Robot, options: Options) -> Run:
@@ -70,7 +74,10 @@ def _smoother(robot: Robot, options: Options) -> Run:
 
 METHODS = {
     "observer": Method(
-        "driven by accelerometers; nothing of the links' dynamics is needed", ("poles", "bias", "form"), _observer
+        "driven by accelerometers; nothing of the links' dynamics is needed",
+        ("poles", "bias", "form", "tuning"),
+        _observer,
+        read_tuning=ObserverTuning.read,
     ),
     "ekf": Method("Kalman filter with the links' dynamics, and how sure it is", ("tuning", "gate"), _ekf, is_late),
     "smoother": Method("the same by all samples, later ones too", ("tuning", "gate"), _smoother, is_late),

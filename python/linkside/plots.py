@@ -19,6 +19,8 @@ from linkside.errors import OutputError
 
 if TYPE_CHECKING:
     from linkside.demo.run import DemoResult
+    from linkside.placement import Placement
+    from linkside.tune_observer import Front
 
 Array = npt.NDArray[np.float64]
 
@@ -88,9 +90,59 @@ def demo_figure(result: DemoResult) -> Figure:
     return figure
 
 
-def _map(figure: Figure, axes: Any, report: CheckReport) -> None:
+def placement_figure(placement: Placement) -> Figure:
+    """Draw where a placement is singular, see `Placement.figure`."""
+    report = placement.report
+    figure = Figure(figsize=(12, 5.6), layout="constrained")
+    figure.suptitle(f"{', '.join(sensor.name for sensor in placement.chosen)}: where it loses sight of the links")
+    left, right = figure.subplots(1, 2, width_ratios=(1.5, 1))
+    _map(figure, left, report)
+    if len(pair := _pair(report)) == 2:
+        for posture, marker in zip(report.singular, "XPDs*^v", strict=False):
+            x, y = (posture.q[joint] * _scale(report, joint) for joint in pair)
+            left.plot(x, y, marker, color=COLOURS[1], markeredgecolor="white", markersize=12, label=posture.words)
+        left.legend(loc="lower left", title="singular for")
+    _ranked(right, placement)
+    return figure
+
+
+def _ranked(axes: Any, placement: Placement) -> None:
+    """Draw each candidate's score alone, the best first, and that of the set."""
+    alone = np.sort(np.array(placement.alone))
+    shown = np.minimum(alone, 1e4 * placement.score)
+    axes.semilogy(np.arange(1, len(shown) + 1), shown, ".", color=COLOURS[0], label="candidates alone")
+    axes.axhline(placement.score, color=COLOURS[2], label="the chosen set")
+    if np.isfinite(placement.before):
+        axes.axhline(placement.before, color=COLOURS[1], linestyle="--", label="the robot's own sensors")
+    condition = placement.criterion == "condition"
+    axes.set(xlabel="candidate", ylabel="worst condition number" if condition else "standard deviation [rad/s²]")
+    _finish(axes)
+
+
+def front_figure(front: Front) -> Figure:
+    """Draw a Pareto front, see `Front.figure`."""
+    figure = Figure(figsize=(12, 4.2), layout="constrained")
+    figure.suptitle("Errors and noise of the observer, in multiples of those before tuning")
+    noise = front.ratios[:, -1]
+    for axes, column, name in zip(figure.subplots(1, 3), range(3), ("position", "velocity", "torsion"), strict=True):
+        error = front.ratios[:, column]
+        axes.loglog(noise, error, "o", color=COLOURS[0], markersize=4, label="the front")
+        axes.loglog(1, 1, "X", color="0.4", markersize=9, label="before")
+        chosen = noise[front.recommended], error[front.recommended]
+        axes.loglog(*chosen, "*", color=COLOURS[1], markersize=15, label="recommended")
+        axes.set(xlabel="noise of link velocity", ylabel=f"error of {name}")
+        _finish(axes)
+    return figure
+
+
+def _pair(report: CheckReport) -> list[int]:
+    """The two joints whose position matters most."""
     first = [int(joint) for joint in report.influential]
-    pair = sorted((first + [joint for joint in range(report.robot.n) if joint not in first])[:2])
+    return sorted((first + [joint for joint in range(report.robot.n) if joint not in first])[:2])
+
+
+def _map(figure: Figure, axes: Any, report: CheckReport) -> None:
+    pair = _pair(report)
     if len(pair) == 1:
         _line(axes, report)
         return
