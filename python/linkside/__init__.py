@@ -9,6 +9,7 @@
 """
 
 from . import demo, poles, sensors
+from .elastic import ElasticJointFilter, ElasticJointSmoother, ElasticNoise
 from .errors import ConfigError, EstimatorError, LinksideError, LogError, NumericalError, OutputError
 from .estimate import Estimate, EstimateWriter, Status
 from .fixed_lag import FixedLagSmoother
@@ -22,6 +23,9 @@ from .stretches import smooth_file
 __all__ = [
     "AccelerationObserver",
     "ConfigError",
+    "ElasticJointFilter",
+    "ElasticJointSmoother",
+    "ElasticNoise",
     "Estimate",
     "EstimateWriter",
     "EstimatorError",

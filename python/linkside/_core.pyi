@@ -10,6 +10,7 @@ from .errors import LinksideError
 
 __all__ = [
     "AccelerationObserver",
+    "ElasticJointFilter",
     "ExtendedKalmanFilter",
     "ObserverState",
     "Robot",
@@ -98,6 +99,7 @@ class ExtendedKalmanFilter:
         cls,
         robot: Robot,
         *,
+        motor_velocities: bool,
         rates: bool,
         links: bool,
         torques: bool,
@@ -126,6 +128,37 @@ class ExtendedKalmanFilter:
     def run(self, arrays: _KalmanArrays, covariance: bool, innovations: bool) -> dict[str, npt.NDArray[Any]]: ...
     def run_all(
         self, logs: Sequence[_KalmanArrays], smooth: bool, covariance: bool, innovations: bool
+    ) -> list[dict[str, npt.NDArray[Any]] | LinksideError]: ...
+
+@final
+class ElasticJointFilter:
+    """Kalman filter on the elastic-joint model of one robot."""
+
+    def __new__(
+        cls,
+        robot: Robot,
+        *,
+        accelerations: bool,
+        motor_velocities: bool,
+        rates: bool,
+        links: bool,
+        torques: bool,
+        disturbances: bool,
+        biased: Sequence[bool],
+        first_order: bool,
+        noise: Mapping[str, Any],
+        gate: float | None,
+        iterations: int,
+    ) -> ElasticJointFilter: ...
+    @property
+    def states(self) -> int: ...
+    @property
+    def covariance(self) -> _Array: ...
+    def reset(self) -> None: ...
+    def step(self, dt: float, readings: _Signal, tau: _Signal, out: _Array) -> int: ...
+    def run(self, arrays: tuple[_Array, _Array, _Array]) -> dict[str, npt.NDArray[Any]]: ...
+    def run_all(
+        self, logs: Sequence[tuple[_Array, _Array, _Array]], smooth: bool, covariance: bool, innovations: bool
     ) -> list[dict[str, npt.NDArray[Any]] | LinksideError]: ...
 
 @final

@@ -115,7 +115,8 @@ def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, truths: t
         raise click.UsageError(f"--truth is there {len(truths)} times, for {len(logs)} logs")
     _refuse_untaken(method)
     loaded = Robot.load(robot)
-    options["tuning"] = None if options["tuning"] is None else METHODS[method].read_tuning(options["tuning"])
+    if options["tuning"] is not None:
+        options["tuning"] = METHODS[method].read_tuning(options["tuning"])
     with _naming(robot):
         run = METHODS[method].build(loaded, Options(**options))
     rows = WHOLE if METHODS[method].whole(loaded) else ROWS

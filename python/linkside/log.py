@@ -8,7 +8,7 @@ work. A NaN is a sample that is missing, and is legal everywhere but in ``t``.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
@@ -177,18 +177,19 @@ class Log:
                 if column not in self._layout.found:
                     raise self._layout.missing(column, self.source, f" (needed for {purpose})")
 
-    def require_start(self, purpose: str) -> None:
-        """Insist on every motor position in the first row: an estimate cannot start from rest without them.
+    def require_start(self, purpose: str, signals: Sequence[str] = ("theta",)) -> None:
+        """Insist on every value of ``signals`` in the first row: an estimate cannot start from rest without.
 
         Raises
         ------
         LogError
             Naming the first that is missing.
         """
-        missing = np.flatnonzero(np.isnan(self.theta[0]))
-        if len(missing):
-            column = self.columns("theta")[int(missing[0])]
-            raise LogError(f"{self.source}: row 0: {column} is missing; {purpose} cannot start without it")
+        for signal in signals:
+            missing = np.flatnonzero(np.isnan(getattr(self, signal)[0]))
+            if len(missing):
+                column = self.columns(signal)[int(missing[0])]
+                raise LogError(f"{self.source}: row 0: {column} is missing; {purpose} cannot start without it")
 
     def columns(self, signal: str) -> tuple[str, ...]:
         """Names of a signal's columns, as the recording has them."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal, TypeAlias
 
+from .elastic import ElasticJointFilter, ElasticJointSmoother, ElasticNoise
 from .estimate import Estimate
 from .kalman import ExtendedKalmanFilter, RauchTungStriebelSmoother
 from .log import Log
@@ -47,7 +48,7 @@ class Method:
     whole
         Whether it takes a log as one piece, for a robot.
     read_tuning
-        Reads its tuning file.
+        Reads the file that ``--tuning`` names.
     """
 
     help: str
@@ -72,6 +73,14 @@ def _smoother(robot: Robot, options: Options) -> Run:
     return partial(map, smoother.run) if is_late(robot) else partial(smooth_pieces, smoother)
 
 
+def _elastic_ekf(robot: Robot, options: Options) -> Run:
+    return ElasticJointFilter(robot, options.tuning, gate=options.gate).run_pieces
+
+
+def _elastic_smoother(robot: Robot, options: Options) -> Run:
+    return partial(map, ElasticJointSmoother(robot, options.tuning, gate=options.gate).run)
+
+
 METHODS = {
     "observer": Method(
         "driven by accelerometers; nothing of the links' dynamics is needed",
@@ -81,4 +90,17 @@ METHODS = {
     ),
     "ekf": Method("Kalman filter with the links' dynamics, and how sure it is", ("tuning", "gate"), _ekf, is_late),
     "smoother": Method("the same by all samples, later ones too", ("tuning", "gate"), _smoother, is_late),
+    "elastic-ekf": Method(
+        "Kalman filter on the elastic-joint dynamics, moved by the motor torques; needs no accelerometer",
+        ("tuning", "gate"),
+        _elastic_ekf,
+        read_tuning=ElasticNoise.read,
+    ),
+    "elastic-smoother": Method(
+        "the same by all samples, later ones too",
+        ("tuning", "gate"),
+        _elastic_smoother,
+        lambda _: True,
+        ElasticNoise.read,
+    ),
 }

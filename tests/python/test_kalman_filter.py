@@ -309,6 +309,16 @@ def test_tool_error_on_recordings(name):
     assert (estimates[1].q_std <= estimates[0].q_std * (1 + 1e-9)).all()
 
 
+def test_motor_velocities_as_measurements_neither_harm_nor_pretend_to_know():
+    robot, log = recording("arm2_square")
+    truth = DATA / "arm2_square/truth.parquet"
+    without, with_them = (ExtendedKalmanFilter(robot, dtheta=wanted).run(log) for wanted in (False, True))
+    assert (with_them.used == without.used + robot.n).all()
+    assert with_them.channels[5:] == ("dtheta_axis2", "dtheta_axis3")
+    assert with_them.error_against(truth).tool_rms_centred < 1.02 * LIMITS["arm2_square"][0]
+    assert np.abs(with_them.q_std / without.q_std - 1).max() < 0.01
+
+
 # Itself
 
 

@@ -2,6 +2,7 @@
 
 mod array;
 mod control;
+mod elastic_filter;
 mod error;
 mod gil;
 mod kalman;
@@ -15,6 +16,8 @@ use pyo3::prelude::*;
 mod _core {
     #[pymodule_export]
     use crate::control::{derivative_order, feedforward};
+    #[pymodule_export]
+    use crate::elastic_filter::ElasticJointFilter;
     #[pymodule_export]
     use crate::kalman::{ExtendedKalmanFilter, StretchSmoother};
     #[pymodule_export]
