@@ -233,6 +233,12 @@ def check(robot: Robot, log: Log | LogStream | None = None) -> CheckReport:
     return CheckReport(robot, limits, home, sight, influence, _worst_postures(report, q), path)
 
 
+def workspace(robot: Robot) -> Array:
+    """Postures over the workspace, evenly spread, (SAMPLES, n) [rad, m]; those of `check`."""
+    limits = _limits(robot)
+    return np.asarray(limits[0] + _sobol(2 * robot.n)[:, : robot.n] * (limits[1] - limits[0]))
+
+
 def prismatic(robot: Robot) -> list[bool]:
     """Which joints slide instead of turning."""
     return [_model(robot, name).shortname().startswith("JointModelP") for name in robot.names]

@@ -1,4 +1,4 @@
-"""The command line: ``linkside estimate``, ``tune``, ``check`` and ``demo``.
+"""The command line: ``linkside estimate``, ``tune``, ``check``, ``place`` and ``demo``.
 
 Whatever a user can get wrong is one line on standard error and exit status 2, and leaves no file behind.
 """
@@ -103,7 +103,7 @@ def main(ctx: click.Context, debug: bool) -> None:
 @click.option("--poles", type=Poles(), default="250", show_default=True, help="Frequency [rad/s], or bessel:250 …")
 @click.option("--bias", is_flag=True, help="Estimate a bias of each link acceleration as well.")
 @click.option("--form", type=click.Choice(["current", "predictor"]), default="current", show_default=True)
-@click.option("--tuning", type=click.Path(), help="Noise of a Kalman filter, as `linkside tune` writes it.")
+@click.option("--tuning", type=click.Path(), help="As `linkside tune` writes it for this method.")
 @click.option("--gate", type=float, help="Leave out readings more than so many standard deviations off.")
 @click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this file; one for each log.")
 def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, truths: tuple[str, ...], **options: Any) -> None:
@@ -140,25 +140,58 @@ def _refuse_untaken(method: str) -> None:
 @main.command()
 @click.argument("robot", type=click.Path())
 @click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
+@click.option("--with", "method", type=click.Choice(["ekf", "observer"]), default="ekf", show_default=True)
 @click.option("--out", required=True, type=click.Path(), help="The tuning file, for `linkside estimate --tuning`.")
-@click.option("--start", type=click.Path(), help="A tuning file to start from.")
-@click.option("--free", default="transmission", show_default=True, help="Which noise, by its keys in that file, a,b,c.")
-def tune(robot: str, logs: tuple[str, ...], out: str, start: str | None, free: str) -> None:
-    """Find the noise of a Kalman filter for ROBOT under which recordings are most likely."""
+@click.option("--start", type=click.Path(), help="A tuning file to start from (ekf).")
+@click.option("--free", help="Which values, by their keys in that file, a,b,c.  [default: transmission, poles]")
+@click.option("--states", multiple=True, type=click.Path(), help="What the links did, one for each LOG (observer).")
+@click.option("--figure", type=click.Path(), help="Draw the Pareto front (observer).")
+@click.option("--evaluations", type=click.IntRange(1), default=2000, help="How often to estimate LOGs (observer).")
+def tune(robot: str, logs: tuple[str, ...], method: str, **options: Any) -> None:
+    """Find the noise of a Kalman filter under which recordings are most likely, or the poles of an observer.
+
+    With `--with observer` also stiffness, damping and motor_inertia of ROBOT's drives can be free; the links' states
+    are measured ones (--states), or the smoother's.
+    """
+    for option in ("start",) if method == "observer" else ("states", "figure"):
+        if options[option]:
+            raise click.UsageError(f"--{option} is not for --with {method}")
+    _refuse_clashes([Path(options["out"])], [robot, *logs, *options["states"]])
+    check_writable(options["out"], (".yaml", ".yml"))
+    (_tune_observer if method == "observer" else _tune_noise)(robot, logs, options)
+    click.echo(f"tuning: {options['out']}")
+
+
+def _tune_noise(robot: str, logs: Sequence[str], options: dict[str, Any]) -> None:
     from linkside import progress
     from linkside import tune as module
 
     loaded = Robot.load(robot)
-    noise = None if start is None else Noise.read(start)
-    _refuse_clashes([Path(out)], [robot, *logs])
-    check_writable(out, (".yaml", ".yml"))
+    noise = None if options["start"] is None else Noise.read(options["start"])
     recordings = [Log.read(log, loaded) for log in logs]
+    free = tuple((options["free"] or "transmission").split(","))
     with progress.bar(None) as advance:
-        shown = partial(_show_best, advance)
-        result = module.tune(loaded, recordings, noise, tuple(free.split(",")), shown)
-    result.after.write(out)
+        result = module.tune(loaded, recordings, noise, free, partial(_show_best, advance, "log-likelihood"))
+    result.after.write(options["out"])
     click.echo(result.to_text(), nl=False)
-    click.echo(f"tuning: {out}")
+
+
+def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> None:
+    from linkside import progress, tune_observer
+
+    loaded = Robot.load(robot)
+    _check_figure(options["figure"], [robot, *logs, *options["states"], options["out"]])
+    recordings = [Log.read(log, loaded) for log in logs]
+    states = [Estimate.read(file) for file in options["states"]] or None
+    free = tuple((options["free"] or "poles").split(","))
+    with progress.bar(None) as advance:
+        shown = partial(_show_best, advance, "sum of ratios")
+        count = options["evaluations"]
+        front = tune_observer.tune_observer(loaded, recordings, states, free, shown, evaluations=count)
+    front.best.write(options["out"])
+    click.echo(front.to_text(), nl=False)
+    if options["figure"] is not None:
+        _draw(front.figure(), options["figure"])
 
 
 @main.command()
@@ -195,8 +228,46 @@ def demo(figure: str) -> None:
     click.echo("      your own robot: linkside check robot.yaml")
 
 
-def _show_best(advance: Callable[[str, int], None], _: int, best: float) -> None:
-    advance(f"log-likelihood {best:.1f}", 1)
+@main.command()
+@click.argument("robot", type=click.Path())
+@click.argument("logs", metavar="[LOG]...", type=click.Path(), nargs=-1)
+@click.option("--link", "links", multiple=True, help="A link that can carry a sensor; on a grid around its frame.")
+@click.option("--reach", type=float, default=0.3, show_default=True, help="How far that grid goes either way [m].")
+@click.option("--steps", type=click.IntRange(1), default=3, show_default=True, help="Its points along each direction.")
+@click.option("--axes", default="xyz", show_default=True, help="Three-axis sensors, or x,y,z for single axes.")
+@click.option("--candidates", type=click.Path(), help="A file with `accelerometers` to choose from, as in robot.yaml.")
+@click.option("--count", type=int, help="Sensors in the set.  [default: the fewest that can do]")
+@click.option("--limit", type=float, help="Take the smallest set whose score is at most this.")
+@click.option("--by", type=click.Choice(["condition", "covariance"]), default="condition", show_default=True)
+@click.option("--out", type=click.Path(), help="Where to write the chosen `accelerometers`, YAML.")
+@click.option("--figure", type=click.Path(), help="Draw where it is singular: a file that ends in .png, .pdf or .svg.")
+def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: Any) -> None:
+    """Choose accelerometers for ROBOT: those that see its joints best along LOGs, or in the whole workspace."""
+    from linkside import placement
+
+    out, inputs = options["out"], [robot, *logs, options["candidates"]]
+    if out is not None:
+        check_writable(out, (".yaml", ".yml"))
+        _refuse_clashes([Path(out)], inputs)
+    _check_figure(options["figure"], [*inputs, out])
+    loaded = Robot.load(robot)
+    sensors = [] if options["candidates"] is None else list(placement.read_candidates(options["candidates"]))
+    kinds = options["axes"].split(",")
+    with _naming(robot):
+        sensors += placement.candidates(loaded, links, reach=options["reach"], steps=options["steps"], axes=kinds)
+        where = [Log.read(log, loaded) for log in logs] or None
+        choice = {"count": options["count"], "limit": options["limit"], "criterion": options["by"]}
+        found = placement.place(loaded, sensors, where, **choice)
+    click.echo(found.to_text(), nl=False)
+    if out is not None:
+        found.write(out)
+        click.echo(f"accelerometers: {out}")
+    if options["figure"] is not None:
+        _draw(found.figure(), options["figure"])
+
+
+def _show_best(advance: Callable[[str, int], None], what: str, _: int, best: float) -> None:
+    advance(f"{what} {best:.5g}", 1)
 
 
 @dataclass(frozen=True)

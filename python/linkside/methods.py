@@ -12,7 +12,7 @@ from .estimate import Estimate
 from .kalman import ExtendedKalmanFilter, RauchTungStriebelSmoother
 from .log import Log
 from .noise import Noise
-from .observers import AccelerationObserver
+from .observer_tuning import ObserverTuning
 from .poles import PolePattern
 from .robot import Robot
 from .sensing import is_late
@@ -59,7 +59,8 @@ class Method:
 
 
 def _observer(robot: Robot, options: Options) -> Run:
-    return AccelerationObserver(robot, options.poles, bias=options.bias, form=options.form).run_pieces
+    tuning = options.tuning or ObserverTuning()
+    return tuning.observer(robot, options.poles, bias=options.bias, form=options.form).run_pieces
 
 
 def _ekf(robot: Robot, options: Options) -> Run:
@@ -82,7 +83,10 @@ def _elastic_smoother(robot: Robot, options: Options) -> Run:
 
 METHODS = {
     "observer": Method(
-        "driven by accelerometers; nothing of the links' dynamics is needed", ("poles", "bias", "form"), _observer
+        "driven by accelerometers; nothing of the links' dynamics is needed",
+        ("poles", "bias", "form", "tuning"),
+        _observer,
+        read_tuning=ObserverTuning.read,
     ),
     "ekf": Method("Kalman filter with the links' dynamics, and how sure it is", ("tuning", "gate"), _ekf, is_late),
     "smoother": Method("the same by all samples, later ones too", ("tuning", "gate"), _smoother, is_late),

@@ -115,6 +115,10 @@ class AccelerationObserver:
         """
         return self._live().step(theta, tau, acceleration)
 
+    def hold(self, tau: Signal) -> None:
+        """Replace the torque (n,) of the last `step` [N m]: in a closed loop it follows from that step's state."""
+        self._live().hold(tau)
+
     def reset(self) -> None:
         """Forget the state: the next sample starts anew, from rest."""
         self._live().reset()

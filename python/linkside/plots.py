@@ -19,6 +19,8 @@ from linkside.errors import OutputError
 
 if TYPE_CHECKING:
     from linkside.demo.run import DemoResult
+    from linkside.placement import Placement
+    from linkside.tune_observer import Front
 
 Array = npt.NDArray[np.float64]
 
@@ -65,7 +67,7 @@ def check_figure(report: CheckReport) -> Figure:
     figure = Figure(figsize=(12, 5.6), layout="constrained")
     grid = figure.add_gridspec(rows, 2, width_ratios=(1.25, 1))
     figure.suptitle(f"{report.robot.model.name}: how well the accelerometers see the links")
-    _map(figure, figure.add_subplot(grid[:, 0]), report)
+    _map(figure, figure.add_subplot(grid[:, 0]), report, _pair(report))
     _shares(figure.add_subplot(grid[0, 1]), report)
     if report.path is not None:
         _along(figure.add_subplot(grid[1, 1]), report)
@@ -88,9 +90,70 @@ def demo_figure(result: DemoResult) -> Figure:
     return figure
 
 
-def _map(figure: Figure, axes: Any, report: CheckReport) -> None:
+def placement_figure(placement: Placement) -> Figure:
+    """Draw where a placement is singular, see `Placement.figure`."""
+    report = placement.report
+    figure = Figure(figsize=(12, 5.6), layout="constrained")
+    figure.suptitle(f"{', '.join(sensor.name for sensor in placement.chosen)}: where it loses sight of the links")
+    left, right = figure.subplots(1, 2, width_ratios=(1.5, 1))
+    elastic = [joint for joint in map(int, report.influential) if report.robot.elastic[joint]]
+    pair = sorted(elastic[:2]) if len(elastic) > 1 else _pair(report)
+    _map(figure, left, report, pair)
+    if len(pair) == 2:
+        _mark_singular(left, report, pair)
+    _ranked(right, placement)
+    return figure
+
+
+def _mark_singular(axes: Any, report: CheckReport, pair: list[int]) -> None:
+    """Mark, of each kind of singularity, the posture on the map whose lost direction is most purely of that kind."""
+    q = _postures(report, pair[0], pair[1], CELLS)[2]
+    sight = Sight.of(report.robot, q)
+    lost = sight.worst > LIMIT / 2
+    for posture, marker in zip(report.singular, "XPDs*^v", strict=False):
+        if lost.any():
+            likeness = np.abs(sight.directions[lost, -1] @ posture.direction)
+            x, y = (q[lost][np.argmax(likeness), joint] * _scale(report, joint) for joint in pair)
+            axes.plot(x, y, marker, color=COLOURS[1], markeredgecolor="white", markersize=12, label=posture.words)
+    axes.legend(loc="lower left", title="singular for")
+
+
+def _ranked(axes: Any, placement: Placement) -> None:
+    """Draw each candidate's score alone, the best first, and that of the set."""
+    alone = np.sort(np.array(placement.alone))
+    shown = np.minimum(alone, 1e4 * placement.score)
+    axes.semilogy(np.arange(1, len(shown) + 1), shown, ".", color=COLOURS[0], label="candidates alone")
+    axes.axhline(placement.score, color=COLOURS[2], label="the chosen set")
+    if np.isfinite(placement.before):
+        axes.axhline(placement.before, color=COLOURS[1], linestyle="--", label="the robot's own sensors")
+    condition = placement.criterion == "condition"
+    axes.set(xlabel="candidate", ylabel="worst condition number" if condition else "standard deviation [rad/s²]")
+    _finish(axes)
+
+
+def front_figure(front: Front) -> Figure:
+    """Draw a Pareto front, see `Front.figure`."""
+    figure = Figure(figsize=(12, 4.2), layout="constrained")
+    figure.suptitle("Errors and noise of the observer, in multiples of those before tuning")
+    noise = front.ratios[:, -1]
+    for axes, column, name in zip(figure.subplots(1, 3), range(3), ("position", "velocity", "torsion"), strict=True):
+        error = front.ratios[:, column]
+        axes.plot(noise, error, "o", color=COLOURS[0], markersize=4, label="the front")
+        axes.plot(1, 1, "X", color="0.4", markersize=9, label="before")
+        chosen = noise[front.recommended], error[front.recommended]
+        axes.plot(*chosen, "*", color=COLOURS[1], markersize=15, label="recommended")
+        axes.set(xlabel="noise of link velocity", ylabel=f"error of {name}", ylim=(0, None))
+        _finish(axes)
+    return figure
+
+
+def _pair(report: CheckReport) -> list[int]:
+    """The two joints whose position matters most."""
     first = [int(joint) for joint in report.influential]
-    pair = sorted((first + [joint for joint in range(report.robot.n) if joint not in first])[:2])
+    return sorted((first + [joint for joint in range(report.robot.n) if joint not in first])[:2])
+
+
+def _map(figure: Figure, axes: Any, report: CheckReport, pair: list[int]) -> None:
     if len(pair) == 1:
         _line(axes, report)
         return
@@ -108,15 +171,21 @@ def _sweep(report: CheckReport, across: int, up: int) -> tuple[Array, Array, Arr
 
     A cell shows the worst of some postures in it, or else narrow singular curves would fall between the samples.
     """
-    low, high = report.limits
-    middles = (np.arange(CELLS * FINER) + 0.5) / (CELLS * FINER)
-    x, y = (low[joint] + middles * (high - low)[joint] for joint in (across, up))
-    q = np.tile(report.home, (len(x) * len(y), 1))
-    q[:, across], q[:, up] = np.tile(x, len(y)), np.repeat(y, len(x))
+    low, high, q = _postures(report, across, up, CELLS * FINER)
     worst = np.concatenate([Sight.of(report.robot, part).worst for part in np.array_split(q, 16)])
     cells = np.minimum(worst, 1e12).reshape(CELLS, FINER, CELLS, FINER).max(axis=(1, 3))
     edges = (np.linspace(low[j], high[j], CELLS + 1) * _scale(report, j) for j in (across, up))
     return next(edges), next(edges), cells
+
+
+def _postures(report: CheckReport, across: int, up: int, count: int) -> tuple[Array, Array, Array]:
+    """Limits of all joints, and postures over two of them, `count` along each, all others at home."""
+    low, high = report.limits
+    middles = (np.arange(count) + 0.5) / count
+    x, y = (low[joint] + middles * (high - low)[joint] for joint in (across, up))
+    q = np.tile(report.home, (count * count, 1))
+    q[:, across], q[:, up] = np.tile(x, count), np.repeat(y, count)
+    return low, high, q
 
 
 def _draw_path(axes: Any, report: CheckReport, pair: list[int]) -> None:

@@ -143,6 +143,14 @@ pub enum DesignError {
         /// What was expected.
         expected: usize,
     },
+    /// A motion that is not known to be smooth enough for its torque.
+    #[error("the motion is given up to derivative {found}, this robot's torque needs derivative {needed}")]
+    Derivatives {
+        /// Highest derivative of the links' motion that is given.
+        found: usize,
+        /// Highest one that is needed.
+        needed: usize,
+    },
     /// The gravity iteration for a start at rest did not settle.
     #[error(
         "no static equilibrium found for the first sample: gravity is too strong for the stiffness; give an initial state"

@@ -9,9 +9,10 @@
 //! | S | inertial coupling of motors to links, strictly upper triangular | kg m² |
 //! | M, C, g | links' inertia, Coriolis matrix (Christoffel), gravity torque | |
 //!
-//! From bottom to top: [`scalar`] numbers, [`spatial`] algebra, the [`robot`], its [`dynamics`], and what is
-//! [`estimate`]d with them. The crate knows nothing of Python, allocates nothing in a step and does not panic there.
+//! From bottom to top: [`scalar`] numbers, [`spatial`] algebra, the [`robot`], its [`dynamics`], what is
+//! [`estimate`]d with them, and [`control`]. The crate knows nothing of Python, allocates nothing in a step and does not panic there.
 
+pub mod control;
 pub mod dynamics;
 pub mod error;
 pub mod estimate;

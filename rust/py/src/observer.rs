@@ -66,6 +66,10 @@ impl AccelerationObserver {
         Ok(ObserverState::of(&self.live))
     }
 
+    fn hold(&mut self, tau: Signal<'_>) -> PyResult<()> {
+        self.live.hold(tau.get("tau")?).map_err(IntoPyErr::into_py_err)
+    }
+
     /// Goes on from the live state with the rows of a log, or of a piece of one.
     fn run<'py>(
         &mut self,

@@ -1,12 +1,15 @@
-//! The number types that one kernel text serves: `f64`, first derivatives ([`Dual`]) and several samples at once ([`Lanes`]).
+//! The number types that one kernel text serves: `f64`, first derivatives ([`Dual`]), derivatives in time of
+//! any order ([`Series`]) and several samples at once ([`Lanes`]).
 
 mod dual;
 mod exponential;
 mod lanes;
+mod series;
 mod trig;
 
 pub use dual::Dual;
 pub use lanes::Lanes;
+pub use series::Series;
 
 use core::fmt::Debug;
 use core::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};

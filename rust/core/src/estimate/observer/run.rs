@@ -249,6 +249,19 @@ impl AccelerationObserver {
         }
     }
 
+    /// Replaces the torque of the last sample (n): a controller knows only after the sample what it commands until the next.
+    ///
+    /// # Errors
+    /// A wrong length.
+    pub fn hold(&mut self, tau: &[f64]) -> Result<(), DesignError> {
+        let expected = self.robot.len();
+        if tau.len() != expected {
+            return Err(DesignError::Length { what: "tau", found: tau.len(), expected });
+        }
+        self.hold_torque(tau);
+        Ok(())
+    }
+
     /// The torque that acts until the next sample: measured, less dry friction and the spring's nonlinear part.
     #[inline(always)]
     fn hold_torque(&mut self, tau: &[f64]) {

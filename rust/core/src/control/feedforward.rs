@@ -1,0 +1,221 @@
+//! Inverse dynamics of robots with elastic joints: from a smooth motion of the links to motor motion and torque.
+//!
+//! The links' recursive Newton–Euler kernel runs on power series in time ([`Series`]), which gives the torque on each link with
+//! all its derivatives in one pass. A transmission then turns D δ̇ + φ(δ) = r into torsion δ and its derivatives, from
+//! the outermost joint inwards as the inertial coupling S is strictly upper triangular:
+//! rᵢ = τ_J,ᵢ + Σ_{j>i} Sᵢⱼ θ̈ⱼ and τ = B θ̈ + Sᵀ q̈ + r + motor friction, for the models (1) and (2) of De Luca,
+//! Schröder and Thümmel (2007).
+
+use super::transmission::{Moment, SMOOTHEST, advance, damped, undamped};
+use crate::dynamics::{Kinematics, Loads};
+use crate::error::DesignError;
+use crate::robot::Robot;
+use crate::scalar::Series;
+use crate::simd::{self, Kernel};
+
+/// The highest derivative of the links' motion that can be asked for.
+pub const HIGHEST: usize = 17;
+
+/// A motion of the links.
+#[derive(Clone, Copy, Debug)]
+pub struct Path<'a> {
+    /// Times of the samples, rising [s]; T of them.
+    pub t: &'a [f64],
+    /// q and its derivatives in time one after the other, each T × n.
+    pub derivatives: &'a [f64],
+}
+
+/// What the motors have to do; each T × n.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Desired {
+    /// θ [rad].
+    pub theta: Vec<f64>,
+    /// θ̇ [rad/s].
+    pub dtheta: Vec<f64>,
+    /// Motor torque [N m].
+    pub tau: Vec<f64>,
+}
+
+/// The highest derivative of q that the motor torque depends on.
+///
+/// 2 where all joints are rigid; an undamped spring adds 2 and a damped one 1, along the longest chain of joints that S couples.
+/// So 4 without damping and coupling, 3 with damping, and with a chain of ℓ entries of S 4 + 2ℓ and 3 + ℓ.
+pub fn derivative_order(robot: &Robot) -> usize {
+    let n = robot.len();
+    let mut motors = vec![2; n];
+    let mut highest = 2;
+    for i in (0..n).rev() {
+        let load = (i + 1..n).filter(|j| robot.coupling[i * n + j] != 0.0).map(|j| motors[j]).fold(2, usize::max);
+        let drive = &robot.drives[i];
+        if drive.elastic {
+            motors[i] = load + if drive.damping > 0.0 { 1 } else { 2 };
+        }
+        highest = highest.max(load).max(motors[i]);
+    }
+    highest
+}
+
+/// Motor motion and torque for the links to follow `path`.
+///
+/// A damped torsion has a state of its own: it starts where the spring alone carries the load, as at rest, and between samples
+/// the load is taken for a cubic. With one or two derivatives more than needed, it is a polynomial of degree five or seven.
+/// O(n p²) a sample, p being [`derivative_order`].
+///
+/// # Errors
+/// Derivatives that are missing, arrays that do not fit, numbers that are not finite, times that do not rise, a robot that
+/// would need derivatives beyond [`HIGHEST`].
+pub fn inverse_dynamics(robot: &Robot, path: Path<'_>) -> Result<Desired, DesignError> {
+    let further = check(robot, path)?;
+    let level = simd::level();
+    Ok(match derivative_order(robot) + further {
+        ..5 => simd::dispatch(level, Run::<5>::new(robot, path, further)),
+        5..8 => simd::dispatch(level, Run::<8>::new(robot, path, further)),
+        8..12 => simd::dispatch(level, Run::<12>::new(robot, path, further)),
+        _ => simd::dispatch(level, Run::<{ HIGHEST + 1 }>::new(robot, path, further)),
+    })
+}
+
+/// Checks everything; how many derivatives beyond those needed are given and of use.
+fn check(robot: &Robot, path: Path<'_>) -> Result<usize, DesignError> {
+    let needed = derivative_order(robot);
+    if needed > HIGHEST {
+        let (what, expected) = ("the order of derivatives that this robot needs", "at most 17");
+        return Err(DesignError::Range { what, value: needed as f64, expected });
+    }
+    let width = path.t.len() * robot.len();
+    let given = path.derivatives.len().checked_div(width).unwrap_or(needed + 1);
+    if given * width != path.derivatives.len() || given == 0 {
+        let expected = given.max(needed + 1) * width;
+        return Err(DesignError::Length { what: "derivatives", found: path.derivatives.len(), expected });
+    }
+    if given <= needed {
+        return Err(DesignError::Derivatives { found: given - 1, needed });
+    }
+    let range = |what, value, expected| Err(DesignError::Range { what, value, expected });
+    if let Some(&value) = path.derivatives.iter().find(|v| !v.is_finite()) {
+        return range("a derivative of the motion", value, "a finite number");
+    }
+    let steps = path.t.windows(2).map(|w| w[1] - w[0]);
+    match steps.into_iter().find(|&dt| dt.is_nan() || dt <= 0.0) {
+        Some(dt) => range("a step of time", dt, "greater than 0"),
+        None => Ok(of_use(robot).min(given - 1 - needed).min(HIGHEST - needed)),
+    }
+}
+
+/// How many derivatives beyond those needed make a torsion more exact.
+fn of_use(robot: &Robot) -> usize {
+    let damped = robot.drives.iter().any(|drive| drive.elastic && drive.damping > 0.0);
+    if damped { SMOOTHEST - 1 } else { 0 }
+}
+
+/// One pass over a path, with P Taylor coefficients a signal.
+struct Run<'a, const P: usize> {
+    robot: &'a Robot,
+    path: Path<'a>,
+    /// Derivatives of q that are looked at.
+    order: usize,
+    /// Derivatives of a damped transmission's load that are known.
+    known: usize,
+    kinematics: Kinematics<Series<P>>,
+    loads: Loads<Series<P>>,
+    /// q, q̇, q̈.
+    link: [Vec<Series<P>>; 3],
+    /// τ_J, and then what each transmission carries.
+    load: Vec<Series<P>>,
+    theta: Vec<Series<P>>,
+    before: Vec<Option<Moment<P>>>,
+}
+
+impl<const P: usize> Kernel for Run<'_, P> {
+    type Output = Desired;
+
+    #[inline(always)]
+    fn run(mut self) -> Desired {
+        let size = self.path.t.len() * self.robot.len();
+        let [mut theta, mut dtheta, mut tau] = [(); 3].map(|()| Vec::with_capacity(size));
+        for row in 0..self.path.t.len() {
+            self.read(row);
+            let dt = if row == 0 { 0.0 } else { self.path.t[row] - self.path.t[row - 1] };
+            self.transmit(dt);
+            theta.extend(self.theta.iter().map(|s| s.0[0]));
+            dtheta.extend(self.theta.iter().map(|s| s.0[1]));
+            tau.extend((0..self.robot.len()).map(|joint| self.torque(joint)));
+        }
+        Desired { theta, dtheta, tau }
+    }
+}
+
+impl<'a, const P: usize> Run<'a, P> {
+    fn new(robot: &'a Robot, path: Path<'a>, further: usize) -> Self {
+        let zero = || vec![Series::default(); robot.len()];
+        Self {
+            robot,
+            path,
+            order: derivative_order(robot) + further,
+            known: 1 + further,
+            kinematics: Kinematics::new(&robot.tree),
+            loads: Loads::new(&robot.tree),
+            link: [zero(), zero(), zero()],
+            load: zero(),
+            theta: zero(),
+            before: vec![None; robot.len()],
+        }
+    }
+
+    /// The links' motion at `row`, and the torque that it takes with all derivatives.
+    #[inline(always)]
+    fn read(&mut self, row: usize) {
+        let n = self.robot.len();
+        let [q, dq, ddq] = &mut self.link;
+        for joint in 0..n {
+            let column = self.path.derivatives.iter().skip(row * n + joint).step_by(self.path.t.len() * n);
+            q[joint] = Series::from_derivatives(column.take(self.order + 1).copied());
+            dq[joint] = q[joint].rate();
+            ddq[joint] = dq[joint].rate();
+        }
+        let tree = &self.robot.tree;
+        self.kinematics.set_motion(tree, q, dq, ddq);
+        self.loads.inverse_dynamics_into(tree, &self.kinematics, &mut self.load);
+        for ((load, drive), &dq) in self.load.iter_mut().zip(&self.robot.drives).zip(dq.iter()) {
+            *load += drive.link_friction(dq).0;
+        }
+    }
+
+    /// Motor positions, from the outermost joint inwards, `dt` after the sample before.
+    #[inline(always)]
+    fn transmit(&mut self, dt: f64) {
+        let n = self.robot.len();
+        for i in (0..n).rev() {
+            for j in (i + 1..n).filter(|j| self.robot.coupling[i * n + j] != 0.0) {
+                self.load[i] += self.theta[j].rate().rate() * self.robot.coupling[i * n + j];
+            }
+            self.theta[i] = self.link[0][i] + self.torsion(i, dt);
+        }
+    }
+
+    #[inline(always)]
+    fn torsion(&mut self, joint: usize, dt: f64) -> Series<P> {
+        let (drive, load) = (&self.robot.drives[joint], self.load[joint]);
+        if !drive.elastic {
+            return Series::default();
+        }
+        if drive.damping == 0.0 {
+            return undamped(drive, load);
+        }
+        let torsion = match self.before[joint] {
+            Some(before) => advance(drive, before, dt, load, self.known),
+            None => drive.torsion(load.value()),
+        };
+        self.before[joint] = Some(Moment { load, torsion });
+        damped(drive, load, torsion)
+    }
+
+    #[inline(always)]
+    fn torque(&self, joint: usize) -> f64 {
+        let (n, drive) = (self.robot.len(), &self.robot.drives[joint]);
+        let coupled: f64 = (0..joint).map(|i| self.robot.coupling[i * n + joint] * self.link[2][i].value()).sum();
+        let speed = self.theta[joint].0[1];
+        let friction = drive.motor_friction.viscous * speed + drive.dry_friction(speed);
+        drive.motor_inertia * 2.0 * self.theta[joint].0[2] + coupled + self.load[joint].value() + friction
+    }
+}

@@ -1,0 +1,4 @@
+//! Torques that make a robot with elastic joints do what is wanted.
+
+pub mod feedforward;
+mod transmission;
