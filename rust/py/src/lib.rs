@@ -4,6 +4,7 @@ mod array;
 mod error;
 mod gil;
 mod kalman;
+mod likelihood;
 mod observer;
 mod robot;
 
@@ -14,6 +15,8 @@ use pyo3::prelude::*;
 mod _core {
     #[pymodule_export]
     use crate::kalman::{ExtendedKalmanFilter, StretchSmoother};
+    #[pymodule_export]
+    use crate::likelihood::Likelihood;
     #[pymodule_export]
     use crate::observer::{AccelerationObserver, ObserverState, observer_gains};
     #[pymodule_export]
