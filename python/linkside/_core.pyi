@@ -93,6 +93,27 @@ class ObserverState:
     def status(self) -> int: ...
 
 @final
+class Likelihood:
+    """Likelihood of one recording."""
+
+    def __new__(
+        cls,
+        robot: Robot,
+        signals: Mapping[str, Any],
+        *,
+        noise: Mapping[str, Any],
+        biased: Sequence[bool],
+        torque: bool,
+        held: bool,
+        fixed: Sequence[tuple[tuple[str, int, int], float]],
+        huber: float,
+    ) -> Likelihood: ...
+    def log_likelihood(self, names: Sequence[tuple[str, int, int]], values: Sequence[float]) -> float: ...
+    def evaluate(
+        self, names: Sequence[tuple[str, int, int]], values: Sequence[float], detail: bool = False
+    ) -> dict[str, Any]: ...
+
+@final
 class ExtendedKalmanFilter:
     """Extended Kalman filter of one robot."""
 

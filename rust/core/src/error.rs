@@ -1,5 +1,6 @@
 //! What can be wrong with what a user gives us. Below the boundary kernels do not fail.
 
+use crate::estimate::likelihood::Parameter;
 use thiserror::Error;
 
 /// A robot that cannot be computed with.
@@ -150,6 +151,12 @@ pub enum DesignError {
         found: usize,
         /// Highest one that is needed.
         needed: usize,
+    },
+    /// A parameter of a joint, a sensor or an axis that does not exist.
+    #[error("the robot has no {parameter:?}")]
+    NoParameter {
+        /// The parameter.
+        parameter: Parameter,
     },
     /// The gravity iteration for a start at rest did not settle.
     #[error(

@@ -17,7 +17,7 @@ use std::sync::Arc;
 /// Standard deviations of everything that is random.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
-struct Noise {
+pub(crate) struct Noise {
     jerk: Vec<f64>,
     reading: Vec<f64>,
     torsion: f64,

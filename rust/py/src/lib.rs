@@ -6,6 +6,7 @@ mod elastic_filter;
 mod error;
 mod gil;
 mod kalman;
+mod likelihood;
 mod observer;
 mod robot;
 
@@ -20,6 +21,8 @@ mod _core {
     use crate::elastic_filter::ElasticJointFilter;
     #[pymodule_export]
     use crate::kalman::{ExtendedKalmanFilter, StretchSmoother};
+    #[pymodule_export]
+    use crate::likelihood::Likelihood;
     #[pymodule_export]
     use crate::observer::{AccelerationObserver, ObserverState, observer_gains};
     #[pymodule_export]

@@ -1,6 +1,7 @@
 //! Estimators: a model and a method.
 
 pub mod kalman;
+pub mod likelihood;
 pub mod observer;
 mod status;
 

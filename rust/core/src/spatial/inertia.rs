@@ -18,6 +18,23 @@ pub struct Inertia<T> {
 }
 
 impl<T: Scalar> Inertia<T> {
+    /// The moments of a mass `m` in the point `at`.
+    pub fn point(m: T, at: &Vec3<T>) -> Self {
+        let first = at.scale(m);
+        Self { mass: m, first, second: Sym3::outer(at, &first) }
+    }
+
+    /// The same mass turned by `rotation`, then moved by `origin`.
+    #[inline(always)]
+    pub fn moved(&self, rotation: &Mat3<T>, origin: &Vec3<T>) -> Self {
+        let offset = rotation.apply(&self.first);
+        let first = offset + origin.scale(self.mass);
+        let mut second = self.second.turned(rotation);
+        second += Sym3::outer(&offset, origin);
+        second += Sym3::outer(origin, &first);
+        Self { mass: self.mass, first, second }
+    }
+
     /// Momentum of the mass moving with twist `v`; or the force that gives it the spatial acceleration `v`.
     #[inline(always)]
     pub fn apply(&self, v: &Motion<T>) -> Force<T> {
