@@ -5,6 +5,7 @@ mod error;
 mod gil;
 mod kalman;
 mod observer;
+mod particle;
 mod robot;
 
 use pyo3::prelude::*;
@@ -16,6 +17,8 @@ mod _core {
     use crate::kalman::{ExtendedKalmanFilter, StretchSmoother};
     #[pymodule_export]
     use crate::observer::{AccelerationObserver, ObserverState, observer_gains};
+    #[pymodule_export]
+    use crate::particle::ParticleFilter;
     #[pymodule_export]
     use crate::robot::Robot;
 }

@@ -2,6 +2,7 @@
 
 pub mod kalman;
 pub mod observer;
+pub mod particle;
 mod status;
 
 pub use status::Status;
