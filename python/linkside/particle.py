@@ -88,6 +88,9 @@ class ParticleFilter:
         Degrees of freedom of Student's noise by kind of channel, such as ``{"acceleration": 4}``.
     limits
         Least and largest position by joint [rad]; particles beyond are impossible.
+    initial : (k, n)
+        Link positions at rest that particles start from in turn, each spread by ``noise.position`` [rad]: a belief with
+        several peaks, say. None: the posture in which the first motor positions hold the links.
     collapse
         When no particle explains a sample: ``"raise"``, or ``"recover"``, which goes on as if it were missing.
     quantiles
@@ -122,6 +125,7 @@ class ParticleFilter:
         kernel: float | None = 0.2,
         outliers: Mapping[str, float] | None = None,
         limits: Mapping[str, tuple[float, float]] | None = None,
+        initial: npt.ArrayLike | None = None,
         collapse: Literal["raise", "recover"] = "raise",
         quantiles: Sequence[float] = (),
         biases: Sequence[str] = ("motor", "acceleration", "rate"),
@@ -148,6 +152,7 @@ class ParticleFilter:
             "threshold": threshold,
             "kernel": kernel,
             "limits": _by_joint(robot, limits or {}),
+            "initial": _positions(robot, initial),
             "recover": collapse == "recover",
             "quantiles": list(quantiles),
         }
@@ -297,3 +302,12 @@ def _by_joint(robot: Robot, limits: Mapping[str, tuple[float, float]]) -> list[t
         if name not in robot.names:
             raise EstimatorError(f"limits: the robot has no joint {name!r}, only {', '.join(robot.names)}")
     return [limits.get(name, (-np.inf, np.inf)) for name in robot.names]
+
+
+def _positions(robot: Robot, initial: npt.ArrayLike | None) -> list[float]:
+    if initial is None:
+        return []
+    rows = np.atleast_2d(np.asarray(initial, float))
+    if rows.ndim != 2 or rows.shape[1] != robot.n:  # noqa: PLR2004
+        raise EstimatorError(f"initial has shape {np.shape(initial)}, expected one row of {robot.n} a start")
+    return list(rows.ravel())

@@ -30,6 +30,7 @@ struct Settings {
     kernel: Option<f64>,
     tails: Vec<f64>,
     limits: Vec<(f64, f64)>,
+    initial: Vec<f64>,
     recover: bool,
     quantiles: Vec<f64>,
 }
@@ -49,7 +50,7 @@ impl Settings {
             "multinomial" => Resampling::Multinomial,
             other => return unknown("resampling", other),
         };
-        let Self { particles, seed, threshold, kernel, tails, limits, quantiles, .. } = self;
+        let Self { particles, seed, threshold, kernel, tails, limits, initial, quantiles, .. } = self;
         let collapse = if self.recover { Collapse::Recover } else { Collapse::Stop };
         Ok(ParticleSettings {
             particles,
@@ -60,6 +61,7 @@ impl Settings {
             kernel,
             tails,
             limits,
+            initial,
             collapse,
             quantiles,
         })

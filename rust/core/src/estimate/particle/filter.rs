@@ -7,7 +7,7 @@ use super::proposal::{Advance, Reading, Sample, Walk};
 use super::random::{Purpose, Stream};
 use super::resample;
 use super::settings::{Collapse, ParticleSettings, Proposal};
-use super::start::scatter;
+use super::start::Start;
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
 use crate::estimate::kalman::{Gaussian, JerkDriven, KalmanRecording, KalmanSample, Keep, Model, Tool, FilterOutput};
@@ -112,6 +112,9 @@ impl ParticleFilter {
             self.start(&sample)?;
         }
         self.prepare(&sample);
+        if !self.started {
+            self.scatter();
+        }
         self.advance();
         if !self.summarise() {
             self.recover()?;
@@ -127,10 +130,21 @@ impl ParticleFilter {
         for (variance, bias) in self.bias_variance.iter_mut().zip(&jerk.biases) {
             *variance = bias.map_or(0.0, |b| self.belief.covariance.at(b, b));
         }
-        let spread = if self.marginalised { 3 * jerk.joints() } else { jerk.states() };
-        scatter(&mut self.cloud, &self.belief, spread, self.settings.seed);
         self.sample.offset = 0.0;
         Ok(())
+    }
+
+    /// The first particles.
+    fn scatter(&mut self) {
+        let Self { model, settings, belief, sample, cloud, .. } = self;
+        let n = model.jerk_model().joints();
+        let blind = settings.proposal == Proposal::Bootstrap || !settings.initial.is_empty();
+        let start = if blind {
+            Start::blind(belief, 3 * n)
+        } else {
+            Start::informed(belief, sample, model.linearised(), 3 * n)
+        };
+        start.scatter(cloud, &settings.initial, n, settings.seed);
     }
 
     /// What all particles share at this sample; the belief's mean is where they are expected.
@@ -157,6 +171,7 @@ impl ParticleFilter {
 
     /// What each reading, and each bias, is to do.
     fn plan(&mut self, readings: &[f64]) {
+        let first = !self.started;
         let Self { model, sample, bias_variance, settings, summary, marginalised, .. } = self;
         sample.readings.clear();
         sample.walks.clear();
@@ -168,7 +183,8 @@ impl ParticleFilter {
             let tail = settings.tails[channel];
             let read = !value.is_nan();
             let drawn_late = *marginalised || (read && settings.proposal != Proposal::Bootstrap && tail.is_infinite());
-            let prior = if *marginalised { bias_variance[channel] + walk } else { walk };
+            let before = if *marginalised || first { bias_variance[channel] } else { 0.0 };
+            let prior = before + walk;
             if let (false, Some(bias)) = (drawn_late || prior == 0.0, bias) {
                 sample.walks.push(Walk { bias, std: prior.sqrt() });
             }

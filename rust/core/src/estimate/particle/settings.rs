@@ -63,6 +63,8 @@ pub struct ParticleSettings {
     pub tails: Vec<f64>,
     /// Least and largest position of each joint (n).
     pub limits: Vec<(f64, f64)>,
+    /// Link positions that particles start from in turn, at rest (any number of rows of n); empty for one at rest.
+    pub initial: Vec<f64>,
     /// What to do when no particle explains a sample.
     pub collapse: Collapse,
     /// Shares of probability whose quantiles of position are reported.
@@ -99,6 +101,11 @@ impl ParticleSettings {
         length("limits", self.limits.len(), model.joints())?;
         for &(low, high) in &self.limits {
             range(low < high, "limits", low, "a lower limit below the upper one")?;
+        }
+        let rows = self.initial.len().div_ceil(model.joints());
+        length("initial", self.initial.len(), rows * model.joints())?;
+        if let Some(&q) = self.initial.iter().find(|q| !q.is_finite()) {
+            range(false, "initial", q, "finite positions")?;
         }
         for &share in &self.quantiles {
             range(share > 0.0 && share < 1.0, "quantiles", share, "shares between 0 and 1")?;
