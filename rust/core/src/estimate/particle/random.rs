@@ -89,10 +89,12 @@ fn philox<const L: usize>(words: &mut [[u32; L]; 4], seed: u64) {
 /// 52 bits as the middle of one of 2⁵² equal parts of (0, 1).
 #[inline(always)]
 fn open_unit<const L: usize>(high: &[u32; L], low: &[u32; L]) -> Lanes<L> {
-    Lanes(core::array::from_fn(|l| {
+    let mut out = Lanes([0.0; L]);
+    for l in 0..L {
         let bits = (u64::from(high[l]) << 32 | u64::from(low[l])) >> 12;
-        f64::from_bits(bits | 0x3FF0_0000_0000_0000) - (1.0 - 0.5 * f64::EPSILON)
-    }))
+        out.0[l] = f64::from_bits(bits | 0x3FF0_0000_0000_0000) - (1.0 - 0.5 * f64::EPSILON);
+    }
+    out
 }
 
 #[cfg(test)]
