@@ -97,6 +97,7 @@ class ExtendedKalmanFilter:
         cls,
         robot: Robot,
         *,
+        motor_velocities: bool,
         rates: bool,
         links: bool,
         torques: bool,
@@ -128,6 +129,37 @@ class ExtendedKalmanFilter:
     ) -> list[dict[str, npt.NDArray[Any]] | LinksideError]: ...
 
 @final
+class ElasticJointFilter:
+    """Kalman filter on the elastic-joint model of one robot."""
+
+    def __new__(
+        cls,
+        robot: Robot,
+        *,
+        accelerations: bool,
+        motor_velocities: bool,
+        rates: bool,
+        links: bool,
+        torques: bool,
+        disturbances: bool,
+        biased: Sequence[bool],
+        first_order: bool,
+        noise: Mapping[str, Any],
+        gate: float | None,
+        iterations: int,
+    ) -> ElasticJointFilter: ...
+    @property
+    def states(self) -> int: ...
+    @property
+    def covariance(self) -> _Array: ...
+    def reset(self) -> None: ...
+    def step(self, dt: float, readings: _Signal, tau: _Signal, out: _Array) -> int: ...
+    def run(self, arrays: tuple[_Array, _Array, _Array]) -> dict[str, npt.NDArray[Any]]: ...
+    def run_all(
+        self, logs: Sequence[tuple[_Array, _Array, _Array]], smooth: bool, covariance: bool, innovations: bool
+    ) -> list[dict[str, npt.NDArray[Any]] | LinksideError]: ...
+
+@final
 class StretchSmoother:
     """Smoother that takes a recording's stretches from the last to the first."""
 
@@ -146,6 +178,7 @@ class ParticleFilter:
         cls,
         robot: Robot,
         *,
+        motor_velocities: bool,
         rates: bool,
         links: bool,
         torques: bool,

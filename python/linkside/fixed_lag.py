@@ -96,7 +96,8 @@ class FixedLagSmoother:
             )
         self._begun = True
         channels = len(self.robot.acceleration_channels)
-        widths = {"rate": len(self.robot.gyroscope_channels), "q": self.robot.n, "torque": self.robot.n}
+        n = self.robot.n
+        widths = {"dtheta": n, "rate": len(self.robot.gyroscope_channels), "q": n, "torque": n}
         others = sum(widths[kind] for kind in self._filter._order)
         rest = (_sized("acceleration", acceleration, channels), _sized("further", further, others))
         return np.concatenate((motors, *rest))

@@ -74,6 +74,8 @@ class ExtendedKalmanFilter:
     damping
         Whether the damping torque D(dtheta - dq), which the paper drops, is predicted: from the log's motor velocity,
         and where that is missing from the motor positions.
+    dtheta
+        Whether motor velocities measure the state, too: a second use of what the damping torque is computed from.
     rate, q, torque
         Whether gyroscopes, link encoders (``q_<joint>``) and joint torque sensors (``torque_<joint>``) are used; by
         default where the log has them, in `step` not.
@@ -105,6 +107,7 @@ class ExtendedKalmanFilter:
         *,
         biases: Sequence[str] = ("motor", "acceleration", "rate"),
         damping: bool = True,
+        dtheta: bool = False,
         rate: bool | None = None,
         q: bool | None = None,
         torque: bool | None = None,
@@ -119,7 +122,7 @@ class ExtendedKalmanFilter:
         self.robot = robot
         self.noise = noise or Noise()
         self._biases, self._damping = tuple(biases), damping
-        self._wanted = {"rate": rate, "q": q, "torque": torque}
+        self._wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque}
         self._gate, self._iterations = gate, iterations
         self.status = 0
         self._live: _core.ExtendedKalmanFilter | None = None
@@ -181,7 +184,7 @@ class ExtendedKalmanFilter:
         dtheta, ddqref : (n,)
             Motor velocities [rad/s] and commanded link accelerations [rad/s²], where there are any.
         further : (k,)
-            Readings of the kinds asked for (``rate``, ``q``, ``torque``), one after the other in this order.
+            Readings of the kinds asked for (``dtheta``, ``rate``, ``q``, ``torque``), one after the other in this order.
         out : (states,)
             Array to write the result into.
 
@@ -307,6 +310,7 @@ class ExtendedKalmanFilter:
         factors = np.broadcast_to(factor, self._width("acceleration"))
         arrays["reading"][sensors] = list(arrays["reading"][sensors] * factors)
         return {
+            "motor_velocities": "dtheta" in kinds,
             "rates": "rate" in kinds,
             "links": "q" in kinds,
             "torques": "torque" in kinds,

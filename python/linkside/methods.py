@@ -12,6 +12,7 @@ from .kalman import ExtendedKalmanFilter, RauchTungStriebelSmoother
 from .log import Log
 from .noise import Noise
 from .observers import AccelerationObserver
+from .particle import MarginalizedParticleFilter, ParticleFilter
 from .poles import PolePattern
 from .robot import Robot
 from .sensing import is_late
@@ -30,6 +31,8 @@ class Options:
     form: Literal["current", "predictor"]
     tuning: Noise | None
     gate: float | None
+    particles: int
+    seed: int
 
 
 @dataclass(frozen=True)
@@ -68,10 +71,20 @@ def _smoother(robot: Robot, options: Options) -> Run:
     return partial(map, smoother.run) if is_late(robot) else partial(smooth_pieces, smoother)
 
 
+def _particle(method: type[ParticleFilter], robot: Robot, options: Options) -> Run:
+    return method(robot, options.tuning, particles=options.particles, seed=options.seed).run_pieces
+
+
 METHODS = {
     "observer": Method(
         "driven by accelerometers; nothing of the links' dynamics is needed", ("poles", "bias", "form"), _observer
     ),
     "ekf": Method("Kalman filter with the links' dynamics, and how sure it is", ("tuning", "gate"), _ekf, is_late),
     "smoother": Method("the same by all samples, later ones too", ("tuning", "gate"), _smoother, is_late),
+    "particle": Method(
+        "weighted samples of the state", ("tuning", "particles", "seed"), partial(_particle, ParticleFilter)
+    ),
+    "marginalized": Method(
+        "the same, biases in closed form", ("tuning", "particles", "seed"), partial(_particle, MarginalizedParticleFilter)
+    ),
 }

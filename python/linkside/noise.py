@@ -46,7 +46,7 @@ class Noise(BaseModel):
     torsion
         Relative error of the predicted torsion, as of a stiffness that is not quite right.
     motor_velocity
-        Noise of the motor velocity that the damping torque is computed from [rad/s].
+        Noise of the motor velocity, which the damping torque is computed from [rad/s].
     acceleration, rate
         Noise of accelerometers and gyroscopes, in multiples of their ``noise_std``.
     link
@@ -108,11 +108,12 @@ class Noise(BaseModel):
         per_kind = {
             "motor": (self._motor(robot), self.motor_bias, self.motor_bias_walk),
             "acceleration": (
-                self.acceleration * _sensor_noise(robot.accelerometers),
+                self.acceleration * sensor_noise(robot.accelerometers),
                 self.acceleration_bias,
                 self.acceleration_bias_walk,
             ),
-            "rate": (self.rate * _sensor_noise(robot.gyroscopes), self.rate_bias, self.rate_bias_walk),
+            "dtheta": (np.full(n, self.motor_velocity), 0.0, 0.0),
+            "rate": (self.rate * sensor_noise(robot.gyroscopes), self.rate_bias, self.rate_bias_walk),
             "q": (np.full(n, self.link), 0.0, 0.0),
             "torque": (np.full(n, self.joint_torque), 0.0, 0.0),
         }
@@ -130,10 +131,14 @@ class Noise(BaseModel):
 
     def _motor(self, robot: Robot) -> FloatArray:
         """Encoder steps, the transmission's error, and what the damping torque's velocity adds, D/K of its noise."""
-        step = robot.config.encoder.resolution / np.sqrt(12)
         lag = np.array([d.damping / d.stiffness if d.elastic and d.stiffness else 0.0 for d in robot.drives])
-        own = per_joint("transmission", self.transmission, robot.n)
-        return np.asarray(np.sqrt(step**2 + own**2 + (lag * self.motor_velocity) ** 2))
+        return np.asarray(np.hypot(motor_noise(robot, self.transmission), lag * self.motor_velocity))
+
+
+def motor_noise(robot: Robot, transmission: float | tuple[float, ...]) -> FloatArray:
+    """Noise of motor positions (n,) [rad]: encoder steps, and the transmission's error."""
+    step = robot.config.encoder.resolution / np.sqrt(12)
+    return np.asarray(np.hypot(step, per_joint("transmission", transmission, robot.n)))
 
 
 def per_joint(name: str, value: float | tuple[float, ...], n: int) -> FloatArray:
@@ -156,5 +161,6 @@ def jerk_scale(log: Log) -> FloatArray:
     return np.asarray(np.maximum(LEAST_JERK, np.sqrt(np.mean(jerk**2, axis=0) * JERK_TIME)))
 
 
-def _sensor_noise(sensors: Any) -> FloatArray:
+def sensor_noise(sensors: Any) -> FloatArray:
+    """Noise of each channel of ``sensors`` as robot.yaml has it."""
     return np.concatenate([np.full(len(s.axes), s.noise_std) for s in sensors]) if sensors else np.zeros(0)

@@ -122,7 +122,7 @@ class ParticleFilter:
         proposal_tail: int | None = None,
         resampling: Literal["systematic", "stratified", "residual", "multinomial"] = "systematic",
         threshold: float = 0.5,
-        kernel: float | None = 0.2,
+        kernel: float | None = 0.5,
         outliers: Mapping[str, float] | None = None,
         limits: Mapping[str, tuple[float, float]] | None = None,
         initial: npt.ArrayLike | None = None,

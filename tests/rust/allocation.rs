@@ -108,19 +108,23 @@ fn a_step_allocates_nothing() {
 
 #[test]
 fn a_kalman_step_allocates_nothing() {
-    let model =
-        JerkModel::new(Arc::new(robot()), Further { links: true, torques: true, rates: false }, &[true; 24]).unwrap();
+    let model = JerkModel::new(
+        Arc::new(robot()),
+        Further { links: true, torques: true, rates: false, motor_velocities: true },
+        &[true; 30],
+    )
+    .unwrap();
     let noise = Noise {
         jerk: vec![20.0; 6],
-        reading: vec![1e-3; 24],
+        reading: vec![1e-3; 30],
         torsion: 1e-3,
-        bias_walk: vec![1e-6; 24],
+        bias_walk: vec![1e-6; 30],
         initial: vec![1e-3; 18],
-        initial_bias: vec![1e-4; 24],
+        initial_bias: vec![1e-4; 30],
     };
     let settings = FilterSettings { gate: Some(50.0), iterations: 2 };
     let mut filter = ExtendedKalmanFilter::new(JerkDriven::new(model, noise, true).unwrap(), settings).unwrap();
-    let (readings, missing) = ([0.1; 24], [f64::NAN; 24]);
+    let (readings, missing) = ([0.1; 30], [f64::NAN; 30]);
     let mut step = |readings: &[f64], dtheta: &[f64]| {
         let inputs = Inputs { dtheta, jerk: &[0.5; 6], tau: &[] };
         filter.step(KalmanSample { dt: 5e-4, readings, inputs }).unwrap();

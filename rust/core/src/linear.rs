@@ -162,3 +162,52 @@ pub(crate) fn subtract_pair(y: &mut [f64], p: f64, u: &[f64], q: f64, v: &[f64])
         *y -= p * u + q * v;
     }
 }
+
+/// L of A = L Lᵀ over A's lower triangle, row-major n × n; false when A is not positive definite.
+#[inline(always)]
+pub(crate) fn cholesky(a: &mut [f64], n: usize) -> bool {
+    for i in 0..n {
+        for j in 0..=i {
+            let mut sum = a[i * n + j];
+            for k in 0..j {
+                sum -= a[i * n + k] * a[j * n + k];
+            }
+            if i > j {
+                a[i * n + j] = sum / a[j * n + j];
+            } else if sum > 0.0 {
+                a[i * n + i] = sum.sqrt();
+            } else {
+                return false;
+            }
+        }
+    }
+    true
+}
+
+/// X of L Lᵀ X = B, in place: B has n rows of `width`.
+#[inline(always)]
+pub(crate) fn solve(l: &[f64], n: usize, b: &mut [f64], width: usize) {
+    for i in 0..n {
+        let (done, rest) = b.split_at_mut(i * width);
+        let own = &mut rest[..width];
+        for (k, row) in done.chunks_exact(width).enumerate() {
+            add_scaled(own, -l[i * n + k], row);
+        }
+        scale(own, 1.0 / l[i * n + i]);
+    }
+    for i in (0..n).rev() {
+        let (rest, done) = b.split_at_mut((i + 1) * width);
+        let own = &mut rest[i * width..];
+        for (k, row) in done.chunks_exact(width).enumerate() {
+            add_scaled(own, -l[(i + 1 + k) * n + i], row);
+        }
+        scale(own, 1.0 / l[i * n + i]);
+    }
+}
+
+#[inline(always)]
+fn scale(row: &mut [f64], factor: f64) {
+    for x in row {
+        *x *= factor;
+    }
+}

@@ -60,3 +60,17 @@ impl Signal<'_> {
         }
     }
 }
+
+/// Runs `work`, which gives the values of `out`, once `out` has been found to hold `expected` numbers that may be written.
+pub(crate) fn write_into<R>(
+    out: &Bound<'_, PyArray1<f64>>,
+    expected: usize,
+    work: impl FnOnce(&mut [f64]) -> PyResult<R>,
+) -> PyResult<R> {
+    let mut out = out.try_readwrite().map_err(|e| EstimatorError::new_err(format!("out: {e}")))?;
+    let out = out.as_slice_mut().map_err(|_| EstimatorError::new_err("out is not contiguous"))?;
+    if out.len() != expected {
+        return Err(EstimatorError::new_err(format!("out has {} entries, expected {expected}", out.len())));
+    }
+    work(out)
+}

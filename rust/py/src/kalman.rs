@@ -1,7 +1,7 @@
 //! Kalman filter and smoother on the acceleration-driven model.
 
-use crate::array::{Signal, rows, shaped};
-use crate::error::{EstimatorError, IntoPyErr, outcome};
+use crate::array::{Signal, rows, shaped, write_into};
+use crate::error::{IntoPyErr, outcome};
 use crate::gil::Release;
 use crate::robot::Robot;
 use linkside_core::error::RunError;
@@ -9,7 +9,7 @@ use linkside_core::estimate::kalman::{
     self, FilterOutput, FilterSettings, Further, Inputs, JerkDriven, JerkModel, KalmanRecording, KalmanSample, Keep,
     Model,
 };
-use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
+use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::Arc;
@@ -99,7 +99,7 @@ impl Live {
 }
 
 /// Copies a signal, or NaN where there is none.
-fn fill(to: &mut [f64], name: &str, signal: Option<&Signal<'_>>) -> PyResult<()> {
+pub(crate) fn fill(to: &mut [f64], name: &str, signal: Option<&Signal<'_>>) -> PyResult<()> {
     match signal {
         Some(signal) => to.copy_from_slice(signal.sized(name, to.len())?),
         None => to.fill(f64::NAN),
@@ -107,15 +107,16 @@ fn fill(to: &mut [f64], name: &str, signal: Option<&Signal<'_>>) -> PyResult<()>
     Ok(())
 }
 
-type Matrix<'py> = PyReadonlyArray2<'py, f64>;
+pub(crate) type Matrix<'py> = PyReadonlyArray2<'py, f64>;
 pub(crate) type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'py>, Matrix<'py>);
 
 #[pymethods]
 impl ExtendedKalmanFilter {
     #[new]
-    #[pyo3(signature = (robot, *, rates, links, torques, biased, noise, gate, iterations, damping))]
+    #[pyo3(signature = (robot, *, motor_velocities, rates, links, torques, biased, noise, gate, iterations, damping))]
     fn new(
         robot: &Robot,
+        motor_velocities: bool,
         rates: bool,
         links: bool,
         torques: bool,
@@ -126,7 +127,8 @@ impl ExtendedKalmanFilter {
         damping: bool,
     ) -> PyResult<Self> {
         let build = || {
-            let model = JerkModel::new(Arc::clone(&robot.0), Further { rates, links, torques }, &biased)?;
+            let model =
+                JerkModel::new(Arc::clone(&robot.0), Further { motor_velocities, rates, links, torques }, &biased)?;
             let model = JerkDriven::new(model, noise.into(), damping)?;
             kalman::ExtendedKalmanFilter::new(model, FilterSettings { gate, iterations })
         };
@@ -164,26 +166,22 @@ impl ExtendedKalmanFilter {
         out: &Bound<'_, PyArray1<f64>>,
     ) -> PyResult<u8> {
         let states = self.filter.model().states();
-        let mut out = out.try_readwrite().map_err(|e| EstimatorError::new_err(format!("out: {e}")))?;
-        let out = out.as_slice_mut().map_err(|_| EstimatorError::new_err("out is not contiguous"))?;
-        if out.len() != states {
-            return Err(EstimatorError::new_err(format!("out has {} entries, expected {states}", out.len())));
-        }
         let sensors = self.filter.model().acceleration_channels();
-        self.live.set(
-            dt,
-            sensors,
-            &theta,
-            acceleration.as_ref(),
-            dtheta.as_ref(),
-            ddqref.as_ref(),
-            further.as_ref(),
-        )?;
-        let Self { filter, live, .. } = self;
-        let sample = KalmanSample { dt, readings: &live.readings, inputs: live.inputs() };
-        filter.step(sample).map_err(IntoPyErr::into_py_err)?;
-        out.copy_from_slice(&self.filter.belief().mean);
-        Ok(self.filter.status())
+        write_into(out, states, |out| {
+            self.live.set(
+                dt,
+                sensors,
+                &theta,
+                acceleration.as_ref(),
+                dtheta.as_ref(),
+                ddqref.as_ref(),
+                further.as_ref(),
+            )?;
+            let sample = KalmanSample { dt, readings: &self.live.readings, inputs: self.live.inputs() };
+            self.filter.step(sample).map_err(IntoPyErr::into_py_err)?;
+            out.copy_from_slice(&self.filter.belief().mean);
+            Ok(self.filter.status())
+        })
     }
 
     /// Covariance of the state after the last sample.
@@ -238,7 +236,12 @@ pub(crate) fn recording<'a>(model: &JerkDriven, arrays: &'a Arrays<'_>) -> PyRes
 }
 
 /// The fields of an estimate, by name, as arrays of one row a sample; what was not kept is not there.
-pub(crate) fn into_dict<'py>(py: Python<'py>, o: FilterOutput, model: &JerkDriven, tool: bool) -> PyResult<Bound<'py, PyDict>> {
+pub(crate) fn into_dict<'py>(
+    py: Python<'py>,
+    o: FilterOutput,
+    model: &impl Model,
+    tool: bool,
+) -> PyResult<Bound<'py, PyDict>> {
     let out = PyDict::new(py);
     let (n, m, states, count) = (model.robot().len(), model.channels(), model.states(), o.status.len());
     let put = |name: &str, values: Vec<f64>, shape: &[usize]| {

@@ -1,6 +1,7 @@
 //! The Python face of `linkside-core`: converts, calls, raises. No arithmetic here.
 
 mod array;
+mod elastic_filter;
 mod error;
 mod gil;
 mod kalman;
@@ -13,6 +14,8 @@ use pyo3::prelude::*;
 /// Compiled kernels of linkside.
 #[pymodule]
 mod _core {
+    #[pymodule_export]
+    use crate::elastic_filter::ElasticJointFilter;
     #[pymodule_export]
     use crate::kalman::{ExtendedKalmanFilter, StretchSmoother};
     #[pymodule_export]

@@ -1,6 +1,6 @@
 //! Particle filters on the acceleration-driven model.
 
-use crate::array::shaped;
+use crate::array::{Signal, shaped, write_into};
 use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
 use crate::kalman::{Arrays, Live, Noise, into_dict, recording};
@@ -10,8 +10,7 @@ use linkside_core::estimate::kalman::{Further, JerkDriven, JerkModel, KalmanSamp
 use linkside_core::estimate::particle::{
     self, Collapse, ParticleOutput, ParticleSettings, Proposal, Resampling,
 };
-use crate::array::Signal;
-use numpy::{PyArray1, PyArrayMethods};
+use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::Arc;
@@ -81,9 +80,10 @@ pub(crate) struct ParticleFilter {
 #[pymethods]
 impl ParticleFilter {
     #[new]
-    #[pyo3(signature = (robot, *, rates, links, torques, biased, noise, damping, marginalised, settings))]
+    #[pyo3(signature = (robot, *, motor_velocities, rates, links, torques, biased, noise, damping, marginalised, settings))]
     fn new(
         robot: &Robot,
+        motor_velocities: bool,
         rates: bool,
         links: bool,
         torques: bool,
@@ -96,7 +96,7 @@ impl ParticleFilter {
         let settings = settings.into_core()?;
         let levels = settings.quantiles.len();
         let build = || -> Result<_, DesignError> {
-            let model = JerkModel::new(Arc::clone(&robot.0), Further { rates, links, torques }, &biased)?;
+            let model = JerkModel::new(Arc::clone(&robot.0), Further { motor_velocities, rates, links, torques }, &biased)?;
             let model = JerkDriven::new(model, noise.into(), damping)?;
             particle::ParticleFilter::new(model, settings, marginalised)
         };
@@ -129,19 +129,16 @@ impl ParticleFilter {
         out: &Bound<'_, PyArray1<f64>>,
     ) -> PyResult<u8> {
         let states = self.filter.model().states();
-        let mut out = out.try_readwrite().map_err(|e| EstimatorError::new_err(format!("out: {e}")))?;
-        let out = out.as_slice_mut().map_err(|_| EstimatorError::new_err("out is not contiguous"))?;
-        if out.len() != states {
-            return Err(EstimatorError::new_err(format!("out has {} entries, expected {states}", out.len())));
-        }
         let sensors = self.filter.model().acceleration_channels();
         let signals = (acceleration.as_ref(), dtheta.as_ref(), ddqref.as_ref(), further.as_ref());
-        self.live.set(dt, sensors, &theta, signals.0, signals.1, signals.2, signals.3)?;
         let Self { filter, live, .. } = self;
-        let sample = KalmanSample { dt, readings: &live.readings, inputs: live.inputs() };
-        py.release(|| filter.step(sample))?;
-        out.copy_from_slice(&self.filter.summary().mean);
-        Ok(self.filter.summary().status)
+        write_into(out, states, |out| {
+            live.set(dt, sensors, &theta, signals.0, signals.1, signals.2, signals.3)?;
+            let sample = KalmanSample { dt, readings: &live.readings, inputs: live.inputs() };
+            py.release(|| filter.step(sample))?;
+            out.copy_from_slice(&filter.summary().mean);
+            Ok(filter.summary().status)
+        })
     }
 
     /// Effective number of particles after the last sample.

@@ -149,6 +149,18 @@ impl Drive {
         ((a - b) * g1 + c * g4 + v * g6, slope)
     }
 
+    /// Slope of [`dry_friction`](Self::dry_friction) at speed `v` [rad/s] [N m s/rad].
+    #[inline(always)]
+    pub fn dry_friction_slope<T: Scalar>(&self, v: T) -> T {
+        match self.motor_friction.coulomb {
+            0.0 => T::default(),
+            coulomb => {
+                let square = v * v + CREEP * CREEP;
+                T::constant(coulomb * CREEP * CREEP) / (square * square.sqrt())
+            }
+        }
+    }
+
     /// Dry friction of the motor at speed `v` [rad/s] [N m].
     #[inline(always)]
     pub fn dry_friction<T: Scalar>(&self, v: T) -> T {
@@ -185,6 +197,7 @@ mod tests {
             let near = |a: f64, b: f64| assert!((a - b).abs() <= 1e-13 * (1.0 + a.abs()), "{x}: {a} {b}");
             near(d.spring_torque(v).gradient[0], d.tangent_stiffness(x));
             near(d.link_friction(v).0.gradient[0], d.link_friction(x).1);
+            near(d.dry_friction(v).gradient[0], d.dry_friction_slope(x));
             let torque = d.spring_torque(v);
             near(d.torsion(torque).value, x);
             near(d.torsion(torque).gradient[0], 1.0);

@@ -4,11 +4,12 @@ use super::channels::{Channel, Evaluation};
 use super::gaussian::{Gaussian, Symmetric};
 use super::model::{Linearised, Model};
 use super::output::FilterOutput;
-use super::recording::{KalmanRecording, KalmanSample, expect_length};
+use super::recording::{KalmanRecording, KalmanSample, check_deviations, check_readings, expect_length};
 use super::slope::Slope;
 use crate::error::DesignError;
 use crate::estimate::observer::link_position_at_rest;
 use crate::robot::Robot;
+use crate::scalar::Dual;
 use std::sync::Arc;
 
 /// State (q, q̇, q̈, biases) and the channels that measure it (Axelsson, Karlsson and Norrlöf 2012, eqs. (9)–(17)).
@@ -41,6 +42,8 @@ pub struct Noise {
 /// Channels that a log may have beside motor positions and accelerometers.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Further {
+    /// Motor velocities of all joints.
+    pub motor_velocities: bool,
     /// The robot's gyroscopes.
     pub rates: bool,
     /// Link positions of all joints.
@@ -50,13 +53,14 @@ pub struct Further {
 }
 
 impl Further {
-    /// All channels: motor positions, accelerometer axes, gyroscope axes, link positions, torques.
-    fn channels(self, robot: &Robot) -> Vec<Channel> {
+    /// All channels: motor positions, accelerometer axes, motor velocities, gyroscope axes, link positions, torques.
+    pub(super) fn channels(self, robot: &Robot) -> Vec<Channel> {
         let joints = || 0..robot.len();
         let mut channels: Vec<_> = joints().map(Channel::Motor).collect();
         for (sensor, s) in robot.accelerometers.iter().enumerate() {
             channels.extend(s.axes.iter().map(|&axis| Channel::Acceleration { sensor, axis }));
         }
+        channels.extend(joints().filter(|_| self.motor_velocities).map(Channel::MotorVelocity));
         for (sensor, s) in robot.gyroscopes.iter().enumerate().filter(|_| self.rates) {
             channels.extend(s.axes.iter().map(|&axis| Channel::Rate { sensor, axis }));
         }
@@ -97,6 +101,11 @@ impl JerkModel {
     /// Number of channels.
     pub fn channels(&self) -> usize {
         self.channels.len()
+    }
+
+    /// What is measured, in the order of the readings.
+    pub fn channel_list(&self) -> &[Channel] {
+        &self.channels
     }
 
     /// Number of accelerometer channels.
@@ -202,17 +211,8 @@ impl JerkModel {
             ("initial_bias", initial_bias, m),
             ("torsion", &vec![*torsion], 1),
         ];
-        for (what, values, expected) in lengths {
-            expect_length(what, values.len(), expected)?;
-            let bad = |v: &&f64| !(v.is_finite() && **v >= 0.0);
-            if let Some(&value) = values.iter().find(bad) {
-                return Err(DesignError::Range { what, value, expected: "a standard deviation of at least 0" });
-            }
-        }
-        match reading.iter().find(|v| **v == 0.0) {
-            Some(&value) => Err(DesignError::Range { what: "reading", value, expected: "greater than 0" }),
-            None => Ok(()),
-        }
+        lengths.iter().try_for_each(|(what, values, expected)| check_deviations(what, values, *expected))?;
+        check_readings(reading)
     }
 }
 
@@ -236,13 +236,16 @@ pub struct JerkDriven {
     noise: Noise,
     /// Whether the damping torque D(θ̇ − q̇) is predicted.
     damping: bool,
-    evaluation: Evaluation,
+    evaluation: Evaluation<f64>,
+    /// Motor positions and how they change in time; there when motor velocities are measured.
+    motors: Option<Motors>,
     /// Where the channels are linearised.
     reference: Vec<f64>,
     /// Motor velocities for the damping torque.
     dtheta: Vec<f64>,
     slope: Slope,
     jerk: Vec<f64>,
+    dt: f64,
 }
 
 impl JerkDriven {
@@ -255,10 +258,12 @@ impl JerkDriven {
         let (n, m) = (model.joints(), model.channels());
         Ok(Self {
             evaluation: Evaluation::new(&model.robot, m),
+            motors: model.channels.contains(&Channel::MotorVelocity(0)).then(|| Motors::new(&model.robot)),
             reference: vec![0.0; 3 * n],
             dtheta: vec![f64::NAN; n],
             slope: Slope::new(n),
             jerk: vec![0.0; n],
+            dt: 0.0,
             model,
             noise,
             damping,
@@ -287,6 +292,7 @@ impl JerkDriven {
 
     #[inline(always)]
     fn take(&mut self, sample: &KalmanSample<'_>) {
+        self.dt = sample.dt;
         self.jerk.copy_from_slice(sample.inputs.jerk);
         if self.damping {
             self.dtheta.copy_from_slice(sample.inputs.dtheta);
@@ -342,8 +348,12 @@ impl Model for JerkDriven {
     #[inline(always)]
     fn linearise(&mut self, reference: &[f64]) {
         self.reference.copy_from_slice(reference);
-        let Self { model, evaluation, dtheta, .. } = self;
+        let Self { model, evaluation, dtheta, jerk, motors, .. } = self;
         evaluation.evaluate(&model.robot, &model.channels, reference, dtheta);
+        if let Some(motors) = motors {
+            motors.evaluate(&model.robot, reference, dtheta, jerk);
+            motors.write(&model.channels, evaluation);
+        }
     }
 
     #[inline(always)]
@@ -351,15 +361,22 @@ impl Model for JerkDriven {
         Linearised { prediction: &self.evaluation.prediction, jacobian: &self.evaluation.jacobian }
     }
 
-    /// A motor's has a part that grows with its predicted torsion.
+    /// A motor position's has a part that grows with its predicted torsion; a motor velocity's, what the jerk that is not
+    /// known does to the torsion's rate: with acceleration a random walk, that rate has no variance but over a step.
     #[inline(always)]
     fn variance(&self, i: usize) -> f64 {
-        let own = self.noise.reading[i] * self.noise.reading[i];
-        if i >= self.model.joints() {
-            return own;
+        let square = |x: f64| x * x;
+        let own = square(self.noise.reading[i]);
+        match self.model.channels[i] {
+            Channel::Motor(j) => own + square(self.noise.torsion * (self.evaluation.prediction[i] - self.reference[j])),
+            Channel::MotorVelocity(j) => {
+                let n = self.model.joints();
+                let by_ddq = &self.evaluation.jacobian[j * 3 * n + 2 * n..][..n];
+                let jolts: f64 = by_ddq.iter().zip(&self.noise.jerk).map(|(h, jerk)| square(h * jerk)).sum();
+                own + jolts / self.dt
+            }
+            _ => own,
         }
-        let error = self.noise.torsion * (self.evaluation.prediction[i] - self.reference[i]);
-        own + error * error
     }
 
     fn memory(&self) -> usize {
@@ -399,6 +416,49 @@ impl Model for JerkDriven {
                 dtheta += row[k] * if k < 2 * n { state[n + k] } else { jerk[k - 2 * n] };
             }
             (out.theta[i * n + j], out.dtheta[i * n + j]) = (theta, dtheta);
+        }
+    }
+}
+
+/// Motor positions with their rates: numbers that carry the derivative along time.
+#[derive(Clone, Debug)]
+struct Motors {
+    channels: Vec<Channel>,
+    evaluation: Evaluation<Dual<1>>,
+    state: Vec<Dual<1>>,
+}
+
+impl Motors {
+    fn new(robot: &Robot) -> Self {
+        let n = robot.len();
+        Self {
+            channels: (0..n).map(Channel::Motor).collect(),
+            evaluation: Evaluation::new(robot, n),
+            state: vec![Dual::default(); 3 * n],
+        }
+    }
+
+    /// At a state that moves with `jerk`; the damping torque's `dtheta` is taken to stay.
+    #[inline(always)]
+    fn evaluate(&mut self, robot: &Robot, state: &[f64], dtheta: &[f64], jerk: &[f64]) {
+        let rates = state[jerk.len()..].iter().chain(jerk);
+        for ((x, &value), &rate) in self.state.iter_mut().zip(state).zip(rates) {
+            *x = Dual { value, gradient: [rate] };
+        }
+        self.evaluation.evaluate(robot, &self.channels, &self.state, dtheta);
+    }
+
+    /// θ̇ = H ẋ and ∂θ̇/∂x = Ḣ + H ∂ẋ/∂x into the rows of the motor velocities.
+    #[inline(always)]
+    fn write(&self, channels: &[Channel], out: &mut Evaluation<f64>) {
+        let n = self.channels.len();
+        for (i, channel) in channels.iter().enumerate() {
+            let Channel::MotorVelocity(j) = *channel else { continue };
+            out.prediction[i] = self.evaluation.prediction[j].gradient[0];
+            let row = &self.evaluation.jacobian[j * 3 * n..][..3 * n];
+            for (k, out) in out.jacobian[i * 3 * n..][..3 * n].iter_mut().enumerate() {
+                *out = row[k].gradient[0] + if k < n { 0.0 } else { row[k - n].value };
+            }
         }
     }
 }

@@ -2,6 +2,8 @@
 
 mod channels;
 mod correction;
+mod elastic;
+mod field;
 mod filter;
 mod gaussian;
 mod jerk;
@@ -10,8 +12,10 @@ mod output;
 mod recording;
 mod slope;
 mod smoother;
+mod transition;
 
 pub use channels::{Channel, Evaluation};
+pub use elastic::{Discretization, ElasticModel, ElasticNoise, ElasticSettings};
 pub use filter::{ExtendedKalmanFilter, FilterSettings};
 pub use gaussian::{Gaussian, Row, Symmetric};
 pub use jerk::{Further, JerkDriven, JerkModel, Noise};

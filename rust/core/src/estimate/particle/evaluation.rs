@@ -60,6 +60,7 @@ impl<T: Scalar> Sensed<T> {
             Channel::Motor(j) => state[j] + self.torsion(&robot.drives[j], j, state[n + j], dtheta[j]).0,
             Channel::Torque(j) => self.tau[j] + robot.drives[j].link_friction(state[n + j]).0,
             Channel::Link(j) => state[j],
+            Channel::MotorVelocity(_) => T::default(),
             Channel::Acceleration { sensor, .. } => {
                 let sensor = &robot.accelerometers[sensor];
                 let force = self.kinematics.specific_force(&sensor.frame);
@@ -110,6 +111,7 @@ impl<T: Scalar> Sensed<T> {
                     self.by_increment[row * n + j] = T::constant(reach[0]);
                     1
                 }
+                Channel::MotorVelocity(_) => 1,
                 Channel::Acceleration { sensor, .. } => {
                     self.acceleration(model, row, &model.robot.accelerometers[sensor], reach)
                 }

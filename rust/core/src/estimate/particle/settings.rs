@@ -1,7 +1,7 @@
 //! How a particle filter goes about it.
 
 use crate::error::DesignError;
-use crate::estimate::kalman::JerkModel;
+use crate::estimate::kalman::{Channel, JerkModel};
 
 /// Most particles that a filter takes.
 pub const MOST_PARTICLES: usize = 1 << 22;
@@ -81,6 +81,8 @@ impl ParticleSettings {
         let length = |what, found, expected| {
             if found == expected { Ok(()) } else { Err(DesignError::Length { what, found, expected }) }
         };
+        let unused = !model.channels.contains(&Channel::MotorVelocity(0));
+        range(unused, "motor_velocities", 1.0, "0: a particle filter does not measure with them")?;
         let count = self.particles as f64;
         range((1..=MOST_PARTICLES).contains(&self.particles), "particles", count, "1 to 4194304")?;
         range((0.0..=1.0).contains(&self.threshold), "threshold", self.threshold, "a share of 0 to 1")?;

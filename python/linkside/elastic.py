@@ -1,0 +1,387 @@
+"""Kalman filter and smoother on the elastic-joint model: links and motors moved by the measured motor torques."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from os import PathLike
+from typing import Any, Literal, overload
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict
+
+from . import _core
+from .errors import EstimatorError, NumericalError
+from .estimate import result_of
+from .kalman import KalmanEstimate
+from .log import Log
+from .noise import PositiveStd, Std, motor_noise, per_joint, sensor_noise
+from .robot import Robot
+from .sensing import is_late
+from .source import Source
+
+FloatArray = npt.NDArray[np.float64]
+Signal = FloatArray | Sequence[float]
+Arrays = tuple[FloatArray, FloatArray, FloatArray]
+
+BIASED = ("motor", "acceleration", "rate")
+"""Kinds of channels that may have a bias."""
+
+
+class ElasticNoise(BaseModel):
+    """Standard deviations of the elastic-joint model, the same for all joints or sensors unless given joint by joint.
+
+    Attributes
+    ----------
+    link_acceleration, motor_acceleration
+        Density of what the equations of links and of motors leave out: velocity wanders by this in a second
+        [rad/s/√s].
+    torque
+        Noise of the motor torques, in multiples of robot.yaml's ``torque.noise_std``.
+    disturbance, disturbance_walk
+        Initial uncertainty of each motor's disturbance torque, and by how much it wanders in a second, in multiples of
+        the torque that the motor's friction has at 1 rad/s (N m if it has none).
+    transmission, motor_velocity, acceleration, rate, link, joint_torque
+        Noise of readings, as of `Noise`.
+    motor_bias, acceleration_bias, rate_bias, motor_bias_walk, acceleration_bias_walk, rate_bias_walk
+        Of biases, as of `Noise`.
+    position, velocity
+        Uncertainty of links and motors at the first sample, where the robot is taken to be at rest [rad, rad/s].
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    link_acceleration: Std | tuple[Std, ...] = 1e-2
+    motor_acceleration: Std | tuple[Std, ...] = 1e-2
+    torque: Std = 1.0
+    disturbance: Std = 0.1
+    disturbance_walk: Std = 0.1
+    transmission: Std | tuple[Std, ...] = 1e-5
+    motor_velocity: PositiveStd = 1e-3
+    acceleration: PositiveStd = 1.0
+    rate: PositiveStd = 1.0
+    link: PositiveStd = 1e-5
+    joint_torque: PositiveStd = 1.0
+    motor_bias: Std = 1e-5
+    motor_bias_walk: Std = 1e-6
+    acceleration_bias: Std = 0.1
+    acceleration_bias_walk: Std = 1e-3
+    rate_bias: Std = 1e-3
+    rate_bias_walk: Std = 1e-5
+    position: Std = 1e-4
+    velocity: Std = 1e-3
+
+    @classmethod
+    def read(cls, path: str | PathLike[str]) -> ElasticNoise:
+        """Read a tuning file: YAML with any of the attributes as keys; `ConfigError` names file, line and key."""
+        return Source.read(path).validate(cls)
+
+    def arrays(self, robot: Robot, kinds: tuple[str, ...]) -> dict[str, list[float]]:
+        """Arrays for the filter: one number a joint or channel, the channels being those of ``kinds`` in order."""
+        n = robot.n
+        per_kind = {
+            "motor": (motor_noise(robot, self.transmission), self.motor_bias, self.motor_bias_walk),
+            "acceleration": (
+                self.acceleration * sensor_noise(robot.accelerometers),
+                self.acceleration_bias,
+                self.acceleration_bias_walk,
+            ),
+            "dtheta": (np.full(n, self.motor_velocity), 0.0, 0.0),
+            "rate": (self.rate * sensor_noise(robot.gyroscopes), self.rate_bias, self.rate_bias_walk),
+            "q": (np.full(n, self.link), 0.0, 0.0),
+            "torque": (np.full(n, self.joint_torque), 0.0, 0.0),
+        }
+        chosen = [per_kind[kind] for kind in kinds]
+        spread = [np.repeat([bias, walk], len(noise)).reshape(2, -1) for noise, bias, walk in chosen]
+        drag = np.array([d.motor_friction.viscous + d.motor_friction.coulomb or 1.0 for d in robot.drives])
+        initial = [np.repeat([self.position, self.velocity], n), self.disturbance * drag]
+        arrays = {
+            "link": per_joint("link_acceleration", self.link_acceleration, n),
+            "motor": per_joint("motor_acceleration", self.motor_acceleration, n),
+            "torque": np.full(n, self.torque * robot.config.torque.noise_std),
+            "disturbance_walk": self.disturbance_walk * drag,
+            "reading": np.concatenate([noise for noise, _, _ in chosen]),
+            "bias_walk": np.concatenate([s[1] for s in spread]),
+            "initial": np.concatenate(initial),
+            "initial_bias": np.concatenate([s[0] for s in spread]),
+        }
+        return {name: values.tolist() for name, values in arrays.items()}
+
+
+class ElasticJointFilter:
+    """EKF on the full elastic-joint dynamics, driven by the motor torques of the log.
+
+    Ulrich and Sasiadek, "Extended Kalman filtering for flexible joint space robot control", ACC 2011, who measure motor
+    positions and velocities alone; here every sensor of the log is used. State: position and velocity of every link and
+    of every elastic joint's motor, a disturbance torque of each motor, and biases. Any spring, friction and coupling
+    that robot.yaml can describe is in the model, with exact derivatives.
+
+    Parameters
+    ----------
+    robot
+        The robot.
+    noise
+        How uncertain everything is.
+    accelerations
+        Whether accelerometers are used; by default where the log has them, in `step` where the robot has them.
+    dtheta, rate, q, torque
+        Whether motor velocities, gyroscopes, link encoders and joint torque sensors are used; by default where the log
+        has them, in `step` motor velocities only.
+    biases
+        Kinds of channels with a bias state: any of ``"motor"``, ``"acceleration"``, ``"rate"``.
+    disturbances
+        Whether each motor has a slowly changing torque beside the measured one, such as friction that robot.yaml does
+        not know.
+    transition
+        How the covariance is carried over a step: ``"exact"``, by the exponential of the derivatives, or
+        ``"first-order"``, 1 + A h, as in the paper.
+    gate, iterations
+        As of `ExtendedKalmanFilter`.
+
+    Raises
+    ------
+    EstimatorError
+        Settings out of range.
+
+    Notes
+    -----
+    Between samples the torque is taken to change linearly, and the mean moves by the fourth-order rule of Runge and
+    Kutta, in as many substeps as the robot's fastest mode needs.
+    """
+
+    _smooth = False
+
+    def __init__(
+        self,
+        robot: Robot,
+        noise: ElasticNoise | None = None,
+        *,
+        accelerations: bool | None = None,
+        dtheta: bool | None = None,
+        rate: bool | None = None,
+        q: bool | None = None,
+        torque: bool | None = None,
+        biases: Sequence[str] = ("acceleration", "rate"),
+        disturbances: bool = True,
+        transition: Literal["exact", "first-order"] = "exact",
+        gate: float | None = None,
+        iterations: int = 1,
+    ) -> None:
+        unknown = sorted(set(biases) - set(BIASED))
+        if unknown:
+            raise EstimatorError(f"biases: {unknown[0]!r} is not one of {', '.join(map(repr, BIASED))}")
+        if transition not in ("exact", "first-order"):
+            raise EstimatorError(f"transition is {transition!r}, expected 'exact' or 'first-order'")
+        if not isinstance(iterations, int) or iterations < 1:
+            raise EstimatorError(f"iterations is {iterations!r}, expected a whole number of at least 1")
+        self.robot, self.noise = robot, noise or ElasticNoise()
+        self._wanted = {"acceleration": accelerations, "dtheta": dtheta, "rate": rate, "q": q, "torque": torque}
+        self._biases, self._disturbances, self._transition = tuple(biases), disturbances, transition
+        self._gate, self._iterations = gate, iterations
+        self.status = 0
+        self._live: _core.ElasticJointFilter | None = None
+
+    @overload
+    def run(self, log: Log, *, covariance: bool = False, innovations: bool = False) -> KalmanEstimate: ...
+    @overload
+    def run(
+        self, log: Sequence[Log], *, covariance: bool = False, innovations: bool = False
+    ) -> list[KalmanEstimate]: ...
+    def run(
+        self, log: Log | Sequence[Log], *, covariance: bool = False, innovations: bool = False
+    ) -> KalmanEstimate | list[KalmanEstimate]:
+        """Estimate a recording, or several on all cores; each starts from rest at its first sample.
+
+        Parameters
+        ----------
+        log
+            The recording, with motor positions and motor torques of all joints.
+        covariance
+            Keep the whole state and its covariance.
+        innovations
+            Keep the innovations and their standard deviations.
+
+        Raises
+        ------
+        LogError
+            A column is missing, a motor position at the first sample, or a torque anywhere.
+        NumericalError
+            The estimate is no longer finite; names the sample.
+        """
+        if isinstance(log, Log):
+            return self._run(log, covariance, innovations)
+        with ThreadPoolExecutor() as pool:
+            return list(pool.map(lambda one: self._run(one, covariance, innovations), log))
+
+    def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
+        """Estimate a recording that comes piece by piece, in bounded memory; the same bits as `run`."""
+        core: _core.ElasticJointFilter | None = None
+        kinds: tuple[str, ...] = ()
+        before: Log | None = None
+        for piece in pieces:
+            if core is None:
+                kinds = self._kinds(piece)
+                core = self._core(kinds)
+            try:
+                result = core.run(self._arrays(piece, kinds, before))
+            except NumericalError as error:
+                raise NumericalError(f"{piece.source}: {error}") from None
+            before = piece[-1:]
+            yield self._estimate(piece, kinds, result)
+
+    def step(
+        self,
+        *,
+        dt: float,
+        theta: Signal,
+        tau: Signal,
+        dtheta: Signal | None = None,
+        acceleration: Signal | None = None,
+        further: Signal | None = None,
+        out: FloatArray | None = None,
+    ) -> FloatArray:
+        """Take one sample and give the mean of the state at its time; the first sample starts from rest.
+
+        Parameters
+        ----------
+        dt
+            Time since the sample before [s].
+        theta, tau : (n,)
+            Motor positions [rad] and motor torques [N m], link side. A position may be NaN where missing.
+        dtheta : (n,)
+            Motor velocities [rad/s]; NaN, or not given, where missing.
+        acceleration : (m,)
+            Accelerometer channels in the order of ``robot.acceleration_channels`` [m/s²].
+        further : (k,)
+            Readings of the kinds asked for (``rate``, ``q``, ``torque``), one after the other in this order.
+        out : (states,)
+            Array to write the result into.
+
+        Returns
+        -------
+        (states,)
+            Link positions (n) and velocities (n), motor positions and velocities of the elastic joints, disturbance
+            torques, biases. ``covariance`` and ``status`` tell the rest.
+        """
+        live = self._live or self._start()
+        parts = [("theta", theta, self.robot.n)]
+        if "acceleration" in self._live_kinds:
+            parts.append(("acceleration", acceleration, len(self.robot.acceleration_channels)))
+        if "dtheta" in self._live_kinds:
+            parts.append(("dtheta", dtheta, self.robot.n))
+        parts.append(("further", further, sum(self._width(kind) for kind in self._live_kinds[-3:] if kind in FURTHER)))
+        readings = np.concatenate([_sized(*part) for part in parts])
+        out = np.empty(live.states) if out is None else out
+        self.status = live.step(dt, readings, tau, out)
+        return out
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the state after the last `step`, (states, states)."""
+        return (self._live or self._start()).covariance
+
+    def reset(self) -> None:
+        """Forget the state: the next `step` starts anew, from rest."""
+        self._live = None
+
+    @property
+    def _live_kinds(self) -> tuple[str, ...]:
+        there = {"acceleration": bool(self.robot.acceleration_channels), "dtheta": True}
+        wanted = {kind: there.get(kind, False) if asked is None else asked for kind, asked in self._wanted.items()}
+        return ("motor", *(kind for kind, use in wanted.items() if use))
+
+    def _start(self) -> _core.ElasticJointFilter:
+        self._live = self._core(self._live_kinds)
+        return self._live
+
+    def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
+        kinds = self._kinds(log)
+        core = self._core(kinds)
+        (outcome,) = core.run_all([self._arrays(log, kinds)], self._smooth, covariance, innovations)
+        return self._estimate(log, kinds, result_of(log.source, outcome))
+
+    def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> KalmanEstimate:
+        channels = tuple(name for kind in kinds for name in log.columns("theta" if kind == "motor" else kind))
+        return KalmanEstimate(t=log.t, names=self.robot.names, channels=channels, **result)
+
+    def _kinds(self, log: Log) -> tuple[str, ...]:
+        """Kinds of channels to use, in the filter's order."""
+        purpose = "the elastic-joint filter"
+        log.require("theta", purpose=purpose)
+        log.require("tau", purpose=purpose)
+        kinds = ["motor"]
+        for kind, wanted in self._wanted.items():
+            if wanted:
+                log.require(kind, purpose=purpose)
+            if wanted or (wanted is None and getattr(log, kind) is not None):
+                kinds.append(kind)
+        return tuple(kinds)
+
+    def _width(self, kind: str) -> int:
+        sensors = {"acceleration": self.robot.acceleration_channels, "rate": self.robot.gyroscope_channels}
+        return len(sensors[kind]) if kind in sensors else self.robot.n
+
+    def _core(self, kinds: tuple[str, ...]) -> _core.ElasticJointFilter:
+        if "acceleration" in kinds and is_late(self.robot):
+            raise EstimatorError(
+                "the elastic-joint filter takes accelerations as they come, and robot.yaml gives an accelerometer a "
+                "corner_frequency or a delay; set accelerations=False, or use the filter on the acceleration-driven model"
+            )
+        return _core.ElasticJointFilter(
+            self.robot.core,
+            accelerations="acceleration" in kinds,
+            motor_velocities="dtheta" in kinds,
+            rates="rate" in kinds,
+            links="q" in kinds,
+            torques="torque" in kinds,
+            disturbances=self._disturbances,
+            biased=[kind in self._biases for kind in kinds for _ in range(self._width(kind))],
+            first_order=self._transition == "first-order",
+            noise=self.noise.arrays(self.robot, kinds),
+            gate=self._gate,
+            iterations=self._iterations,
+        )
+
+    def _arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:
+        """Steps of time, readings and motor torques, one row a sample."""
+        if before is None:
+            log.require_start("a filter")
+        readings = np.hstack([log.theta if kind == "motor" else getattr(log, kind) for kind in kinds])
+        dt = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before.t[-1])
+        return dt, np.ascontiguousarray(readings), _torques(log, before)
+
+
+class ElasticJointSmoother(ElasticJointFilter):
+    """Smoother on the elastic-joint model: each sample by all of the recording. Parameters as of the filter."""
+
+    _smooth = True
+
+    def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
+        """Not for a smoother, which needs what comes later; see `run`."""
+        raise EstimatorError("a smoother looks back from a recording's end; read the log whole and call run")
+
+
+FURTHER = ("rate", "q", "torque")
+"""Kinds of channels that `step` takes as further readings."""
+
+
+def _torques(log: Log, before: Log | None) -> FloatArray:
+    """Motor torques (T, n); a missing one is the one before it."""
+    assert log.tau is not None  # `_kinds` has asked for it
+    missing = np.isnan(log.tau)
+    if not missing.any():
+        return log.tau
+    first = np.zeros_like(log.tau[:1]) if before is None or before.tau is None else np.nan_to_num(before.tau[-1:])
+    tau = np.vstack([first, log.tau])
+    rows = np.arange(len(tau))[:, None] * ~np.isnan(tau)
+    return np.ascontiguousarray(np.take_along_axis(tau, np.maximum.accumulate(rows, axis=0), axis=0)[1:])
+
+
+def _sized(name: str, signal: Signal | None, size: int) -> FloatArray:
+    if signal is None:
+        return np.full(size, np.nan)
+    array = np.asarray(signal, np.float64)
+    if array.shape != (size,):
+        raise EstimatorError(f"{name} has shape {array.shape}, expected ({size},)")
+    return array

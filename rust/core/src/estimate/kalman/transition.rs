@@ -1,0 +1,280 @@
+//! A step of time of the elastic-joint model: the mean by Runge and Kutta, the covariance by a matrix exponential.
+
+use super::elastic::Discretization;
+use super::field::{Field, Layout};
+use super::gaussian::{Gaussian, Symmetric};
+use crate::linear;
+use crate::robot::Robot;
+
+/// The fastest mode may turn, or decay, by this in a substep [rad].
+const ANGLE: f64 = 0.5;
+/// Terms of the exponential's series; at [`ANGLE`] they leave less than 2e-6 of a mode's turn.
+const TERMS: usize = 6;
+/// At most so many doublings of a substep.
+const MOST: f64 = 12.0;
+
+/// Scratch of a step of time.
+#[derive(Clone, Debug)]
+pub(super) struct Transition {
+    pub(super) layout: Layout,
+    pub(super) field: Field,
+    discretization: Discretization,
+    /// Upper bound of the fastest mode [rad/s], where the model was last linearised.
+    fastest: f64,
+    /// Numbers between rows of the matrices.
+    stride: usize,
+    /// Φ, dense × dense.
+    phi: Vec<f64>,
+    term: Vec<f64>,
+    product: Vec<f64>,
+    /// The dense rows of a covariance.
+    wide: Vec<f64>,
+    slopes: [Vec<f64>; 4],
+    start: Vec<f64>,
+    probe: Vec<f64>,
+    tau: Vec<f64>,
+}
+
+/// Motor torques (n) at the beginning and at the end of a step; in between they change linearly.
+pub(super) type Torques<'a> = (&'a [f64], &'a [f64]);
+
+impl Transition {
+    pub(super) fn new(robot: &Robot, layout: Layout, discretization: Discretization, states: usize) -> Self {
+        let d = layout.dense;
+        let stride = d.next_multiple_of(linear::LANES);
+        let matrix = || vec![0.0; d * stride];
+        Self {
+            field: Field::new(robot, &layout),
+            discretization,
+            fastest: 0.0,
+            stride,
+            phi: matrix(),
+            term: matrix(),
+            product: matrix(),
+            wide: vec![0.0; d * states.next_multiple_of(linear::LANES)],
+            slopes: core::array::from_fn(|_| vec![0.0; d]),
+            start: vec![0.0; d],
+            probe: vec![0.0; d],
+            tau: vec![0.0; robot.len()],
+            layout,
+        }
+    }
+
+    /// Learns how fast the robot is at `x`.
+    pub(super) fn start(&mut self, robot: &Robot, x: &[f64], tau: &[f64]) {
+        self.probe.copy_from_slice(&x[..self.layout.dense]);
+        self.tau.copy_from_slice(tau);
+        self.linearise(robot);
+    }
+
+    /// Moves `belief` by `dt` [s], without process noise.
+    #[inline(always)]
+    pub(super) fn advance(&mut self, robot: &Robot, belief: &mut Gaussian, torques: Torques<'_>, dt: f64) {
+        let d = self.layout.dense;
+        self.start.copy_from_slice(&belief.mean[..d]);
+        if self.discretization == Discretization::FirstOrder {
+            self.probe.copy_from_slice(&self.start);
+            self.interpolate(torques, 0.0);
+            self.linearise(robot);
+        }
+        let doublings = (dt * self.fastest / ANGLE).log2().ceil().clamp(0.0, MOST) as u32;
+        let (substeps, length) = (1_u32 << doublings, 1.0 / f64::from(1_u32 << doublings));
+        for i in 0..substeps {
+            self.integrate(robot, &mut belief.mean[..d], torques, f64::from(i) * length, length, dt * length);
+        }
+        match self.discretization {
+            Discretization::FirstOrder => self.expand(dt, 1),
+            Discretization::Exact => {
+                for ((probe, a), b) in self.probe.iter_mut().zip(&self.start).zip(&belief.mean) {
+                    *probe = 0.5 * (a + b);
+                }
+                self.interpolate(torques, 0.5);
+                self.linearise(robot);
+                self.expand(dt * length, TERMS);
+                self.square(doublings);
+            }
+        }
+        self.congruence(&mut belief.covariance, false);
+    }
+
+    /// The torques after a `part` of the step.
+    #[inline(always)]
+    fn interpolate(&mut self, (before, after): Torques<'_>, part: f64) {
+        for ((tau, a), b) in self.tau.iter_mut().zip(before).zip(after) {
+            *tau = a + part * (b - a);
+        }
+    }
+
+    /// A at the probe under the present torques, and how fast its modes can be at most.
+    #[inline(always)]
+    fn linearise(&mut self, robot: &Robot) {
+        let Self { layout, field, probe, tau, .. } = self;
+        field.accelerate(robot, layout, probe, tau);
+        field.differentiate(robot, layout, probe);
+        self.fastest = self.bound();
+    }
+
+    /// Of ẍ = −P x − V ẋ, |λ|² ≤ ‖P‖ + ‖V‖ |λ| in the norm of absolute row sums.
+    #[inline(always)]
+    fn bound(&self) -> f64 {
+        let Self { layout: Layout { joints: n, theta, dtheta, dense: d, .. }, field, .. } = self;
+        let (mut stiff, mut damped) = (0.0_f64, 0.0_f64);
+        for row in field.ddq_by.chunks_exact(*d).chain(field.ddtheta_by.chunks_exact(*d)) {
+            let sum = |first: usize, motors: &[usize]| -> f64 {
+                let links: f64 = row[first..first + n].iter().map(|x| x.abs()).sum();
+                links + motors.iter().filter(|&&k| k >= 2 * n).map(|&k| row[k].abs()).sum::<f64>()
+            };
+            stiff = stiff.max(sum(0, theta));
+            damped = damped.max(sum(*n, dtheta));
+        }
+        0.5 * damped + (0.25 * damped * damped + stiff).sqrt()
+    }
+
+    /// One step of the classical fourth-order rule, from a `part` of the step on.
+    #[inline(always)]
+    fn integrate(&mut self, robot: &Robot, x: &mut [f64], torques: Torques<'_>, part: f64, length: f64, h: f64) {
+        for (stage, (node, carry)) in [(0.0, 0.0), (0.5, 0.5 * h), (0.5, 0.5 * h), (1.0, h)].into_iter().enumerate() {
+            self.probe.copy_from_slice(x);
+            if stage > 0 {
+                linear::add_scaled(&mut self.probe, carry, &self.slopes[stage - 1]);
+            }
+            self.interpolate(torques, part + node * length);
+            let Self { layout, field, probe, tau, slopes, .. } = self;
+            field.accelerate(robot, layout, probe, tau);
+            rate(layout, field, probe, &mut slopes[stage]);
+        }
+        for (stage, weight) in [1.0, 2.0, 2.0, 1.0].into_iter().enumerate() {
+            linear::add_scaled(x, weight * h / 6.0, &self.slopes[stage]);
+        }
+    }
+
+    /// Φ = Σ (A h)ᵏ/k!, k up to `terms`.
+    #[inline(always)]
+    fn expand(&mut self, h: f64, terms: usize) {
+        let Self { layout: Layout { dense: d, .. }, stride, phi, term, product, .. } = self;
+        for matrix in [&mut *phi, &mut *term] {
+            matrix.fill(0.0);
+            for i in 0..*d {
+                matrix[i * *stride + i] = 1.0;
+            }
+        }
+        for k in 1..=terms {
+            apply(&self.layout, &self.field, term, *stride, product);
+            for (term, value) in term.iter_mut().zip(product.iter()) {
+                *term = value * (h / k as f64);
+            }
+            linear::add_scaled(phi, 1.0, term);
+        }
+    }
+
+    /// Φ ← Φ², `doublings` times.
+    #[inline(always)]
+    fn square(&mut self, doublings: u32) {
+        for _ in 0..doublings {
+            linear::product(&self.phi, self.stride, &self.phi, self.stride, &mut self.product);
+            self.phi.copy_from_slice(&self.product);
+        }
+    }
+
+    /// P ← Φ P Φᵀ, or Φᵀ P Φ where `transposed`, Φ being the identity beyond its own rows.
+    #[inline(always)]
+    fn congruence(&mut self, p: &mut Symmetric, transposed: bool) {
+        let Self { layout: Layout { dense: d, .. }, stride, phi, term, product, wide, .. } = self;
+        transpose(phi, *d, *stride, term);
+        let (left, right) = if transposed { (&*term, &*phi) } else { (&*phi, &*term) };
+        let rows = *d * p.stride;
+        linear::product(left, *stride, &p.data[..rows], p.stride, wide);
+        p.data[..rows].copy_from_slice(wide);
+        linear::product(wide, p.stride, right, *stride, product);
+        for (row, block) in p.data.chunks_exact_mut(p.stride).zip(product.chunks_exact(*stride)) {
+            row[..*d].copy_from_slice(&block[..*d]);
+        }
+        p.mirror();
+    }
+
+    /// Φ row by row, without padding.
+    #[inline(always)]
+    pub(super) fn remember(&self, memory: &mut Vec<f64>) {
+        for row in self.phi.chunks_exact(self.stride) {
+            memory.extend_from_slice(&row[..self.layout.dense]);
+        }
+    }
+
+    /// The adjoint of a step that [`remember`](Self::remember) wrote: λ ← Φᵀ λ, Λ ← Φᵀ Λ Φ.
+    #[inline(always)]
+    pub(super) fn retreat(&mut self, memory: &[f64], lambda: &mut [f64], big: &mut Symmetric) {
+        let (d, stride) = (self.layout.dense, self.stride);
+        for (row, values) in self.phi.chunks_exact_mut(stride).zip(memory.chunks_exact(d)) {
+            row[..d].copy_from_slice(values);
+        }
+        self.start.fill(0.0);
+        for (row, value) in self.phi.chunks_exact(stride).zip(&lambda[..d]) {
+            linear::add_scaled(&mut self.start, *value, row);
+        }
+        lambda[..d].copy_from_slice(&self.start);
+        self.congruence(big, true);
+    }
+
+    /// What white noise of the torques, one value a step with standard deviations `torque` (n), adds to P.
+    #[inline(always)]
+    pub(super) fn add_torque_noise(&mut self, robot: &Robot, p: &mut Symmetric, torque: &[f64], dt: f64) {
+        let n = self.layout.joints;
+        for (j, std) in torque.iter().enumerate() {
+            let Self { layout, field, probe, .. } = self;
+            probe.fill(0.0);
+            for i in 0..n {
+                let link = field.ddq_by_tau[i * n + j];
+                probe[i] = 0.5 * dt * dt * std * link;
+                probe[n + i] = dt * std * link;
+            }
+            for i in (0..n).filter(|&i| robot.drives[i].elastic) {
+                let pull: f64 = (0..i).map(|k| robot.coupling[k * n + i] * field.ddq_by_tau[k * n + j]).sum();
+                let motor = (f64::from(i == j) - pull) / robot.drives[i].motor_inertia;
+                probe[layout.theta[i]] = 0.5 * dt * dt * std * motor;
+                probe[layout.dtheta[i]] = dt * std * motor;
+            }
+            for (r, a) in probe.iter().enumerate().filter(|(_, a)| **a != 0.0) {
+                linear::add_scaled(&mut p.data[r * p.stride..][..probe.len()], *a, probe);
+            }
+        }
+    }
+}
+
+/// ẋ from the accelerations.
+#[inline(always)]
+fn rate(layout: &Layout, field: &Field, x: &[f64], out: &mut [f64]) {
+    let n = layout.joints;
+    out.fill(0.0);
+    for j in 0..n {
+        out[j] = x[n + j];
+        out[n + j] = field.ddq[j];
+        if layout.theta[j] >= 2 * n {
+            out[layout.theta[j]] = x[layout.dtheta[j]];
+            out[layout.dtheta[j]] = field.ddtheta[j];
+        }
+    }
+}
+
+/// A · `right`: velocities are copied, accelerations multiplied, the rest stays as it is.
+#[inline(always)]
+fn apply(layout: &Layout, field: &Field, right: &[f64], stride: usize, out: &mut [f64]) {
+    let (n, d) = (layout.joints, layout.dense);
+    out.fill(0.0);
+    linear::product(&field.ddq_by, d, right, stride, &mut out[n * stride..]);
+    out[..n * stride].copy_from_slice(&right[n * stride..2 * n * stride]);
+    for j in (0..n).filter(|&j| layout.theta[j] >= 2 * n) {
+        let (theta, dtheta) = (layout.theta[j] * stride, layout.dtheta[j] * stride);
+        linear::product(&field.ddtheta_by[j * d..][..d], d, right, stride, &mut out[dtheta..]);
+        out[theta..theta + stride].copy_from_slice(&right[dtheta..dtheta + stride]);
+    }
+}
+
+/// `out` ← `matrix`ᵀ, d × d in rows of `stride`.
+#[inline(always)]
+fn transpose(matrix: &[f64], d: usize, stride: usize, out: &mut [f64]) {
+    for (i, row) in matrix.chunks_exact(stride).enumerate() {
+        for (j, value) in row[..d].iter().enumerate() {
+            out[j * stride + i] = *value;
+        }
+    }
+}

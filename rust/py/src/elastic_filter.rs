@@ -1,0 +1,151 @@
+//! Kalman filter and smoother on the elastic-joint model.
+
+use crate::array::{Signal, rows, shaped, write_into};
+use crate::error::{EstimatorError, IntoPyErr, outcome};
+use crate::gil::Release;
+use crate::kalman::{Matrix, into_dict};
+use crate::robot::Robot;
+use linkside_core::error::RunError;
+use linkside_core::estimate::kalman::{
+    Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterSettings, Further, Inputs,
+    KalmanRecording, KalmanSample, Keep, Model,
+};
+use numpy::{PyArray1, PyReadonlyArray1, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::sync::Arc;
+
+/// Standard deviations of everything that is random.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct Noise {
+    link: Vec<f64>,
+    motor: Vec<f64>,
+    torque: Vec<f64>,
+    disturbance_walk: Vec<f64>,
+    reading: Vec<f64>,
+    bias_walk: Vec<f64>,
+    initial: Vec<f64>,
+    initial_bias: Vec<f64>,
+}
+
+impl From<Noise> for ElasticNoise {
+    fn from(n: Noise) -> Self {
+        let Noise { link, motor, torque, disturbance_walk, reading, bias_walk, initial, initial_bias } = n;
+        Self { link, motor, torque, disturbance_walk, reading, bias_walk, initial, initial_bias }
+    }
+}
+
+/// Kalman filter on the elastic-joint model of one robot.
+#[pyclass(module = "linkside._core")]
+#[derive(Clone)]
+pub(crate) struct ElasticJointFilter {
+    filter: ExtendedKalmanFilter<ElasticModel>,
+    tool: bool,
+}
+
+type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'py>);
+
+#[pymethods]
+impl ElasticJointFilter {
+    #[new]
+    #[pyo3(signature = (
+        robot, *, accelerations, motor_velocities, rates, links, torques, disturbances, biased, first_order, noise, gate,
+        iterations
+    ))]
+    fn new(
+        robot: &Robot,
+        accelerations: bool,
+        motor_velocities: bool,
+        rates: bool,
+        links: bool,
+        torques: bool,
+        disturbances: bool,
+        biased: Vec<bool>,
+        first_order: bool,
+        noise: Noise,
+        gate: Option<f64>,
+        iterations: usize,
+    ) -> PyResult<Self> {
+        let settings = ElasticSettings {
+            further: Further { motor_velocities, rates, links, torques },
+            accelerations,
+            disturbances,
+            biased,
+            discretization: if first_order { Discretization::FirstOrder } else { Discretization::Exact },
+        };
+        let build = || {
+            let model = ElasticModel::new(Arc::clone(&robot.0), &settings, noise.into())?;
+            ExtendedKalmanFilter::new(model, FilterSettings { gate, iterations })
+        };
+        Ok(Self { filter: build().map_err(IntoPyErr::into_py_err)?, tool: robot.0.tool.is_some() })
+    }
+
+    /// Number of states.
+    #[getter]
+    fn states(&self) -> usize {
+        self.filter.model().states()
+    }
+
+    fn reset(&mut self) {
+        self.filter.reset();
+    }
+
+    /// Takes one sample: one reading a channel, NaN where missing, and the motor torques; writes the state into `out`.
+    fn step(&mut self, dt: f64, readings: Signal<'_>, tau: Signal<'_>, out: &Bound<'_, PyArray1<f64>>) -> PyResult<u8> {
+        let model = self.filter.model();
+        let readings = readings.sized("readings", model.channels())?;
+        let tau = tau.sized("tau", model.robot().len())?;
+        if let Some(joint) = tau.iter().position(|t| !t.is_finite()) {
+            return Err(EstimatorError::new_err(format!("tau of joint {joint} is {}, expected a number", tau[joint])));
+        }
+        write_into(out, model.states(), |out| {
+            let inputs = Inputs { tau, ..Inputs::default() };
+            self.filter.step(KalmanSample { dt, readings, inputs }).map_err(IntoPyErr::into_py_err)?;
+            out.copy_from_slice(&self.filter.belief().mean);
+            Ok(self.filter.status())
+        })
+    }
+
+    /// Covariance of the state after the last sample.
+    #[getter]
+    fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, numpy::PyArrayDyn<f64>>> {
+        let states = self.filter.model().states();
+        shaped(py, self.filter.belief().covariance.dense().collect(), vec![states, states])
+    }
+
+    /// Goes on from the live state with the rows of a log, or of a piece of one.
+    fn run<'py>(&mut self, py: Python<'py>, arrays: Arrays<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let recording = recording(self.filter.model(), &arrays)?;
+        let filter = &mut self.filter;
+        let out = py.release(|| filter.run(recording, Keep::default()))?;
+        into_dict(py, out, self.filter.model(), self.tool)
+    }
+
+    /// Each log from a fresh start, on all cores, through the smoother where asked: its arrays, or the exception that it
+    /// came to.
+    fn run_all<'py>(
+        &self,
+        py: Python<'py>,
+        logs: Vec<Arrays<'py>>,
+        smooth: bool,
+        covariance: bool,
+        innovations: bool,
+    ) -> PyResult<Vec<Bound<'py, PyAny>>> {
+        let model = self.filter.model();
+        let recordings = logs.iter().map(|arrays| recording(model, arrays)).collect::<PyResult<Vec<_>>>()?;
+        let filter = &self.filter;
+        let keep = Keep { covariance, innovations };
+        let results = py.release(|| Ok::<_, RunError>(filter.run_all(&recordings, smooth, keep)))?;
+        let convert = |out| into_dict(py, out, model, self.tool);
+        results.into_iter().map(|result| outcome(py, result, convert)).collect()
+    }
+}
+
+fn recording<'a>(model: &ElasticModel, (dt, readings, tau): &'a Arrays<'_>) -> PyResult<KalmanRecording<'a>> {
+    Ok(KalmanRecording {
+        dt: rows("dt", dt, dt.len())?,
+        readings: rows("readings", readings, model.channels())?,
+        inputs: Inputs { tau: rows("tau", tau, model.robot().len())?, ..Inputs::default() },
+    })
+}

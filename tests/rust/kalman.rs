@@ -1,0 +1,152 @@
+//! The Kalman filter's channels against dual numbers, and its smoother against itself in stretches.
+
+mod arm;
+
+use arm::{Mounting, arm, drive};
+use linkside_core::estimate::kalman::{
+    Evaluation, ExtendedKalmanFilter, FilterSettings, Further, Gaussian, Inputs, JerkDriven, JerkModel,
+    KalmanRecording, KalmanSample, Keep, Model, Noise, Smoother,
+};
+use linkside_core::robot::{Drive, Robot, Sensor, SoftWindup};
+use linkside_core::scalar::Dual;
+use linkside_core::spatial::{Mat3, Vec3};
+use proptest::prelude::*;
+use std::sync::Arc;
+
+const JOINTS: usize = 3;
+const ALL: Further = Further { motor_velocities: true, rates: true, links: true, torques: true };
+/// Motors, an accelerometer's two axes, motor velocities, a gyroscope's three axes, links, torques.
+const CHANNELS: usize = 4 * JOINTS + 5;
+
+/// Three joints, one rigid, one with everything nonlinear that a drive can have.
+fn robot() -> Robot {
+    let soft = Drive {
+        cubic_stiffness: 3e8,
+        soft_windup: SoftWindup { stiffness: 3e4, shape: 1e5 },
+        link_friction: [0.5, 150.0, 50.0, 2.0, 100.0, 0.5],
+        ..drive()
+    };
+    let rigid = Drive { elastic: false, ..drive() };
+    let mountings = [Mounting { body: 2, at: [0.3, 0.1, 0.2], axes: vec![0, 2], noise_std: 0.05 }];
+    let mut robot = arm(vec![drive(), soft, rigid], &mountings);
+    let frame = robot.tree.frame("gyroscope", 1, &Mat3::IDENTITY, &Vec3([0.1, 0.0, 0.0])).unwrap();
+    robot.gyroscopes.push(Sensor { frame, axes: vec![0, 1, 2], noise_std: 0.01 });
+    robot
+}
+
+fn noise() -> Noise {
+    Noise {
+        jerk: vec![20.0; JOINTS],
+        reading: vec![1e-3; CHANNELS],
+        torsion: 1e-3,
+        bias_walk: vec![1e-6; CHANNELS],
+        initial: vec![1e-3; 3 * JOINTS],
+        initial_bias: vec![1e-4; CHANNELS],
+    }
+}
+
+fn model() -> JerkDriven {
+    let model = JerkModel::new(Arc::new(robot()), ALL, &[true; CHANNELS]).unwrap();
+    JerkDriven::new(model, noise(), true).unwrap()
+}
+
+/// A model that has seen a sample, so that motor velocities and jerk are in it, linearised at `state`.
+fn linearised(state: &[f64]) -> JerkDriven {
+    let mut model = model();
+    let mut belief = Gaussian::independent(&vec![0.0; model.states()]);
+    let inputs = Inputs { dtheta: &[0.3, -0.2, 0.1], jerk: &[5.0, -7.0, 3.0], tau: &[] };
+    model.start(&KalmanSample { dt: 1e-3, readings: &[0.0; CHANNELS], inputs }, &mut belief).unwrap();
+    model.linearise(state);
+    model
+}
+
+fn states() -> impl Strategy<Value = Vec<f64>> {
+    prop::collection::vec(-1.5..1.5, 3 * JOINTS)
+}
+
+proptest! {
+    #[test]
+    fn derivatives_of_channels_are_those_of_dual_numbers(state in states()) {
+        let (robot, dtheta) = (robot(), [0.3, -0.2, f64::NAN]);
+        let channels = JerkModel::new(Arc::new(robot.clone()), ALL, &[true; CHANNELS]).unwrap().channel_list().to_vec();
+        let mut plain = Evaluation::new(&robot, CHANNELS);
+        plain.evaluate(&robot, &channels, &state, &dtheta);
+        let mut dual = Evaluation::<Dual<9>>::new(&robot, CHANNELS);
+        let variables: Vec<_> = state.iter().enumerate().map(|(i, &x)| Dual::variable(x, i)).collect();
+        dual.evaluate(&robot, &channels, &variables, &dtheta);
+        for (i, h) in dual.prediction.iter().enumerate() {
+            prop_assert_eq!(h.value, plain.prediction[i]);
+            for k in 0..3 * JOINTS {
+                let (ours, theirs) = (plain.jacobian[i * 3 * JOINTS + k], h.gradient[k]);
+                prop_assert!((ours - theirs).abs() <= 1e-11 * (1.0 + theirs.abs()), "{:?} {k}: {ours} {theirs}", channels[i]);
+            }
+        }
+    }
+
+    #[test]
+    fn motor_velocity_is_the_rate_of_motor_position(state in states()) {
+        let model = linearised(&state);
+        let at = model.linearised();
+        let (d, jerk) = (3 * JOINTS, [5.0, -7.0, 3.0]);
+        let first = JOINTS + 2;
+        for j in 0..JOINTS {
+            let rates = state[JOINTS..].iter().chain(&jerk);
+            let rate: f64 = at.jacobian[j * d..][..d].iter().zip(rates).map(|(h, x)| h * x).sum();
+            prop_assert!((at.prediction[first + j] - rate).abs() <= 1e-12 * (1.0 + rate.abs()));
+        }
+        let step = 1e-5;
+        for k in 0..d {
+            let [above, below] = [step, -step].map(|s| {
+                let mut moved = state.clone();
+                moved[k] += s;
+                linearised(&moved).linearised().prediction[first..first + JOINTS].to_vec()
+            });
+            for j in 0..JOINTS {
+                let slope = (above[j] - below[j]) / (2.0 * step);
+                let ours = at.jacobian[(first + j) * d + k];
+                prop_assert!((ours - slope).abs() <= 1e-6 * (1.0 + slope.abs()), "{j} {k}: {ours} {slope}");
+            }
+        }
+    }
+}
+
+/// A recording of nothing in particular, some of it missing.
+fn signals(count: usize) -> [Vec<f64>; 4] {
+    let wave = |width: usize, size: f64, turn: f64| -> Vec<f64> {
+        (0..count * width).map(|i| size * (turn * i as f64).sin()).collect()
+    };
+    let mut readings = wave(CHANNELS, 1e-3, 0.37);
+    for i in (50..readings.len()).step_by(11) {
+        readings[i] = f64::NAN;
+    }
+    [vec![1e-3; count], readings, wave(JOINTS, 0.1, 0.21), wave(JOINTS, 5.0, 0.13)]
+}
+
+#[test]
+fn a_smoother_does_not_depend_on_how_a_recording_is_cut() {
+    let count = 60;
+    let [dt, readings, dtheta, jerk] = signals(count);
+    let rows = |a: usize, b: usize| KalmanRecording {
+        dt: &dt[a..b],
+        readings: &readings[a * CHANNELS..b * CHANNELS],
+        inputs: Inputs { dtheta: &dtheta[a * JOINTS..b * JOINTS], jerk: &jerk[a * JOINTS..b * JOINTS], tau: &[] },
+    };
+    let keep = Keep { covariance: true, innovations: false };
+    let filter = ExtendedKalmanFilter::new(model(), FilterSettings { gate: None, iterations: 1 }).unwrap();
+    let whole = Smoother::new(&filter).run(rows(0, count), keep).unwrap();
+    let cuts = [0, 1, 17, 18, 40, count];
+    let (mut ahead, mut starts) = (filter.clone(), Vec::new());
+    for cut in cuts.windows(2) {
+        starts.push(ahead.clone());
+        ahead.run(rows(cut[0], cut[1]), Keep::default()).unwrap();
+    }
+    let mut smoother = Smoother::new(&filter);
+    smoother.finish();
+    for (start, cut) in starts.iter().zip(cuts.windows(2)).rev() {
+        let (a, b) = (cut[0], cut[1]);
+        let part = smoother.stretch_back(start, rows(a, b), keep).unwrap();
+        let states = filter.model().states();
+        assert_eq!(part.state, whole.state[a * states..b * states]);
+        assert_eq!(part.covariance, whole.covariance[a * states * states..b * states * states]);
+    }
+}
