@@ -7,9 +7,7 @@ use crate::kalman::{Arrays, Live, Noise, into_dict, recording};
 use crate::robot::Robot;
 use linkside_core::error::{DesignError, RunError};
 use linkside_core::estimate::kalman::{Further, JerkDriven, JerkModel, KalmanSample, Keep, Model};
-use linkside_core::estimate::particle::{
-    self, Collapse, ParticleOutput, ParticleSettings, Proposal, Resampling,
-};
+use linkside_core::estimate::particle::{self, Collapse, ParticleOutput, ParticleSettings, Proposal, Resampling};
 use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -96,7 +94,8 @@ impl ParticleFilter {
         let settings = settings.into_core()?;
         let levels = settings.quantiles.len();
         let build = || -> Result<_, DesignError> {
-            let model = JerkModel::new(Arc::clone(&robot.0), Further { motor_velocities, rates, links, torques }, &biased)?;
+            let model =
+                JerkModel::new(Arc::clone(&robot.0), Further { motor_velocities, rates, links, torques }, &biased)?;
             let model = JerkDriven::new(model, noise.into(), damping)?;
             particle::ParticleFilter::new(model, settings, marginalised)
         };
@@ -155,12 +154,7 @@ impl ParticleFilter {
     }
 
     /// Goes on from the live state with the rows of a log, or of a piece of one.
-    fn run<'py>(
-        &mut self,
-        py: Python<'py>,
-        arrays: Arrays<'py>,
-        covariance: bool,
-    ) -> PyResult<Bound<'py, PyDict>> {
+    fn run<'py>(&mut self, py: Python<'py>, arrays: Arrays<'py>, covariance: bool) -> PyResult<Bound<'py, PyDict>> {
         let recording = recording(self.filter.model(), &arrays)?;
         let filter = &mut self.filter;
         let out = py.release(|| filter.run(recording, Keep { covariance, innovations: false }))?;

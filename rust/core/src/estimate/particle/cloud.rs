@@ -192,10 +192,8 @@ pub(super) struct Cloud {
 
 impl Cloud {
     pub(super) fn new(model: &JerkModel, particles: usize) -> Self {
-        let blocks: Vec<Block> = (0..particles)
-            .step_by(BLOCK)
-            .map(|first| Block::new(model, first, BLOCK.min(particles - first)))
-            .collect();
+        let blocks: Vec<Block> =
+            (0..particles).step_by(BLOCK).map(|first| Block::new(model, first, BLOCK.min(particles - first))).collect();
         let next = vec![vec![0.0; model.states() * BLOCK]; blocks.len()];
         Self { blocks, next }
     }

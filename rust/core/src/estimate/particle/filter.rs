@@ -1,6 +1,7 @@
 //! The particle filter: one step, and whole recordings.
 
 use super::cloud::{BLOCK, Cloud, Deviations};
+use super::logarithm::ln;
 use super::moves::{Moments, Spread};
 use super::output::{ParticleOutput, Summary};
 use super::proposal::{Advance, Reading, Sample, Walk};
@@ -10,7 +11,7 @@ use super::settings::{Collapse, ParticleSettings, Proposal};
 use super::start::Start;
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
-use crate::estimate::kalman::{Gaussian, JerkDriven, KalmanRecording, KalmanSample, Keep, Model, Tool, FilterOutput};
+use crate::estimate::kalman::{FilterOutput, Gaussian, JerkDriven, KalmanRecording, KalmanSample, Keep, Model, Tool};
 use crate::simd;
 use rayon::prelude::*;
 
@@ -272,12 +273,10 @@ impl ParticleFilter {
         if self.settings.collapse == Collapse::Stop {
             return Err(RunError::Impossible { sample: self.taken });
         }
-        let even = -(self.settings.particles as f64).ln();
-        for block in &mut self.cloud.blocks {
-            block.log_weights[..block.count].fill(even);
-            block.weigh();
+        for reading in self.sample.readings.iter().filter(|_| self.marginalised) {
+            self.bias_variance[reading.channel] = reading.gain * reading.variance;
         }
-        self.sample.offset = 0.0;
+        self.level();
         self.summarise();
         (self.summary.used, self.summary.log_likelihood) = (0, 0.0);
         self.summary.status |= Status::PREDICTED;
@@ -319,7 +318,7 @@ impl ParticleFilter {
     }
 
     fn copy_ancestors(&mut self) {
-        let Self { cloud: Cloud { blocks, next }, ancestors, settings, threads, .. } = self;
+        let Self { cloud: Cloud { blocks, next }, ancestors, threads, .. } = self;
         let source = &*blocks;
         let copy = |(next, ancestors): (&mut Vec<f64>, &[u32])| {
             for (d, row) in next.chunks_exact_mut(BLOCK).enumerate() {
@@ -334,9 +333,16 @@ impl ParticleFilter {
         } else {
             next.iter_mut().zip(ancestors.chunks(BLOCK)).for_each(copy);
         }
-        let even = -(settings.particles as f64).ln();
         for (block, next) in blocks.iter_mut().zip(next) {
             core::mem::swap(&mut block.state, next);
+        }
+        self.level();
+    }
+
+    /// Gives all particles the same weight.
+    fn level(&mut self) {
+        let even = -ln(self.settings.particles as f64);
+        for block in &mut self.cloud.blocks {
             block.log_weights[..block.count].fill(even);
             block.weigh();
         }

@@ -69,6 +69,9 @@ impl Kernel for Advance<'_> {
             let items = block.items(group);
             load(block, group);
             let increment = block.scratch.step(model, sample, items);
+            if !increment.0.iter().all(|x| x.is_finite()) {
+                block.scratch.keep_finite();
+            }
             store(block, group, increment, sample.offset);
         }
         let used = block.groups() * WIDE;
@@ -119,6 +122,17 @@ impl Scratch {
             change += self.after[j].map(outside);
         }
         change
+    }
+
+    /// Particles that absurd readings drove out of the numbers stay where they would be without them.
+    fn keep_finite(&mut self) {
+        for l in 0..WIDE {
+            if !self.after.iter().all(|x| x.0[l].is_finite()) {
+                for (after, before) in self.after.iter_mut().zip(&self.before) {
+                    after.0[l] = before.0[l];
+                }
+            }
+        }
     }
 
     /// Motion without noise: x ← F x + G u (Axelsson, Karlsson and Norrlöf 2012, eq. (10)).

@@ -145,7 +145,8 @@ mod tests {
             sums[4] += a * b / f64::from(count);
         }
         let wide = 5.0 / f64::from(2 * count).sqrt(); // five standard errors of the mean
-        for (sum, (expected, factor)) in sums.iter().zip([(0.0, 1.0), (1.0, 1.5), (0.0, 4.0), (3.0, 10.0), (0.0, 1.5)]) {
+        for (sum, (expected, factor)) in sums.iter().zip([(0.0, 1.0), (1.0, 1.5), (0.0, 4.0), (3.0, 10.0), (0.0, 1.5)])
+        {
             assert!((sum - expected).abs() < wide * factor, "{sums:?}");
         }
     }

@@ -1,6 +1,7 @@
 //! The first cloud.
 
 use super::cloud::{BLOCK, Cloud, WIDE, Wide};
+use super::logarithm::ln;
 use super::proposal::{Sample, draw};
 use super::random::{Purpose, Stream};
 use crate::estimate::kalman::{Gaussian, Linearised};
@@ -68,8 +69,8 @@ impl<'a> Start<'a> {
     pub(super) fn scatter(&self, cloud: &mut Cloud, origins: &[f64], joints: usize, seed: u64) {
         let stream = Stream::new(seed, 0, Purpose::Start);
         let n = self.mode.len();
-        let even = -(cloud.blocks.iter().map(|b| b.count).sum::<usize>() as f64).ln();
-        let determinant: f64 = (0..n).map(|i| self.factor[i * n + i].ln()).sum();
+        let even = -ln(cloud.blocks.iter().map(|b| b.count).sum::<usize>() as f64);
+        let determinant: f64 = (0..n).map(|i| ln(self.factor[i * n + i])).sum();
         for block in &mut cloud.blocks {
             for group in 0..block.groups() {
                 let items = block.items(group);
