@@ -183,4 +183,12 @@ pub enum RunError {
         /// Index of the sample.
         sample: usize,
     },
+    /// No particle of a filter explains a sample's readings.
+    #[error(
+        "no particle is compatible with the readings of sample {sample} and the limits: look for absurd readings there, or let the filter recover"
+    )]
+    Impossible {
+        /// Index of the sample.
+        sample: usize,
+    },
 }

@@ -8,6 +8,7 @@ mod gil;
 mod kalman;
 mod likelihood;
 mod observer;
+mod particle;
 mod robot;
 
 use pyo3::prelude::*;
@@ -25,6 +26,8 @@ mod _core {
     use crate::likelihood::Likelihood;
     #[pymodule_export]
     use crate::observer::{AccelerationObserver, ObserverState, observer_gains};
+    #[pymodule_export]
+    use crate::particle::ParticleFilter;
     #[pymodule_export]
     use crate::robot::Robot;
 }

@@ -75,12 +75,13 @@ impl<T: Scalar> Kinematics<T> {
         for i in tree.path(carrier) {
             let body = &self.bodies[i];
             // Moving joint i carries the sensor along with its own axes; what remains is how the carried frame itself moves.
-            let twice = |v: Vec3<T>| v + v;
-            let by_q = body.axis_acceleration.at(&point) + twice(body.axis_rate.angular.cross(&velocity));
-            let by_dq = twice(body.axis_rate.at(&point) + body.axis.angular.cross(&velocity));
+            let turning = body.axis_rate.angular.cross(&velocity);
+            let by_q = body.axis_acceleration.at(&point) + (turning + turning);
+            let half = body.axis_rate.at(&point) + body.axis.angular.cross(&velocity);
+            let by_dq = half + half;
             let by_ddq = body.axis.at(&point);
-            let seen = |v: &Vec3<T>| axes.apply_transposed(v);
-            put(tree.bodies[i].joint, [seen(&by_q), seen(&by_dq), seen(&by_ddq)]);
+            let (by_q, by_dq) = (axes.apply_transposed(&by_q), axes.apply_transposed(&by_dq));
+            put(tree.bodies[i].joint, [by_q, by_dq, axes.apply_transposed(&by_ddq)]);
         }
     }
 
@@ -105,8 +106,8 @@ impl<T: Scalar> Kinematics<T> {
         let axes = self.place(frame).axes;
         for i in tree.path(frame.body) {
             let body = &self.bodies[i];
-            let seen = |v: &Vec3<T>| axes.apply_transposed(v);
-            put(tree.bodies[i].joint, [seen(&body.axis_rate.angular), seen(&body.axis.angular)]);
+            let by_q = axes.apply_transposed(&body.axis_rate.angular);
+            put(tree.bodies[i].joint, [by_q, axes.apply_transposed(&body.axis.angular)]);
         }
     }
 }

@@ -3,6 +3,7 @@
 pub mod kalman;
 pub mod likelihood;
 pub mod observer;
+pub mod particle;
 mod status;
 
 pub use status::Status;
