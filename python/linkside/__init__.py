@@ -19,6 +19,7 @@ from .noise import Noise
 from .observers import AccelerationObserver
 from .robot import Robot
 from .stretches import smooth_file
+from .velocity import HybridGain, NicosiaTomeiObserver, ReducedOrderObserver, VelocityEstimate
 
 __all__ = [
     "AccelerationObserver",
@@ -31,16 +32,20 @@ __all__ = [
     "EstimatorError",
     "ExtendedKalmanFilter",
     "FixedLagSmoother",
+    "HybridGain",
     "KalmanEstimate",
     "LinksideError",
     "Log",
     "LogError",
+    "NicosiaTomeiObserver",
     "Noise",
     "NumericalError",
     "OutputError",
     "RauchTungStriebelSmoother",
+    "ReducedOrderObserver",
     "Robot",
     "Status",
+    "VelocityEstimate",
     "demo",
     "poles",
     "sensors",

@@ -105,6 +105,7 @@ def main(ctx: click.Context, debug: bool) -> None:
 @click.option("--form", type=click.Choice(["current", "predictor"]), default="current", show_default=True)
 @click.option("--tuning", type=click.Path(), help="Noise of a Kalman filter, as `linkside tune` writes it.")
 @click.option("--gate", type=float, help="Leave out readings more than so many standard deviations off.")
+@click.option("--gain", type=float, default=100, show_default=True, help="Gain of a velocity observer [1/s].")
 @click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this file; one for each log.")
 def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, truths: tuple[str, ...], **options: Any) -> None:
     """Estimate the motion of ROBOT's links from recordings.

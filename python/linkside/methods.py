@@ -17,6 +17,7 @@ from .poles import PolePattern
 from .robot import Robot
 from .sensing import is_late
 from .stretches import smooth_pieces
+from .velocity import NicosiaTomeiObserver, ReducedOrderObserver
 
 Run: TypeAlias = Callable[[Iterable[Log]], Iterator[Estimate]]
 """Estimates from the pieces of a log."""
@@ -31,6 +32,7 @@ class Options:
     form: Literal["current", "predictor"]
     tuning: Any
     gate: float | None
+    gain: float
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,10 @@ def _elastic_smoother(robot: Robot, options: Options) -> Run:
     return partial(map, ElasticJointSmoother(robot, options.tuning, gate=options.gate).run)
 
 
+def _velocity(method: type[ReducedOrderObserver], robot: Robot, options: Options) -> Run:
+    return method(robot, options.gain).run_pieces
+
+
 METHODS = {
     "observer": Method(
         "driven by accelerometers; nothing of the links' dynamics is needed", ("poles", "bias", "form"), _observer
@@ -98,5 +104,13 @@ METHODS = {
         _elastic_smoother,
         lambda _: True,
         ElasticNoise.read,
+    ),
+    "reduced-order": Method(
+        "velocities from motor positions and torques, joints taken as rigid",
+        ("gain",),
+        partial(_velocity, ReducedOrderObserver),
+    ),
+    "nicosia-tomei": Method(
+        "the same, with a spring on the position error", ("gain",), partial(_velocity, NicosiaTomeiObserver)
     ),
 }

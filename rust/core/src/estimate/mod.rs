@@ -3,5 +3,6 @@
 pub mod kalman;
 pub mod observer;
 mod status;
+pub mod velocity;
 
 pub use status::Status;
