@@ -20,6 +20,7 @@ from .observers import AccelerationObserver
 from .particle import MarginalizedParticleFilter, ParticleEstimate, ParticleFilter
 from .robot import Robot
 from .stretches import smooth_file
+from .velocity import HybridGain, NicosiaTomeiObserver, ReducedOrderObserver, VelocityEstimate
 
 __all__ = [
     "AccelerationObserver",
@@ -32,19 +33,23 @@ __all__ = [
     "EstimatorError",
     "ExtendedKalmanFilter",
     "FixedLagSmoother",
+    "HybridGain",
     "KalmanEstimate",
     "LinksideError",
     "Log",
     "LogError",
     "MarginalizedParticleFilter",
+    "NicosiaTomeiObserver",
     "Noise",
     "NumericalError",
     "OutputError",
     "ParticleEstimate",
     "ParticleFilter",
     "RauchTungStriebelSmoother",
+    "ReducedOrderObserver",
     "Robot",
     "Status",
+    "VelocityEstimate",
     "demo",
     "poles",
     "sensors",

@@ -16,6 +16,8 @@ __all__ = [
     "ParticleFilter",
     "Robot",
     "StretchSmoother",
+    "VelocityObserver",
+    "VelocityState",
     "derivative_order",
     "feedforward",
     "observer_gains",
@@ -234,6 +236,43 @@ class ParticleFilter:
     def run_all(
         self, logs: Sequence[_KalmanArrays], covariance: bool
     ) -> list[dict[str, npt.NDArray[Any]] | LinksideError]: ...
+
+@final
+class VelocityObserver:
+    """Velocity observer of one robot, designed for one sampling period."""
+
+    def __new__(
+        cls,
+        robot: Robot,
+        *,
+        period: float,
+        gains: Sequence[float],
+        levels: Mapping[str, Any] | None,
+        spring: Sequence[float],
+        motors: bool,
+        wrap: Sequence[float],
+    ) -> VelocityObserver: ...
+    def reset(self) -> None: ...
+    def start(self, dq: _Signal, lag: _Signal) -> None: ...
+    def step(self, q: _Signal, tau: _Signal) -> VelocityState: ...
+    def run(self, q: _Array, tau: _Array) -> dict[str, npt.NDArray[Any]]: ...
+
+@final
+class VelocityState:
+    """The estimate at one sample."""
+
+    @property
+    def q(self) -> _Array: ...
+    @property
+    def dq(self) -> _Array: ...
+    @property
+    def ddq(self) -> _Array: ...
+    @property
+    def tool_position(self) -> _Array | None: ...
+    @property
+    def level(self) -> int: ...
+    @property
+    def status(self) -> int: ...
 
 def observer_gains(robot: Robot, joint: int, poles: Sequence[complex]) -> _Array: ...
 def derivative_order(robot: Robot) -> int: ...

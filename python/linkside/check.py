@@ -219,7 +219,7 @@ def check(robot: Robot, log: Log | LogStream | None = None) -> CheckReport:
     log
         A recording, whole or streamed, along which to look as well.
     """
-    limits = _limits(robot)
+    limits = joint_limits(robot)
     unit = _sobol(2 * robot.n)
     q = limits[0] + unit[:, : robot.n] * (limits[1] - limits[0])
     other = limits[0] + unit[:, robot.n :] * (limits[1] - limits[0])
@@ -235,8 +235,8 @@ def check(robot: Robot, log: Log | LogStream | None = None) -> CheckReport:
 
 def workspace(robot: Robot) -> Array:
     """Postures over the workspace, evenly spread, (SAMPLES, n) [rad, m]; those of `check`."""
-    limits = _limits(robot)
-    return np.asarray(limits[0] + _sobol(2 * robot.n)[:, : robot.n] * (limits[1] - limits[0]))
+    low, high = joint_limits(robot)
+    return np.asarray(low + _sobol(2 * robot.n)[:, : robot.n] * (high - low))
 
 
 def prismatic(robot: Robot) -> list[bool]:
@@ -260,7 +260,8 @@ def _involved(direction: Array) -> npt.NDArray[np.bool_]:
     return np.asarray(size > 0.25 * size.max(axis=-1, keepdims=True))
 
 
-def _limits(robot: Robot) -> Array:
+def joint_limits(robot: Robot) -> Array:
+    """Least and largest position of each joint, (2, n); a turn, or 2 m, of one without limits."""
     rows = [_range(robot, name, slides) for name, slides in zip(robot.names, prismatic(robot), strict=True)]
     return np.array(list(zip(*rows, strict=True)))
 

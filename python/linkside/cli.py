@@ -107,6 +107,7 @@ def main(ctx: click.Context, debug: bool) -> None:
 @click.option("--gate", type=float, help="Leave out readings more than so many standard deviations off.")
 @click.option("--particles", type=int, default=1000, show_default=True, help="How many a particle filter has.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of a particle filter's random numbers.")
+@click.option("--gain", type=float, default=100, show_default=True, help="Gain of a velocity observer [1/s].")
 @click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this file; one for each log.")
 def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, truths: tuple[str, ...], **options: Any) -> None:
     """Estimate the motion of ROBOT's links from recordings.

@@ -47,6 +47,8 @@ class Status(IntFlag):
     """A reading was left out as an outlier."""
     PREDICTED = 16
     """Not one reading was used: the row is a prediction."""
+    UNWRAPPED = 32
+    """An encoder wrapped, and its jump was taken out."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

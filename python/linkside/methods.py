@@ -18,6 +18,7 @@ from .poles import PolePattern
 from .robot import Robot
 from .sensing import is_late
 from .stretches import smooth_pieces
+from .velocity import NicosiaTomeiObserver, ReducedOrderObserver
 
 Run: TypeAlias = Callable[[Iterable[Log]], Iterator[Estimate]]
 """Estimates from the pieces of a log."""
@@ -34,6 +35,7 @@ class Options:
     gate: float | None
     particles: int
     seed: int
+    gain: float
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,10 @@ def _particle(method: type[ParticleFilter], robot: Robot, options: Options) -> R
     return method(robot, options.tuning, particles=options.particles, seed=options.seed).run_pieces
 
 
+def _velocity(method: type[ReducedOrderObserver], robot: Robot, options: Options) -> Run:
+    return method(robot, options.gain).run_pieces
+
+
 METHODS = {
     "observer": Method(
         "driven by accelerometers; nothing of the links' dynamics is needed",
@@ -117,5 +123,13 @@ METHODS = {
         "the same, biases in closed form",
         ("tuning", "particles", "seed"),
         partial(_particle, MarginalizedParticleFilter),
+    ),
+    "reduced-order": Method(
+        "velocities from motor positions and torques, joints taken as rigid",
+        ("gain",),
+        partial(_velocity, ReducedOrderObserver),
+    ),
+    "nicosia-tomei": Method(
+        "the same, with a spring on the position error", ("gain",), partial(_velocity, NicosiaTomeiObserver)
     ),
 }

@@ -36,6 +36,7 @@ STATUS_WORDS = {
     "unseen": "with an acceleration that no sensor sees",
     "gated": "with an outlier left out",
     "predicted": "predicted without a reading",
+    "unwrapped": "with an encoder's wrap taken out",
 }
 
 

@@ -114,6 +114,26 @@ pub enum DesignError {
         /// The fastest that is accepted [rad/s].
         limit: f64,
     },
+    /// A gain of a velocity observer so fast that it would hardly more than difference positions.
+    #[error("a gain of {gain:.4} 1/s is too fast for a period of {period} s: at most {limit:.4} 1/s")]
+    FastGain {
+        /// The gain [1/s].
+        gain: f64,
+        /// Sampling period [s].
+        period: f64,
+        /// The fastest that is accepted [1/s].
+        limit: f64,
+    },
+    /// A spring on the position error that would swing up from sample to sample.
+    #[error(
+        "the position gains give an eigenvalue of {stiffness:.4} 1/s² at the first posture, unstable at this rate: below {limit:.4} 1/s², twice the gain by the period"
+    )]
+    StiffSpring {
+        /// λmax(M⁻¹K_P) [1/s²].
+        stiffness: f64,
+        /// The least that is refused [1/s²].
+        limit: f64,
+    },
     /// A setting out of its range.
     #[error("{what} is {value}, expected {expected}")]
     Range {
@@ -188,6 +208,12 @@ pub enum RunError {
         "no particle is compatible with the readings of sample {sample} and the limits: look for absurd readings there, or let the filter recover"
     )]
     Impossible {
+        /// Index of the sample.
+        sample: usize,
+    },
+    /// A posture at which the robot's inertia cannot be inverted.
+    #[error("the inertia is singular at the posture of sample {sample}: a joint moves no mass there")]
+    SingularInertia {
         /// Index of the sample.
         sample: usize,
     },

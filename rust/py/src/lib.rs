@@ -10,6 +10,7 @@ mod likelihood;
 mod observer;
 mod particle;
 mod robot;
+mod velocity;
 
 use pyo3::prelude::*;
 
@@ -30,4 +31,6 @@ mod _core {
     use crate::particle::ParticleFilter;
     #[pymodule_export]
     use crate::robot::Robot;
+    #[pymodule_export]
+    use crate::velocity::{VelocityObserver, VelocityState};
 }

@@ -5,5 +5,6 @@ pub mod likelihood;
 pub mod observer;
 pub mod particle;
 mod status;
+pub mod velocity;
 
 pub use status::Status;

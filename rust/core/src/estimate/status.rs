@@ -15,4 +15,6 @@ impl Status {
     pub const GATED: u8 = 8;
     /// Not one reading was used: the row is a prediction.
     pub const PREDICTED: u8 = 16;
+    /// An encoder wrapped, and its jump was taken out.
+    pub const UNWRAPPED: u8 = 32;
 }

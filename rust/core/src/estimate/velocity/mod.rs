@@ -1,0 +1,21 @@
+//! Velocity observers for rigid robots, from positions and torques.
+//!
+//! The reduced-order observer of Cristofaro and De Luca (2023) and, with a spring on the position error, the full-order
+//! one of Nicosia and Tomei (1990). In terms of the estimate x̂₂ itself and with the robot's model
+//! a(y, v) = M⁻¹(τ − C(y, v) v − friction − g), both are
+//!
+//! x̂₂' = a(y, x̂₂) + M⁻¹ K_P ỹ + K (ẏ − x̂₂),  ỹ' = ẏ − x̂₂,
+//!
+//! where the reduced-order observer has K_P = 0. In this form a gain may jump without a jump of the estimate.
+
+mod encoder;
+mod observer;
+mod rigid;
+mod run;
+mod schedule;
+mod settings;
+
+pub use observer::VelocityObserver;
+pub use run::{Recording, Trajectory};
+pub use schedule::{Logic, Schedule};
+pub use settings::{FASTEST, Gains, Settings};

@@ -1,0 +1,271 @@
+//! One sample after the other.
+
+use super::encoder::Encoder;
+use super::rigid::RigidDynamics;
+use super::schedule::Logic;
+use super::settings::{Gains, Settings};
+use crate::error::{DesignError, RunError};
+use crate::estimate::Status;
+use crate::robot::Robot;
+use std::sync::Arc;
+
+/// Velocity observer of one robot with rigid joints.
+///
+/// Between samples the model's acceleration is integrated by Heun's method, torques held. At a sample the velocity takes
+/// (1 − e^(−kT))/T of the position's innovation, so that under constant acceleration the error falls by exactly e^(−kT)
+/// a sample. With a spring K_P the sampled error is stable for λmax(M⁻¹K_P) < 2 k/T, which is checked where the robot starts.
+#[derive(Clone, Debug)]
+pub struct VelocityObserver {
+    settings: Settings,
+    dynamics: RigidDynamics,
+    /// (1 − e^(−kT))/T of each joint [1/s], and the gain k behind it.
+    weights: Vec<f64>,
+    gains: Vec<f64>,
+    level: usize,
+    since_jump: usize,
+    samples: usize,
+    status: u8,
+    encoders: Vec<Encoder>,
+    /// y, without wraps.
+    position: Vec<f64>,
+    /// x̂₂.
+    velocity: Vec<f64>,
+    /// ỹ = y − x̂₁.
+    lag: Vec<f64>,
+    /// M⁻¹ K_P ỹ.
+    spring: Vec<f64>,
+    /// Without the spring.
+    acceleration: Vec<f64>,
+    corrected: Vec<f64>,
+    torque: Vec<f64>,
+}
+
+impl VelocityObserver {
+    /// Designs an observer for `robot`.
+    ///
+    /// # Errors
+    /// A setting out of its range, or gains that are too fast for the period.
+    pub fn new(robot: Arc<Robot>, settings: Settings) -> Result<Self, DesignError> {
+        let n = robot.len();
+        settings.check(n)?;
+        let (level, gains) = match &settings.gains {
+            Gains::Constant(gains) => (1, gains.clone()),
+            Gains::Scheduled(schedule) => (schedule.start, vec![schedule.gains[schedule.start - 1]; n]),
+        };
+        let zero = || vec![0.0; n];
+        let mut observer = Self {
+            dynamics: RigidDynamics::new(robot, settings.motors, settings.period),
+            settings,
+            weights: zero(),
+            gains,
+            level,
+            since_jump: 0,
+            samples: 0,
+            status: 0,
+            encoders: vec![Encoder::default(); n],
+            position: zero(),
+            velocity: zero(),
+            lag: zero(),
+            spring: zero(),
+            acceleration: zero(),
+            corrected: zero(),
+            torque: zero(),
+        };
+        observer.weigh();
+        Ok(observer)
+    }
+
+    /// Number of joints.
+    pub fn joints(&self) -> usize {
+        self.position.len()
+    }
+
+    /// Sets the velocity estimate (n) [rad/s] that the next, first sample starts from, and how far the position estimate
+    /// x̂₁ is behind the first reading (n) [rad].
+    ///
+    /// # Errors
+    /// Wrong lengths.
+    pub fn start(&mut self, dq: &[f64], lag: &[f64]) -> Result<(), DesignError> {
+        let expected = self.joints();
+        for (what, given) in [("dq", dq), ("lag", lag)] {
+            if given.len() != expected {
+                return Err(DesignError::Length { what, found: given.len(), expected });
+            }
+        }
+        self.velocity.copy_from_slice(dq);
+        self.lag.copy_from_slice(lag);
+        self.samples = 0;
+        Ok(())
+    }
+
+    /// Takes positions (n) [rad] and torques (n) [N m], the latter held until the next sample; NaN where one is missing.
+    ///
+    /// # Errors
+    /// A first sample that lacks a position, a spring too stiff for the period there, an inertia that is singular.
+    #[inline(always)]
+    pub fn step(&mut self, q: &[f64], torque: &[f64]) -> Result<(), RunError> {
+        self.status = 0;
+        let regular = if self.samples == 0 { self.begin(q)? } else { self.advance(q) };
+        if !regular {
+            return Err(RunError::SingularInertia { sample: self.samples });
+        }
+        self.jump();
+        self.hold(torque);
+        let Self { dynamics, velocity, torque, acceleration, .. } = self;
+        dynamics.acceleration_into(velocity, torque, acceleration);
+        self.samples += 1;
+        Ok(())
+    }
+
+    #[cold]
+    fn begin(&mut self, q: &[f64]) -> Result<bool, DesignError> {
+        if let Some(joint) = q.iter().position(|x| x.is_nan()) {
+            return Err(DesignError::NoStart { joint });
+        }
+        self.position.copy_from_slice(q);
+        self.encoders.fill(Encoder::default());
+        let regular = self.dynamics.set_position(&self.position, &self.velocity);
+        if regular && self.has_spring() {
+            let stiffness = self.dynamics.stiffest(&self.settings.spring);
+            let limit = 2.0 * self.gains.iter().copied().fold(f64::INFINITY, f64::min) / self.settings.period;
+            if stiffness >= limit {
+                return Err(DesignError::StiffSpring { stiffness, limit });
+            }
+            self.pull();
+        }
+        Ok(regular)
+    }
+
+    /// One period on, and corrected; false when the inertia is singular there.
+    #[inline(always)]
+    fn advance(&mut self, q: &[f64]) -> bool {
+        let period = self.settings.period;
+        for j in 0..q.len() {
+            let slope = self.acceleration[j] + self.spring[j];
+            let predicted = self.position[j] + period * (self.velocity[j] + 0.5 * period * slope);
+            let reading = self.encoders[j].read(q[j], predicted, self.settings.wrap[j]);
+            self.status |= if reading.wrapped { Status::UNWRAPPED } else { 0 };
+            self.status |= if reading.missing { Status::BRIDGED } else { 0 };
+            self.position[j] = reading.position;
+            self.velocity[j] += period * slope + self.weights[j] * reading.innovation;
+            self.lag[j] += self.weights[j] / self.gains[j] * reading.innovation;
+        }
+        let regular = self.dynamics.set_position(&self.position, &self.velocity);
+        if regular {
+            self.refine();
+            if self.has_spring() {
+                self.pull();
+            }
+        }
+        regular
+    }
+
+    /// Heun's second slope: acceleration changes linearly over the period, and the position that was predicted likewise.
+    #[inline(always)]
+    fn refine(&mut self) {
+        let period = self.settings.period;
+        self.dynamics.acceleration_into(&self.velocity, &self.torque, &mut self.corrected);
+        for j in 0..self.velocity.len() {
+            let change = self.corrected[j] - self.acceleration[j];
+            self.velocity[j] += change * period * (0.5 - self.weights[j] * period / 6.0);
+        }
+    }
+
+    fn has_spring(&self) -> bool {
+        self.settings.spring.iter().any(|&k| k > 0.0)
+    }
+
+    /// What the spring adds to the acceleration.
+    #[inline(always)]
+    fn pull(&mut self) {
+        for j in 0..self.spring.len() {
+            self.spring[j] = self.settings.spring[j] * self.lag[j];
+        }
+        self.dynamics.solve(&mut self.spring);
+    }
+
+    /// Lets the gain follow the estimated speed.
+    #[inline(always)]
+    fn jump(&mut self) {
+        let Gains::Scheduled(schedule) = &self.settings.gains else { return };
+        let speed = self.velocity.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let level = schedule.next(self.level, speed, self.since_jump);
+        self.since_jump += 1;
+        if level == self.level {
+            return;
+        }
+        let (old, new) = (self.gains[0], schedule.gains[level - 1]);
+        if schedule.logic == Logic::PrintedMap {
+            for (velocity, position) in self.velocity.iter_mut().zip(&self.position) {
+                *velocity += (new - old) * position;
+            }
+        }
+        (self.level, self.since_jump) = (level, 0);
+        self.gains.fill(new);
+        self.weigh();
+    }
+
+    fn weigh(&mut self) {
+        let period = self.settings.period;
+        for (weight, gain) in self.weights.iter_mut().zip(&self.gains) {
+            *weight = -(-gain * period).exp_m1() / period;
+        }
+    }
+
+    /// Holds torques; one that is missing stays what it was.
+    #[inline(always)]
+    fn hold(&mut self, torque: &[f64]) {
+        for (held, &new) in self.torque.iter_mut().zip(torque) {
+            if new.is_nan() {
+                self.status |= Status::BRIDGED;
+            } else {
+                *held = new;
+            }
+        }
+    }
+
+    /// Positions, without wraps [rad].
+    pub fn q(&self) -> &[f64] {
+        &self.position
+    }
+
+    /// Velocities [rad/s].
+    pub fn dq(&self) -> &[f64] {
+        &self.velocity
+    }
+
+    /// Accelerations by the model [rad/s²].
+    pub fn ddq(&self) -> &[f64] {
+        &self.acceleration
+    }
+
+    /// Level r of the gain, from 1.
+    pub fn level(&self) -> usize {
+        self.level
+    }
+
+    /// Samples since the start.
+    pub fn samples(&self) -> usize {
+        self.samples
+    }
+
+    /// See [`Status`].
+    pub fn status(&self) -> u8 {
+        self.status
+    }
+
+    pub(super) fn has_tool(&self) -> bool {
+        self.dynamics.robot.tool.is_some()
+    }
+
+    /// Whether the estimate is still one.
+    #[inline(always)]
+    pub fn is_finite(&self) -> bool {
+        self.velocity.iter().zip(&self.acceleration).all(|(v, a)| v.is_finite() && a.is_finite())
+    }
+
+    /// Tool centre point [m]; NaN when the robot has none.
+    pub fn tool(&self) -> [f64; 3] {
+        self.dynamics.tool().map_or([f64::NAN; 3], |tool| tool.0)
+    }
+}

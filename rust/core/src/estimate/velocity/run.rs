@@ -1,0 +1,83 @@
+//! Recordings.
+
+use super::VelocityObserver;
+use crate::error::RunError;
+use crate::simd::{Kernel, dispatch, level};
+
+/// A recording: `count` samples of positions and torques, row-major.
+#[derive(Clone, Copy, Debug)]
+pub struct Recording<'a> {
+    /// Number of samples.
+    pub count: usize,
+    /// Positions, n columns [rad]; NaN where missing.
+    pub q: &'a [f64],
+    /// Torques, n columns [N m]; NaN where missing.
+    pub torque: &'a [f64],
+}
+
+/// Estimates of a recording, row-major, one row a sample.
+#[derive(Clone, Debug, Default)]
+pub struct Trajectory {
+    /// Positions without wraps (n).
+    pub q: Vec<f64>,
+    /// Velocities (n).
+    pub dq: Vec<f64>,
+    /// Accelerations by the model (n).
+    pub ddq: Vec<f64>,
+    /// Tool centre point (3); empty when the robot has none.
+    pub tool: Vec<f64>,
+    /// Level of the gain.
+    pub level: Vec<u8>,
+    /// See [`Status`](crate::estimate::Status).
+    pub status: Vec<u8>,
+}
+
+impl VelocityObserver {
+    /// Goes on from the present state with the samples of a recording.
+    ///
+    /// # Errors
+    /// As [`step`](Self::step), and when the estimate is no longer finite; names the sample.
+    pub fn run(&mut self, recording: Recording<'_>) -> Result<Trajectory, RunError> {
+        dispatch(level(), Run { observer: self, recording })
+    }
+
+    #[inline(always)]
+    fn report(&self, out: &mut Trajectory, tool: bool) {
+        out.q.extend_from_slice(self.q());
+        out.dq.extend_from_slice(self.dq());
+        out.ddq.extend_from_slice(self.ddq());
+        if tool {
+            out.tool.extend_from_slice(&self.tool());
+        }
+        out.level.push(u8::try_from(self.level()).unwrap_or(u8::MAX));
+        out.status.push(self.status());
+    }
+}
+
+struct Run<'a> {
+    observer: &'a mut VelocityObserver,
+    recording: Recording<'a>,
+}
+
+impl Kernel for Run<'_> {
+    type Output = Result<Trajectory, RunError>;
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let Self { observer, recording } = self;
+        let n = observer.joints();
+        let tool = observer.has_tool();
+        let mut out = Trajectory::default();
+        for values in [&mut out.q, &mut out.dq, &mut out.ddq] {
+            values.reserve(recording.count * n);
+        }
+        for (q, torque) in recording.q.chunks_exact(n).zip(recording.torque.chunks_exact(n)) {
+            observer.step(q, torque)?;
+            if !observer.is_finite() {
+                return Err(RunError::NotFinite { sample: observer.samples() - 1 });
+            }
+            observer.report(&mut out, tool);
+        }
+        Ok(out)
+    }
+}

@@ -1,0 +1,155 @@
+//! The velocity observers.
+
+use crate::array::{Signal, rows, shaped};
+use crate::error::{EstimatorError, IntoPyErr};
+use crate::gil::Release;
+use crate::robot::Robot;
+use linkside_core::estimate::velocity::{self, Gains, Logic, Recording, Schedule, Settings, Trajectory};
+use numpy::{PyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::sync::Arc;
+
+/// Gains by level; as [`Schedule`].
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct Levels {
+    gains: Vec<f64>,
+    bound: f64,
+    margin: f64,
+    hysteresis: f64,
+    start: usize,
+    dwell: usize,
+    logic: String,
+}
+
+impl Levels {
+    fn schedule(self) -> PyResult<Schedule> {
+        let Self { gains, bound, margin, hysteresis, start, dwell, logic } = self;
+        let logic = match logic.as_str() {
+            "repaired" => Logic::Repaired,
+            "printed-sets" => Logic::PrintedSets,
+            "printed-map" => Logic::PrintedMap,
+            _ => return Err(EstimatorError::new_err(format!("logic is {logic:?}"))),
+        };
+        Ok(Schedule { gains, bound, margin, hysteresis, start, dwell, logic })
+    }
+}
+
+/// Velocity observer of one robot, designed for one sampling period.
+#[pyclass(module = "linkside._core")]
+pub(crate) struct VelocityObserver {
+    fresh: velocity::VelocityObserver,
+    live: velocity::VelocityObserver,
+    tool: bool,
+}
+
+type Matrix<'py> = PyReadonlyArray2<'py, f64>;
+
+#[pymethods]
+impl VelocityObserver {
+    #[new]
+    #[pyo3(signature = (robot, *, period, gains, levels, spring, motors, wrap))]
+    fn new(
+        robot: &Robot,
+        period: f64,
+        gains: Vec<f64>,
+        levels: Option<Levels>,
+        spring: Vec<f64>,
+        motors: bool,
+        wrap: Vec<f64>,
+    ) -> PyResult<Self> {
+        let gains = match levels {
+            Some(levels) => Gains::Scheduled(levels.schedule()?),
+            None => Gains::Constant(gains),
+        };
+        let settings = Settings { period, gains, spring, motors, wrap };
+        let fresh = velocity::VelocityObserver::new(Arc::clone(&robot.0), settings).map_err(IntoPyErr::into_py_err)?;
+        Ok(Self { live: fresh.clone(), fresh, tool: robot.0.tool.is_some() })
+    }
+
+    fn reset(&mut self) {
+        self.live = self.fresh.clone();
+    }
+
+    fn start(&mut self, dq: Signal<'_>, lag: Signal<'_>) -> PyResult<()> {
+        self.live = self.fresh.clone();
+        self.live.start(dq.get("dq")?, lag.get("lag")?).map_err(IntoPyErr::into_py_err)
+    }
+
+    fn step(&mut self, q: Signal<'_>, tau: Signal<'_>) -> PyResult<VelocityState> {
+        let n = self.live.joints();
+        self.live.step(q.sized("q", n)?, tau.sized("tau", n)?).map_err(IntoPyErr::into_py_err)?;
+        Ok(VelocityState::of(&self.live))
+    }
+
+    /// Goes on from the live state with the rows of a log, or of a piece of one.
+    fn run<'py>(&mut self, py: Python<'py>, q: Matrix<'py>, tau: Matrix<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let n = self.live.joints();
+        let recording = Recording { count: q.shape()[0], q: rows("q", &q, n)?, torque: rows("tau", &tau, n)? };
+        let live = &mut self.live;
+        let trajectory = py.release(|| live.run(recording))?;
+        into_dict(py, trajectory, n, self.tool)
+    }
+}
+
+fn into_dict<'py>(py: Python<'py>, t: Trajectory, n: usize, tool: bool) -> PyResult<Bound<'py, PyDict>> {
+    let out = PyDict::new(py);
+    let count = t.status.len();
+    for (name, values) in [("q", t.q), ("dq", t.dq), ("ddq", t.ddq)] {
+        out.set_item(name, shaped(py, values, vec![count, n])?)?;
+    }
+    if tool {
+        out.set_item("tool_position", shaped(py, t.tool, vec![count, 3])?)?;
+    }
+    out.set_item("level", PyArray1::from_vec(py, t.level))?;
+    out.set_item("status", PyArray1::from_vec(py, t.status))?;
+    Ok(out)
+}
+
+/// The estimate at one sample; arrays are made when they are asked for.
+#[pyclass(frozen, module = "linkside._core")]
+pub(crate) struct VelocityState {
+    /// q, q̇ and q̈, one after the other.
+    values: Box<[f64]>,
+    tool: [f64; 3],
+    #[pyo3(get)]
+    level: usize,
+    #[pyo3(get)]
+    status: u8,
+}
+
+impl VelocityState {
+    fn of(observer: &velocity::VelocityObserver) -> Self {
+        let values = [observer.q(), observer.dq(), observer.ddq()].concat().into();
+        Self { values, tool: observer.tool(), level: observer.level(), status: observer.status() }
+    }
+
+    fn part<'py>(&self, py: Python<'py>, index: usize) -> Bound<'py, PyArray1<f64>> {
+        let n = self.values.len() / 3;
+        PyArray1::from_slice(py, &self.values[index * n..][..n])
+    }
+}
+
+#[pymethods]
+impl VelocityState {
+    #[getter]
+    fn q<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        self.part(py, 0)
+    }
+
+    #[getter]
+    fn dq<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        self.part(py, 1)
+    }
+
+    #[getter]
+    fn ddq<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        self.part(py, 2)
+    }
+
+    #[getter]
+    fn tool_position<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<f64>>> {
+        (!self.tool[0].is_nan()).then(|| PyArray1::from_slice(py, &self.tool))
+    }
+}
