@@ -17,6 +17,7 @@ from .kalman import ExtendedKalmanFilter, KalmanEstimate, RauchTungStriebelSmoot
 from .log import Log
 from .noise import Noise
 from .observers import AccelerationObserver
+from .particle import MarginalizedParticleFilter, ParticleEstimate, ParticleFilter
 from .robot import Robot
 from .stretches import smooth_file
 
@@ -35,9 +36,12 @@ __all__ = [
     "LinksideError",
     "Log",
     "LogError",
+    "MarginalizedParticleFilter",
     "Noise",
     "NumericalError",
     "OutputError",
+    "ParticleEstimate",
+    "ParticleFilter",
     "RauchTungStriebelSmoother",
     "Robot",
     "Status",

@@ -13,6 +13,7 @@ __all__ = [
     "ElasticJointFilter",
     "ExtendedKalmanFilter",
     "ObserverState",
+    "ParticleFilter",
     "Robot",
     "StretchSmoother",
     "derivative_order",
@@ -91,6 +92,27 @@ class ObserverState:
     def tool_position(self) -> _Array | None: ...
     @property
     def status(self) -> int: ...
+
+@final
+class Likelihood:
+    """Likelihood of one recording."""
+
+    def __new__(
+        cls,
+        robot: Robot,
+        signals: Mapping[str, Any],
+        *,
+        noise: Mapping[str, Any],
+        biased: Sequence[bool],
+        torque: bool,
+        held: bool,
+        fixed: Sequence[tuple[tuple[str, int, int], float]],
+        huber: float,
+    ) -> Likelihood: ...
+    def log_likelihood(self, names: Sequence[tuple[str, int, int]], values: Sequence[float]) -> float: ...
+    def evaluate(
+        self, names: Sequence[tuple[str, int, int]], values: Sequence[float], detail: bool = False
+    ) -> dict[str, Any]: ...
 
 @final
 class ExtendedKalmanFilter:
@@ -172,6 +194,46 @@ class StretchSmoother:
     def back(
         self, start: ExtendedKalmanFilter, arrays: _KalmanArrays, covariance: bool
     ) -> dict[str, npt.NDArray[Any]]: ...
+
+@final
+class ParticleFilter:
+    """Particle filter of one robot."""
+
+    def __new__(
+        cls,
+        robot: Robot,
+        *,
+        motor_velocities: bool,
+        rates: bool,
+        links: bool,
+        torques: bool,
+        biased: Sequence[bool],
+        noise: Mapping[str, Any],
+        damping: bool,
+        marginalised: bool,
+        settings: Mapping[str, Any],
+    ) -> ParticleFilter: ...
+    @property
+    def states(self) -> int: ...
+    @property
+    def effective(self) -> float: ...
+    @property
+    def covariance(self) -> _Array: ...
+    def reset(self) -> None: ...
+    def step(
+        self,
+        dt: float,
+        theta: _Signal,
+        acceleration: _Signal | None,
+        dtheta: _Signal | None,
+        ddqref: _Signal | None,
+        further: _Signal | None,
+        out: _Array,
+    ) -> int: ...
+    def run(self, arrays: _KalmanArrays, covariance: bool) -> dict[str, npt.NDArray[Any]]: ...
+    def run_all(
+        self, logs: Sequence[_KalmanArrays], covariance: bool
+    ) -> list[dict[str, npt.NDArray[Any]] | LinksideError]: ...
 
 def observer_gains(robot: Robot, joint: int, poles: Sequence[complex]) -> _Array: ...
 def derivative_order(robot: Robot) -> int: ...

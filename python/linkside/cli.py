@@ -105,6 +105,8 @@ def main(ctx: click.Context, debug: bool) -> None:
 @click.option("--form", type=click.Choice(["current", "predictor"]), default="current", show_default=True)
 @click.option("--tuning", type=click.Path(), help="As `linkside tune` writes it for this method.")
 @click.option("--gate", type=float, help="Leave out readings more than so many standard deviations off.")
+@click.option("--particles", type=int, default=1000, show_default=True, help="How many a particle filter has.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of a particle filter's random numbers.")
 @click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this file; one for each log.")
 def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, truths: tuple[str, ...], **options: Any) -> None:
     """Estimate the motion of ROBOT's links from recordings.
@@ -192,6 +194,33 @@ def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> 
     click.echo(front.to_text(), nl=False)
     if options["figure"] is not None:
         _draw(front.figure(), options["figure"])
+
+
+@main.command()
+@click.argument("robot", type=click.Path())
+@click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
+@click.option("--out", required=True, type=click.Path(), help="The calibrated robot.yaml.")
+@click.option("--report", type=click.Path(), help="A report with figures, one HTML file.")
+@click.option("--free", help="Kinds or names of parameters, a,b,c; by default those that the logs can tell.")
+@click.option("--torque/--no-torque", default=None, help="Whether motor torques are readings, too.")
+@click.option("--bound", "bounds", multiple=True, help="NAME=LOW:HIGH, least and largest value of a parameter.")
+@click.option("--held-out", type=click.Path(), multiple=True, help="A log that only tests the outcome.")
+@click.option("--resume", is_flag=True, help="Go on with an interrupted run.")
+def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **options: Any) -> None:
+    """Find ROBOT's stiffness, damping, load and sensor errors from its own recordings."""
+    from linkside import progress
+    from linkside.calibration import command
+
+    outputs = [Path(out), *([Path(options["report"])] if options["report"] else [])]
+    _refuse_clashes(outputs, [robot, *logs, *options["held_out"]])
+    check_writable(out, (".yaml", ".yml"))
+    if options["report"]:
+        check_writable(options["report"], (".html", ".htm"))
+    with progress.bar(None) as advance:
+        result = command.run(robot, logs, out, resume, advance, **options)
+    click.echo(result.to_text(), nl=False)
+    for output in outputs:
+        click.echo(f"written: {output}")
 
 
 @main.command()

@@ -55,6 +55,7 @@ Positive = Annotated[Number, Field(gt=0)]
 NonNegative = Annotated[Number, Field(ge=0)]
 Name = Annotated[str, AfterValidator(_printable)]
 Vector3 = Annotated[tuple[Number, ...], BeforeValidator(_listed), _exactly(3)]
+PositiveVector3 = Annotated[tuple[Positive, ...], BeforeValidator(_listed), _exactly(3)]
 Vector6 = Annotated[tuple[Number, ...], BeforeValidator(_listed), _exactly(6)]
 
 
@@ -104,6 +105,7 @@ class JointConfig(_Section):
     soft_windup: SoftWindup = SoftWindup()
     motor_friction: MotorFriction = MotorFriction()
     link_friction: Vector6 = (0.0,) * 6  # γ₁ … γ₆ of Ulrich, Sasiadek 2011, eq. (14)
+    mass_scale: Positive = 1.0  # factor on mass and inertia of the link that the joint moves, as the URDF has them
 
     @model_validator(mode="after")
     def _spring_complete(self) -> "JointConfig":
@@ -145,6 +147,8 @@ class AccelerometerConfig(SensorConfig):
     noise_std: Positive = 0.05  # m/s²
     corner_frequency: Positive | None = None  # Hz; of the first-order filter inside the sensor, where it has one
     delay: NonNegative = 0.0  # s; by how much a reading is later than its time stamp says
+    bias: Vector3 = (0.0, 0.0, 0.0)  # m/s², x y z; a log's reading is scale · specific force + bias
+    scale: PositiveVector3 = (1.0, 1.0, 1.0)
 
 
 class GyroscopeConfig(SensorConfig):
@@ -163,6 +167,42 @@ class TorqueConfig(_Section):
     """The motor torques, as seen on the link side."""
 
     noise_std: Positive = 1.0  # N m; a per mille of an industrial axis' torque
+
+
+class PayloadConfig(_Section):
+    """What the tool carries: a mass in a point of the tool's frame."""
+
+    mass: NonNegative = 0.0  # kg
+    xyz: Vector3 = (0.0, 0.0, 0.0)  # m
+
+
+class TolerancesConfig(_Section):
+    """How far off the values above may be, one standard deviation: the prior of a calibration.
+
+    Shares of the value where it is positive by nature (0.3 is 30 %), else in its unit; of noise, natural logarithms
+    of factors.
+    """
+
+    stiffness: Positive = 0.3
+    cubic_stiffness: Positive = 3e4  # 1/rad², times the stiffness
+    damping: Positive = 1.0
+    motor_inertia: Positive = 0.3
+    viscous: Positive = 1.0
+    coulomb: Positive = 1.0
+    mass_scale: Positive = 0.1
+    coupling: Positive = 0.5  # kg m²
+    payload_mass: Positive = 10.0  # kg
+    payload_xyz: Positive = 0.1  # m
+    translation: Positive = 0.01  # m
+    rotation: Positive = 0.03  # rad
+    bias: Positive = 0.5  # m/s²
+    scale: Positive = 0.03
+    time_constant: Positive = 1e-3  # s
+    delay: Positive = 1e-3  # s
+    motor_noise: Positive = 3.0
+    torque_noise: Positive = 3.0
+    sensor_noise: Positive = 1.0
+    jerk_noise: Positive = 1.0
 
 
 class ColumnsConfig(_Section):
@@ -195,6 +235,8 @@ class RobotConfig(_Section):
     encoder: EncoderConfig = EncoderConfig()
     torque: TorqueConfig = TorqueConfig()
     tool: FrameConfig | None = None
+    payload: PayloadConfig = PayloadConfig()
+    tolerances: TolerancesConfig = TolerancesConfig()
     columns: ColumnsConfig = ColumnsConfig()
 
     @property
@@ -232,6 +274,12 @@ class RobotConfig(_Section):
                     raise refusal(f"expected an elastic joint; {suggest(keys[-1], order)}", "coupling", *keys)
                 if len(keys) == 2 and order[row] >= order[keys[1]]:
                     raise refusal(f"expected a joint after '{row}': S is strictly upper triangular", "coupling", *keys)
+        return self
+
+    @model_validator(mode="after")
+    def _payload_carried(self) -> "RobotConfig":
+        if self.payload.mass and self.tool is None:
+            raise refusal("expected a tool that carries it: name one, `tool: {link: …}`", "payload", "mass")
         return self
 
     @model_validator(mode="after")

@@ -214,9 +214,14 @@ class ExtendedKalmanFilter:
                 "delay; call run on the whole log"
             )
 
+    @property
+    def _live_kinds(self) -> tuple[str, ...]:
+        """Kinds of channels that `step` takes."""
+        return ("motor", "acceleration", *self._order)
+
     def _start(self) -> _core.ExtendedKalmanFilter:
         self._refuse_late("step")
-        self._live = self._core(("motor", "acceleration", *self._order), self.noise)
+        self._live = self._core(self._live_kinds, self.noise)
         return self._live
 
     def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
@@ -231,9 +236,12 @@ class ExtendedKalmanFilter:
         return self._estimate(log, kinds, result)
 
     def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> KalmanEstimate:
+        return KalmanEstimate(t=log.t, names=self.robot.names, channels=self._columns(log, kinds), **result)
+
+    def _columns(self, log: Log, kinds: tuple[str, ...]) -> tuple[str, ...]:
+        """Columns of a log that channels of these kinds read."""
         columns = {"motor": "theta"}
-        channels = tuple(name for kind in kinds for name in log.columns(columns.get(kind, kind)))
-        return KalmanEstimate(t=log.t, names=self.robot.names, channels=channels, **result)
+        return tuple(name for kind in kinds for name in log.columns(columns.get(kind, kind)))
 
     def _run_late(
         self, log: Log, kinds: tuple[str, ...], noise: Noise, covariance: bool, innovations: bool
@@ -286,23 +294,30 @@ class ExtendedKalmanFilter:
     def _core(
         self, kinds: tuple[str, ...], noise: Noise, factor: FloatArray | float = 1.0
     ) -> _core.ExtendedKalmanFilter:
-        widths = {"acceleration": len(self.robot.acceleration_channels), "rate": len(self.robot.gyroscope_channels)}
-        biased = [kind in self._biases for kind in kinds for _ in range(widths.get(kind, self.robot.n))]
-        arrays = noise.arrays(self.robot, kinds)
-        sensors = slice(self.robot.n, self.robot.n + widths["acceleration"])
-        arrays["reading"][sensors] = list(arrays["reading"][sensors] * np.broadcast_to(factor, widths["acceleration"]))
         return _core.ExtendedKalmanFilter(
-            self.robot.core,
-            motor_velocities="dtheta" in kinds,
-            rates="rate" in kinds,
-            links="q" in kinds,
-            torques="torque" in kinds,
-            biased=biased,
-            noise=arrays,
-            gate=self._gate,
-            iterations=self._iterations,
-            damping=self._damping,
+            self.robot.core, **self._settings(kinds, noise, factor), gate=self._gate, iterations=self._iterations
         )
+
+    def _width(self, kind: str) -> int:
+        """Channels of a kind."""
+        widths = {"acceleration": len(self.robot.acceleration_channels), "rate": len(self.robot.gyroscope_channels)}
+        return widths.get(kind, self.robot.n)
+
+    def _settings(self, kinds: tuple[str, ...], noise: Noise, factor: FloatArray | float = 1.0) -> dict[str, Any]:
+        """Settings of the model: its channels, which of them have a bias, noise, damping."""
+        arrays = noise.arrays(self.robot, kinds)
+        sensors = slice(self.robot.n, self.robot.n + self._width("acceleration"))
+        factors = np.broadcast_to(factor, self._width("acceleration"))
+        arrays["reading"][sensors] = list(arrays["reading"][sensors] * factors)
+        return {
+            "motor_velocities": "dtheta" in kinds,
+            "rates": "rate" in kinds,
+            "links": "q" in kinds,
+            "torques": "torque" in kinds,
+            "biased": [kind in self._biases for kind in kinds for _ in range(self._width(kind))],
+            "noise": arrays,
+            "damping": self._damping,
+        }
 
     def _arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:
         """Steps of time, readings, motor velocities and commanded jerk, one row a sample."""

@@ -61,6 +61,10 @@ class RobotColumns(Protocol):
         """Accelerometer columns, such as ``tool_acc_x``."""
 
     @property
+    def acceleration_errors(self) -> tuple[FloatArray, FloatArray]:
+        """Bias [m/s²] and scale of each accelerometer column."""
+
+    @property
     def gyroscope_channels(self) -> tuple[str, ...]:
         """Gyroscope columns, such as ``gyro_wx``."""
 
@@ -264,6 +268,7 @@ class _Layout:
     found: tuple[str, ...]
     elastic: tuple[bool, ...]
     shaft_ratio: FloatArray | None
+    acceleration_errors: tuple[FloatArray, FloatArray] | None
 
     @classmethod
     def of(cls, robot: RobotColumns, found: list[str], source: str) -> _Layout:
@@ -273,7 +278,9 @@ class _Layout:
         renamed = robot.columns.names
         wanted = {signal: tuple(renamed.get(c, c) for c in columns) for signal, columns in ours.items()}
         ratio = np.asarray(robot.gear_ratio, float) if robot.columns.motor_side else None
-        layout = cls(wanted, tuple(found), tuple(map(bool, robot.elastic)), ratio)
+        bias, scale = robot.acceleration_errors
+        errors = (bias, scale) if np.any(bias) or np.any(scale != 1) else None
+        layout = cls(wanted, tuple(found), tuple(map(bool, robot.elastic)), ratio, errors)
         layout._check(source)
         return layout
 
@@ -398,6 +405,9 @@ def _assemble(table: pa.Table, layout: _Layout, source: str, period: float) -> L
         for signal, reflect in (("theta", np.divide), ("dtheta", np.divide), ("tau", np.multiply)):
             if arrays[signal] is not None:
                 arrays[signal] = reflect(arrays[signal], layout.shaft_ratio)
+    if layout.acceleration_errors is not None and arrays["acceleration"] is not None:
+        bias, scale = layout.acceleration_errors
+        arrays["acceleration"] = (arrays["acceleration"] - bias) / scale
     frozen = {signal: None if array is None else _frozen(array) for signal, array in arrays.items()}
     return Log(**frozen, source=source, period=period, _layout=layout)  # type: ignore[arg-type]
 

@@ -13,6 +13,7 @@ from .kalman import ExtendedKalmanFilter, RauchTungStriebelSmoother
 from .log import Log
 from .noise import Noise
 from .observer_tuning import ObserverTuning
+from .particle import MarginalizedParticleFilter, ParticleFilter
 from .poles import PolePattern
 from .robot import Robot
 from .sensing import is_late
@@ -31,6 +32,8 @@ class Options:
     form: Literal["current", "predictor"]
     tuning: Any
     gate: float | None
+    particles: int
+    seed: int
 
 
 @dataclass(frozen=True)
@@ -81,6 +84,10 @@ def _elastic_smoother(robot: Robot, options: Options) -> Run:
     return partial(map, ElasticJointSmoother(robot, options.tuning, gate=options.gate).run)
 
 
+def _particle(method: type[ParticleFilter], robot: Robot, options: Options) -> Run:
+    return method(robot, options.tuning, particles=options.particles, seed=options.seed).run_pieces
+
+
 METHODS = {
     "observer": Method(
         "driven by accelerometers; nothing of the links' dynamics is needed",
@@ -102,5 +109,13 @@ METHODS = {
         _elastic_smoother,
         lambda _: True,
         ElasticNoise.read,
+    ),
+    "particle": Method(
+        "weighted samples of the state", ("tuning", "particles", "seed"), partial(_particle, ParticleFilter)
+    ),
+    "marginalized": Method(
+        "the same, biases in closed form",
+        ("tuning", "particles", "seed"),
+        partial(_particle, MarginalizedParticleFilter),
     ),
 }

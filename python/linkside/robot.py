@@ -179,6 +179,13 @@ class Robot:
         """Columns of specific force, `<accelerometer>_x` and so on."""
         return self.config.acceleration_channels
 
+    @cached_property
+    def acceleration_errors(self) -> tuple[Array, Array]:
+        """Bias [m/s²] and scale of each accelerometer channel, (m,) each; a log has them taken off its readings."""
+        axes = [(sensor, "xyz".index(axis)) for sensor in self.accelerometers for axis in sensor.axes]
+        bias, scale = [sensor.bias[axis] for sensor, axis in axes], [sensor.scale[axis] for sensor, axis in axes]
+        return _constant(bias, np.float64), _constant(scale, np.float64)
+
     @property
     def gyroscope_channels(self) -> tuple[str, ...]:
         """Columns of angular rate, `<gyroscope>_wx` and so on."""

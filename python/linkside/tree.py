@@ -27,7 +27,22 @@ def reduce(model: Any, config: RobotConfig, source: Source) -> Any:
     reduced = _lock(model, locked)
     reduced.gravity.linear = np.array(config.gravity)
     _refuse_unknown_links(reduced, config, source)
+    _load(reduced, config)
     return reduced
+
+
+def _load(model: Any, config: RobotConfig) -> None:
+    """Scale the links' masses, and hang the payload on the tool."""
+    for joint in config.joints:
+        index = model.getJointId(joint.name)
+        inertia = model.inertias[index]
+        if joint.mass_scale != 1:
+            scaled = pin.Inertia(joint.mass_scale * inertia.mass, inertia.lever, joint.mass_scale * inertia.inertia)
+            model.inertias[index] = scaled
+    if config.tool is not None and config.payload.mass:
+        index, pose = mount(model, config.tool)
+        at = pose.act(np.array(config.payload.xyz))
+        model.inertias[index] += pin.Inertia(config.payload.mass, at, np.zeros((3, 3)))
 
 
 def _lock(model: Any, joints: list[int]) -> Any:

@@ -33,6 +33,10 @@ class Robot:
     gear_ratio: np.ndarray = field(default_factory=lambda: np.array([100.0, 50.0]))
     columns: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(motor_side=False, names={}))
 
+    @property
+    def acceleration_errors(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.zeros(len(self.acceleration_channels)), np.ones(len(self.acceleration_channels))
+
 
 ARM2 = Robot(
     names=("axis2", "axis3"),

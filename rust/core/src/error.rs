@@ -1,5 +1,6 @@
 //! What can be wrong with what a user gives us. Below the boundary kernels do not fail.
 
+use crate::estimate::likelihood::Parameter;
 use thiserror::Error;
 
 /// A robot that cannot be computed with.
@@ -151,6 +152,12 @@ pub enum DesignError {
         /// Highest one that is needed.
         needed: usize,
     },
+    /// A parameter of a joint, a sensor or an axis that does not exist.
+    #[error("the robot has no {parameter:?}")]
+    NoParameter {
+        /// The parameter.
+        parameter: Parameter,
+    },
     /// The gravity iteration for a start at rest did not settle.
     #[error(
         "no static equilibrium found for the first sample: gravity is too strong for the stiffness; give an initial state"
@@ -173,6 +180,14 @@ pub enum RunError {
     /// A state that is no longer a number.
     #[error("the estimate is not finite after sample {sample}: look for infinite or absurd readings there")]
     NotFinite {
+        /// Index of the sample.
+        sample: usize,
+    },
+    /// No particle of a filter explains a sample's readings.
+    #[error(
+        "no particle is compatible with the readings of sample {sample} and the limits: look for absurd readings there, or let the filter recover"
+    )]
+    Impossible {
         /// Index of the sample.
         sample: usize,
     },

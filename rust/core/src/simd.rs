@@ -13,6 +13,8 @@ pub enum Level {
     Baseline,
     /// x86-64 with AVX2: four numbers at a time.
     Avx2,
+    /// x86-64 with AVX-512: eight numbers at a time.
+    Avx512,
 }
 
 /// Something to be compiled for every level; `run` must be `#[inline(always)]`.
@@ -23,18 +25,29 @@ pub trait Kernel {
     fn run(self) -> Self::Output;
 }
 
-/// The level in use: the machine's widest, unless the environment variable `LINKSIDE_SIMD` is `baseline`.
+/// The level in use: the machine's widest, or the environment variable `LINKSIDE_SIMD`: `baseline`, or `avx2` at most.
 pub fn level() -> Level {
     static LEVEL: LazyLock<Level> = LazyLock::new(|| {
-        let forced = std::env::var("LINKSIDE_SIMD").is_ok_and(|v| v.eq_ignore_ascii_case("baseline"));
-        if forced { Level::Baseline } else { widest() }
+        let forced = std::env::var("LINKSIDE_SIMD").unwrap_or_default().to_ascii_lowercase();
+        match forced.as_str() {
+            "baseline" => Level::Baseline,
+            "avx2" => Level::Avx2.min(widest()),
+            _ => widest(),
+        }
     });
     *LEVEL
 }
 
 #[cfg(target_arch = "x86_64")]
 fn widest() -> Level {
-    if std::is_x86_feature_detected!("avx2") { Level::Avx2 } else { Level::Baseline }
+    use std::is_x86_feature_detected as has;
+    if has!("avx512f") && has!("avx512dq") && has!("avx512vl") && has!("avx512bw") {
+        Level::Avx512
+    } else if has!("avx2") {
+        Level::Avx2
+    } else {
+        Level::Baseline
+    }
 }
 
 #[cfg(not(target_arch = "x86_64"))]
@@ -50,13 +63,22 @@ pub fn dispatch<K: Kernel>(level: Level, kernel: K) -> K::Output {
         // SAFETY: `widest` has asked the processor.
         #[cfg(target_arch = "x86_64")]
         Level::Avx2 => unsafe { avx2(kernel) },
+        // SAFETY: `widest` has asked the processor.
+        #[cfg(target_arch = "x86_64")]
+        Level::Avx512 => unsafe { avx512(kernel) },
         #[cfg(not(target_arch = "x86_64"))]
-        Level::Avx2 => kernel.run(),
+        Level::Avx2 | Level::Avx512 => kernel.run(),
     }
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn avx2<K: Kernel>(kernel: K) -> K::Output {
+    kernel.run()
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl,avx512bw")]
+fn avx512<K: Kernel>(kernel: K) -> K::Output {
     kernel.run()
 }

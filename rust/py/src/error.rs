@@ -29,7 +29,7 @@ impl IntoPyErr for RunError {
     fn into_py_err(self) -> PyErr {
         match self {
             Self::Design(design) => design.into_py_err(),
-            Self::NotFinite { .. } => NumericalError::new_err(self.to_string()),
+            Self::NotFinite { .. } | Self::Impossible { .. } => NumericalError::new_err(self.to_string()),
         }
     }
 }

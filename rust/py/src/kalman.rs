@@ -17,7 +17,7 @@ use std::sync::Arc;
 /// Standard deviations of everything that is random.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
-struct Noise {
+pub(crate) struct Noise {
     jerk: Vec<f64>,
     reading: Vec<f64>,
     torsion: f64,
@@ -44,8 +44,8 @@ pub(crate) struct ExtendedKalmanFilter {
 
 /// A sample put together from its signals.
 #[derive(Clone)]
-struct Live {
-    readings: Vec<f64>,
+pub(crate) struct Live {
+    pub(crate) readings: Vec<f64>,
     dtheta: Vec<f64>,
     /// Commanded acceleration of the sample before; empty when there is none.
     ddqref: Vec<f64>,
@@ -53,7 +53,20 @@ struct Live {
 }
 
 impl Live {
-    fn set(
+    pub(crate) fn new(joints: usize, channels: usize) -> Self {
+        Self {
+            readings: vec![f64::NAN; channels],
+            dtheta: vec![f64::NAN; joints],
+            ddqref: Vec::new(),
+            jerk: vec![0.0; joints],
+        }
+    }
+
+    pub(crate) fn inputs(&self) -> Inputs<'_> {
+        Inputs { dtheta: &self.dtheta, jerk: &self.jerk, tau: &[] }
+    }
+
+    pub(crate) fn set(
         &mut self,
         dt: f64,
         sensors: usize,
@@ -95,7 +108,7 @@ pub(crate) fn fill(to: &mut [f64], name: &str, signal: Option<&Signal<'_>>) -> P
 }
 
 pub(crate) type Matrix<'py> = PyReadonlyArray2<'py, f64>;
-type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'py>, Matrix<'py>);
+pub(crate) type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'py>, Matrix<'py>);
 
 #[pymethods]
 impl ExtendedKalmanFilter {
@@ -121,8 +134,7 @@ impl ExtendedKalmanFilter {
         };
         let filter = build().map_err(IntoPyErr::into_py_err)?;
         let (n, m) = (filter.model().robot().len(), filter.model().channels());
-        let live =
-            Live { readings: vec![f64::NAN; m], dtheta: vec![f64::NAN; n], ddqref: Vec::new(), jerk: vec![0.0; n] };
+        let live = Live::new(n, m);
         Ok(Self { filter, tool: robot.0.tool.is_some(), live })
     }
 
@@ -165,9 +177,8 @@ impl ExtendedKalmanFilter {
                 ddqref.as_ref(),
                 further.as_ref(),
             )?;
-            let Live { readings, dtheta, jerk, .. } = &self.live;
-            let inputs = Inputs { dtheta, jerk, tau: &[] };
-            self.filter.step(KalmanSample { dt, readings, inputs }).map_err(IntoPyErr::into_py_err)?;
+            let sample = KalmanSample { dt, readings: &self.live.readings, inputs: self.live.inputs() };
+            self.filter.step(sample).map_err(IntoPyErr::into_py_err)?;
             out.copy_from_slice(&self.filter.belief().mean);
             Ok(self.filter.status())
         })
@@ -214,7 +225,7 @@ impl ExtendedKalmanFilter {
     }
 }
 
-fn recording<'a>(model: &JerkDriven, arrays: &'a Arrays<'_>) -> PyResult<KalmanRecording<'a>> {
+pub(crate) fn recording<'a>(model: &JerkDriven, arrays: &'a Arrays<'_>) -> PyResult<KalmanRecording<'a>> {
     let (dt, readings, dtheta, jerk) = arrays;
     let n = model.robot().len();
     Ok(KalmanRecording {

@@ -6,7 +6,9 @@ mod elastic_filter;
 mod error;
 mod gil;
 mod kalman;
+mod likelihood;
 mod observer;
+mod particle;
 mod robot;
 
 use pyo3::prelude::*;
@@ -21,7 +23,11 @@ mod _core {
     #[pymodule_export]
     use crate::kalman::{ExtendedKalmanFilter, StretchSmoother};
     #[pymodule_export]
+    use crate::likelihood::Likelihood;
+    #[pymodule_export]
     use crate::observer::{AccelerationObserver, ObserverState, observer_gains};
+    #[pymodule_export]
+    use crate::particle::ParticleFilter;
     #[pymodule_export]
     use crate::robot::Robot;
 }

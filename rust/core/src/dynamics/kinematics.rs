@@ -24,12 +24,20 @@ pub(crate) struct BodyState<T> {
 #[derive(Clone, Debug)]
 pub struct Kinematics<T> {
     pub(crate) bodies: Vec<BodyState<T>>,
+    /// Moments of mass in the bodies' own frames, where they are not those of the tree; else empty.
+    masses: Vec<Inertia<T>>,
 }
 
 impl<T: Scalar> Kinematics<T> {
     /// Room for `tree`.
     pub fn new(tree: &Tree) -> Self {
-        Self { bodies: vec![BodyState::default(); tree.len()] }
+        Self { bodies: vec![BodyState::default(); tree.len()], masses: Vec::new() }
+    }
+
+    /// Computes with `masses`, the moments of each body's mass in its own frame, in place of the tree's: so that loads
+    /// have derivatives in them.
+    pub(crate) fn set_masses(&mut self, masses: Vec<Inertia<T>>) {
+        self.masses = masses;
     }
 
     /// Positions, velocities and accelerations at once; each of length n, in the order of the log.
@@ -122,8 +130,11 @@ impl<T: Scalar> Kinematics<T> {
     /// The body's moments of mass about the base origin.
     #[inline(always)]
     pub(crate) fn inertia(&self, tree: &Tree, i: usize) -> Inertia<T> {
-        let local = &tree.bodies[i].inertia;
         let BodyState { rotation, origin, .. } = &self.bodies[i];
+        if let Some(own) = self.masses.get(i) {
+            return own.moved(rotation, origin);
+        }
+        let local = &tree.bodies[i].inertia;
         let offset = rotation.apply_constant(&local.first);
         let first = offset + *origin * local.mass;
         let mut second = Sym3::rotated(&local.second, rotation);

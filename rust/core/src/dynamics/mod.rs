@@ -11,3 +11,4 @@ mod sensing;
 pub use batch::{Batch, States};
 pub use kinematics::Kinematics;
 pub use loads::Loads;
+pub(crate) use sensing::Placed;

@@ -5,18 +5,20 @@ use crate::robot::{Frame, Tree};
 use crate::scalar::Scalar;
 use crate::spatial::{Mat3, Vec3};
 
-/// A frame's axes and position in the base frame.
+/// A frame's axes and position in the base frame, and the body that carries it.
 #[derive(Clone, Copy)]
-struct Placed<T> {
-    axes: Mat3<T>,
-    point: Vec3<T>,
+pub(crate) struct Placed<T> {
+    pub(crate) body: usize,
+    pub(crate) axes: Mat3<T>,
+    pub(crate) point: Vec3<T>,
 }
 
 impl<T: Scalar> Kinematics<T> {
     #[inline(always)]
-    fn place(&self, frame: &Frame) -> Placed<T> {
+    pub(crate) fn place(&self, frame: &Frame) -> Placed<T> {
         let body = &self.bodies[frame.body];
         Placed {
+            body: frame.body,
             axes: body.rotation.mul_constant(&frame.rotation),
             point: body.origin + body.rotation.apply_constant(&frame.translation),
         }
@@ -41,8 +43,14 @@ impl<T: Scalar> Kinematics<T> {
     /// of its point (De Luca, Schröder and Thümmel 2007, eqs. (8)–(9)). At rest it reads +9.81 m/s² upwards.
     #[inline(always)]
     pub fn specific_force(&self, frame: &Frame) -> Vec3<T> {
-        let body = &self.bodies[frame.body];
-        let Placed { axes, point } = self.place(frame);
+        self.specific_force_at(&self.place(frame))
+    }
+
+    /// The same in a frame that was placed.
+    #[inline(always)]
+    pub(crate) fn specific_force_at(&self, placed: &Placed<T>) -> Vec3<T> {
+        let Placed { body, axes, point } = *placed;
+        let body = &self.bodies[body];
         let centripetal = body.velocity.angular.cross(&body.velocity.at(&point));
         axes.apply_transposed(&(body.acceleration.at(&point) + centripetal))
     }
@@ -50,25 +58,37 @@ impl<T: Scalar> Kinematics<T> {
     /// Derivatives of [`specific_force`](Self::specific_force), handed to `put` joint by joint: in q, in q̇, and in q̈.
     /// The last is the column of T_A of eq. (10); the specific force at q̈ = 0 is its W_A.
     #[inline(always)]
-    pub fn specific_force_derivatives(&self, tree: &Tree, frame: &Frame, mut put: impl FnMut(usize, [Vec3<T>; 3])) {
-        let Placed { axes, point } = self.place(frame);
-        let velocity = self.bodies[frame.body].velocity.at(&point);
-        for i in tree.path(frame.body) {
+    pub fn specific_force_derivatives(&self, tree: &Tree, frame: &Frame, put: impl FnMut(usize, [Vec3<T>; 3])) {
+        self.specific_force_derivatives_at(tree, &self.place(frame), put);
+    }
+
+    /// The same in a frame that was placed.
+    #[inline(always)]
+    pub(crate) fn specific_force_derivatives_at(
+        &self,
+        tree: &Tree,
+        placed: &Placed<T>,
+        mut put: impl FnMut(usize, [Vec3<T>; 3]),
+    ) {
+        let Placed { body: carrier, axes, point } = *placed;
+        let velocity = self.bodies[carrier].velocity.at(&point);
+        for i in tree.path(carrier) {
             let body = &self.bodies[i];
             // Moving joint i carries the sensor along with its own axes; what remains is how the carried frame itself moves.
-            let twice = |v: Vec3<T>| v + v;
-            let by_q = body.axis_acceleration.at(&point) + twice(body.axis_rate.angular.cross(&velocity));
-            let by_dq = twice(body.axis_rate.at(&point) + body.axis.angular.cross(&velocity));
+            let turning = body.axis_rate.angular.cross(&velocity);
+            let by_q = body.axis_acceleration.at(&point) + (turning + turning);
+            let half = body.axis_rate.at(&point) + body.axis.angular.cross(&velocity);
+            let by_dq = half + half;
             let by_ddq = body.axis.at(&point);
-            let seen = |v: &Vec3<T>| axes.apply_transposed(v);
-            put(tree.bodies[i].joint, [seen(&by_q), seen(&by_dq), seen(&by_ddq)]);
+            let (by_q, by_dq) = (axes.apply_transposed(&by_q), axes.apply_transposed(&by_dq));
+            put(tree.bodies[i].joint, [by_q, by_dq, axes.apply_transposed(&by_ddq)]);
         }
     }
 
     /// The columns of T_A alone.
     #[inline(always)]
     pub fn acceleration_map(&self, tree: &Tree, frame: &Frame, mut put: impl FnMut(usize, Vec3<T>)) {
-        let Placed { axes, point } = self.place(frame);
+        let Placed { axes, point, .. } = self.place(frame);
         for i in tree.path(frame.body) {
             put(tree.bodies[i].joint, axes.apply_transposed(&self.bodies[i].axis.at(&point)));
         }
@@ -86,8 +106,8 @@ impl<T: Scalar> Kinematics<T> {
         let axes = self.place(frame).axes;
         for i in tree.path(frame.body) {
             let body = &self.bodies[i];
-            let seen = |v: &Vec3<T>| axes.apply_transposed(v);
-            put(tree.bodies[i].joint, [seen(&body.axis_rate.angular), seen(&body.axis.angular)]);
+            let by_q = axes.apply_transposed(&body.axis_rate.angular);
+            put(tree.bodies[i].joint, [by_q, axes.apply_transposed(&body.axis.angular)]);
         }
     }
 }

@@ -13,13 +13,20 @@ pub struct Lanes<const L: usize>(pub [f64; L]);
 
 impl<const L: usize> Lanes<L> {
     #[inline(always)]
-    fn zip(self, other: Self, f: impl Fn(f64, f64) -> f64) -> Self {
-        Self(core::array::from_fn(|i| f(self.0[i], other.0[i])))
+    fn zip(mut self, other: Self, f: impl Fn(f64, f64) -> f64) -> Self {
+        // A loop: `from_fn` and `map` are calls that do not always dissolve.
+        for i in 0..L {
+            self.0[i] = f(self.0[i], other.0[i]);
+        }
+        self
     }
 
     #[inline(always)]
-    fn each(self, f: impl Fn(f64) -> f64) -> Self {
-        Self(core::array::from_fn(|i| f(self.0[i])))
+    fn each(mut self, f: impl Fn(f64) -> f64) -> Self {
+        for i in 0..L {
+            self.0[i] = f(self.0[i]);
+        }
+        self
     }
 }
 

@@ -18,6 +18,23 @@ pub struct Inertia<T> {
 }
 
 impl<T: Scalar> Inertia<T> {
+    /// The moments of a mass `m` in the point `at`.
+    pub fn point(m: T, at: &Vec3<T>) -> Self {
+        let first = at.scale(m);
+        Self { mass: m, first, second: Sym3::outer(at, &first) }
+    }
+
+    /// The same mass turned by `rotation`, then moved by `origin`.
+    #[inline(always)]
+    pub fn moved(&self, rotation: &Mat3<T>, origin: &Vec3<T>) -> Self {
+        let offset = rotation.apply(&self.first);
+        let first = offset + origin.scale(self.mass);
+        let mut second = self.second.turned(rotation);
+        second += Sym3::outer(&offset, origin);
+        second += Sym3::outer(origin, &first);
+        Self { mass: self.mass, first, second }
+    }
+
     /// Momentum of the mass moving with twist `v`; or the force that gives it the spatial acceleration `v`.
     #[inline(always)]
     pub fn apply(&self, v: &Motion<T>) -> Force<T> {
@@ -53,9 +70,13 @@ impl<T: Scalar> Coriolis<T> {
     /// Of the mass `inertia` moving with twist `v`.
     #[inline(always)]
     pub fn new(inertia: &Inertia<T>, v: &Motion<T>) -> Self {
-        let columns = inertia.second.columns();
-        let column = |k: usize| v.angular.cross(&columns[k]) + v.linear.scale(inertia.first.0[k]);
-        let y = Mat3([column(0), column(1), column(2)]);
+        let [a, b, c] = inertia.second.columns();
+        let (first, angular, linear) = (inertia.first.0, v.angular, v.linear);
+        let y = Mat3([
+            angular.cross(&a) + linear.scale(first[0]),
+            angular.cross(&b) + linear.scale(first[1]),
+            angular.cross(&c) + linear.scale(first[2]),
+        ]);
         let trace = y.trace();
         let mut turning = Mat3([-y.0[0], -y.0[1], -y.0[2]]);
         for k in 0..3 {

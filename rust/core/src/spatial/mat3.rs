@@ -27,6 +27,12 @@ impl<T: Scalar> Mat3<T> {
         self.0[0] * v.0[0] + self.0[1] * v.0[1] + self.0[2] * v.0[2]
     }
 
+    /// `self · m`.
+    #[inline(always)]
+    pub fn mul(&self, m: &Self) -> Self {
+        Self([self.apply(&m.0[0]), self.apply(&m.0[1]), self.apply(&m.0[2])])
+    }
+
     /// `selfᵀ · v`.
     #[inline(always)]
     pub fn apply_transposed(&self, v: &Vec3<T>) -> Vec3<T> {
@@ -99,6 +105,16 @@ impl<T: Scalar> Sym3<T> {
         let row = |row: [f64; 3]| r.apply_constant(&Vec3(row));
         let rows = [row([xx, xy, xz]), row([xy, yy, yz]), row([xz, yz, zz])];
         // rows[k] is column k of R·m; entry (i, j) sums over k.
+        let entry =
+            |i: usize, j: usize| rows[0].0[i] * r.0[0].0[j] + rows[1].0[i] * r.0[1].0[j] + rows[2].0[i] * r.0[2].0[j];
+        Self([entry(0, 0), entry(0, 1), entry(0, 2), entry(1, 1), entry(1, 2), entry(2, 2)])
+    }
+
+    /// `R · self · Rᵀ`.
+    #[inline(always)]
+    pub fn turned(&self, r: &Mat3<T>) -> Self {
+        let [a, b, c] = self.columns();
+        let rows = [r.apply(&a), r.apply(&b), r.apply(&c)];
         let entry =
             |i: usize, j: usize| rows[0].0[i] * r.0[0].0[j] + rows[1].0[i] * r.0[1].0[j] + rows[2].0[i] * r.0[2].0[j];
         Self([entry(0, 0), entry(0, 1), entry(0, 2), entry(1, 1), entry(1, 2), entry(2, 2)])

@@ -46,6 +46,13 @@ impl Symmetric {
         self.data[i * self.stride + j]
     }
 
+    /// Sets entries (i, j) and (j, i).
+    #[inline(always)]
+    pub(crate) fn put(&mut self, i: usize, j: usize, value: f64) {
+        self.data[i * self.stride + j] = value;
+        self.data[j * self.stride + i] = value;
+    }
+
     /// Copies the upper triangle onto the lower.
     #[inline(always)]
     pub(crate) fn mirror(&mut self) {

@@ -275,6 +275,21 @@ impl JerkDriven {
         self.model.acceleration_channels()
     }
 
+    /// The model without its noise.
+    pub(crate) fn jerk_model(&self) -> &JerkModel {
+        &self.model
+    }
+
+    /// The noise.
+    pub(crate) fn noise(&self) -> &Noise {
+        &self.noise
+    }
+
+    /// Motor velocities for the damping torque, and jerk, of the sample last predicted to.
+    pub(crate) fn inputs(&self) -> (&[f64], &[f64]) {
+        (&self.dtheta, &self.jerk)
+    }
+
     #[inline(always)]
     fn take(&mut self, sample: &KalmanSample<'_>) {
         self.dt = sample.dt;

@@ -20,6 +20,7 @@ pub use filter::{ExtendedKalmanFilter, FilterSettings};
 pub use gaussian::{Gaussian, Row, Symmetric};
 pub use jerk::{Further, JerkDriven, JerkModel, Noise};
 pub use model::{Linearised, Model};
+pub(crate) use output::Tool;
 pub use output::{FilterOutput, Keep};
 pub use recording::{Inputs, KalmanRecording, KalmanSample};
 pub use smoother::Smoother;

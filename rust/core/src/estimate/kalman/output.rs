@@ -53,7 +53,7 @@ pub struct FilterOutput {
 
 impl FilterOutput {
     /// Room for `count` samples.
-    pub(super) fn zeros(count: usize, model: &impl Model, keep: Keep) -> Self {
+    pub(crate) fn zeros(count: usize, model: &impl Model, keep: Keep) -> Self {
         let (n, m, states) = (model.robot().len(), model.channels(), model.states());
         let rows = |width: usize| vec![0.0; count * width];
         let tool = if model.robot().tool.is_some() { 3 } else { 0 };
@@ -90,7 +90,7 @@ impl FilterOutput {
 
     /// The tool at sample `i`, and the standard deviations of links and tool.
     #[inline(always)]
-    pub(super) fn write_links(
+    pub(crate) fn write_links(
         &mut self,
         i: usize,
         robot: &Robot,
@@ -118,7 +118,7 @@ impl FilterOutput {
 
     /// The whole state of sample `i`, and its covariance, rows of which are `stride` apart in `covariance`.
     #[inline(always)]
-    pub(super) fn write_state(&mut self, i: usize, state: &[f64], covariance: &[f64], stride: usize) {
+    pub(crate) fn write_state(&mut self, i: usize, state: &[f64], covariance: &[f64], stride: usize) {
         let states = state.len();
         self.state[i * states..][..states].copy_from_slice(state);
         let out = &mut self.covariance[i * states * states..][..states * states];
@@ -159,14 +159,14 @@ impl FilterOutput {
 
 /// The tool centre point and how it moves with the joints.
 #[derive(Clone, Debug)]
-pub(super) struct Tool {
+pub(crate) struct Tool {
     kinematics: Kinematics<f64>,
     /// ∂p/∂q, 3 × n, row-major.
     jacobian: Vec<f64>,
 }
 
 impl Tool {
-    pub(super) fn new(robot: &Robot) -> Self {
+    pub(crate) fn new(robot: &Robot) -> Self {
         Self { kinematics: Kinematics::new(&robot.tree), jacobian: vec![0.0; 3 * robot.len()] }
     }
 

@@ -56,7 +56,7 @@ impl<'a> KalmanRecording<'a> {
     }
 
     #[inline(always)]
-    pub(super) fn sample(&self, i: usize, model: &impl Model) -> KalmanSample<'a> {
+    pub(crate) fn sample(&self, i: usize, model: &impl Model) -> KalmanSample<'a> {
         let m = model.channels();
         KalmanSample {
             dt: self.dt[i],

@@ -264,10 +264,10 @@ impl<M: Model> Smoother<M> {
         }
         let rows = if whole { states } else { self.filter.model.robot().len() };
         linear::product(&predicted[..rows * stride], stride, data, stride, &mut self.product);
-        linear::product(&self.product[..rows * stride], stride, predicted, stride, &mut self.smoothed);
         for r in 0..rows {
             for c in r..rows {
-                self.smoothed[r * stride + c] = predicted[r * stride + c] - self.smoothed[r * stride + c];
+                let taken = linear::dot(&predicted[c * stride..][..stride], &self.product[r * stride..][..stride]);
+                self.smoothed[r * stride + c] = predicted[r * stride + c] - taken;
                 self.smoothed[c * stride + r] = self.smoothed[r * stride + c];
             }
         }

@@ -1,0 +1,167 @@
+"""Calibrate a robot from its own recordings."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from ..log import Log
+from ..noise import Noise
+from ..robot import Robot
+from .parameters import Bounds, Parameter, choose
+from .problem import Problem
+from .recordings import moving, refuse, use_torque
+from .result import Calibration, Estimated, Fit
+from .search import Progress, Search
+from .uncertainty import Contradiction, Uncertainty, compare, uncertainty, untold
+
+FloatArray = npt.NDArray[np.float64]
+
+ROUNDS = 3
+"""How often parameters that turn out not to be told are left out and the rest is estimated anew."""
+
+
+def calibrate(
+    robot: Robot,
+    logs: Log | Sequence[Log],
+    free: Iterable[str] | None = None,
+    *,
+    noise: Noise | None = None,
+    torque: bool | None = None,
+    bounds: Bounds | None = None,
+    held_out: Sequence[Log] = (),
+    start: Mapping[str, float] | None = None,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Find a robot's parameters from its own recordings, without any external measurement.
+
+    The posterior probability of the free parameters is maximised: the likelihood of all readings, which the
+    innovations of the Kalman filter on the acceleration-driven model give (Schweppe 1965), and a Gaussian prior around
+    the values of robot.yaml whose widths are its ``tolerances``. Gradients are exact. Innovations beyond four standard
+    deviations count linearly (Huber 1964), so that outliers have a bounded influence.
+
+    Parameters
+    ----------
+    robot
+        The robot as robot.yaml has it.
+    logs
+        One recording or several of the same robot, with motion in them.
+    free
+        Kinds of parameters such as ``"stiffness"``, or names such as ``"stiffness_axis2"``; by default
+        `parameters.DEFAULT`. Those that the recordings cannot tell are left as they are, see `Calibration.refused`.
+    noise
+        How uncertain everything is; motors, sensors and torques also have a free factor on it by default.
+    torque
+        Whether motor torques are readings by the motor's equation of motion: needed for motor inertia, friction and
+        coupling, and to tell stiffness from mass. By default only for a robot without accelerometers.
+    bounds
+        Least and largest value by name of a parameter.
+    held_out
+        Recordings that only test the outcome.
+    start
+        Where to start, by name, in tolerances: what a `Step` of an interrupted run held.
+    progress
+        Called with a `Step` whenever a better point is found.
+
+    Raises
+    ------
+    EstimatorError
+        A name that is no parameter, bounds that contradict each other or robot.yaml, nothing to calibrate.
+    LogError
+        A recording without motion, with a saturated accelerometer, or of another robot.
+    NumericalError
+        The filter breaks down at the values of robot.yaml.
+    """
+    began = time.perf_counter()
+    logs = [logs] if isinstance(logs, Log) else list(logs)
+    refuse(robot, logs)
+    torque = use_torque(robot, logs, torque)
+    problem = Problem(robot, logs, noise or Noise(), torque, choose(robot, free, torque, bounds or {}))
+    before = Fit.of(problem.evidence(np.zeros(len(problem.free)), detail=True))
+    run = _Run(problem, dict(start or {}), progress)
+    run.solve()
+    after = run.problem.evidence(run.z, detail=True)
+    found = uncertainty(after, min(log.period for log in logs))
+    return Calibration(
+        estimates=_estimates(run.problem.free, run.z, found),
+        refused=run.refused,
+        before=before,
+        after=Fit.of(after),
+        held_out=_held_out(run.problem, run.z, held_out),
+        contradictions=_contradictions(run.problem, run.z),
+        evaluations=run.evaluations,
+        seconds=time.perf_counter() - began,
+        problem=run.problem,
+        z=run.z,
+        uncertainty=found,
+    )
+
+
+class _Run:
+    """Search, leave out what the recordings do not tell, search again."""
+
+    def __init__(self, problem: Problem, start: dict[str, float], progress: Progress | None) -> None:
+        self.problem, self.progress = problem, progress
+        self.at = self._filters(problem) | start
+        self.refused: dict[str, str] = {}
+        self.evaluations = 0
+        moves = np.any([moving(log) for log in problem.logs], axis=0)
+        self.still = [name for name, does in zip(problem.robot.names, moves, strict=True) if not does]
+
+    @staticmethod
+    def _filters(problem: Problem) -> dict[str, float]:
+        """Half a sample for a filter that robot.yaml does not have: at zero it could not be told from a delay."""
+        half = 0.5 * min(log.period for log in problem.logs)
+        filters = [p for p in problem.free if p.kind == "time_constant" and p.start < half]
+        return {p.name: p.z(half) for p in filters}
+
+    @property
+    def z(self) -> FloatArray:
+        """The best point so far."""
+        return np.array([self.at.get(p.name, 0.0) for p in self.problem.free])
+
+    def solve(self) -> None:
+        self._leave_out()
+        for _ in range(ROUNDS):
+            search = Search(self.problem, self.progress)
+            z = search.maximise(self.z)
+            self.evaluations += search.evaluations
+            self.at = dict(zip([p.name for p in self.problem.free], z.tolist(), strict=True))
+            if not self._leave_out():
+                return
+
+    def _leave_out(self) -> bool:
+        """Whether anything had to be left out."""
+        reasons = untold(self.problem, self.problem.evidence(self.z, detail=True), self.still)
+        if reasons:
+            self.refused |= reasons
+            self.problem = self.problem.restricted([p for p in self.problem.free if p.name not in reasons])
+        return bool(reasons)
+
+
+def _estimates(free: Sequence[Parameter], z: FloatArray, found: Uncertainty) -> tuple[Estimated, ...]:
+    rows = zip(free, z.tolist(), found.std.tolist(), found.widening.tolist(), strict=True)
+    return tuple(Estimated(p, p.value(x), std * p.slope(x), wide, p.exceeds(x)) for p, x, std, wide in rows)
+
+
+def _held_out(problem: Problem, z: FloatArray, logs: Sequence[Log]) -> tuple[float, float] | None:
+    if not logs:
+        return None
+    refuse(problem.robot, logs)
+    test = problem.on(logs)
+    return test.log_likelihood(np.zeros(len(z))), test.log_likelihood(z)
+
+
+def _contradictions(problem: Problem, z: FloatArray) -> tuple[Contradiction, ...]:
+    """Estimate by each recording alone, from the joint estimate on."""
+    if len(problem.logs) < 2:
+        return ()
+    fits = []
+    for log in problem.logs:
+        alone = problem.on([log])
+        best = Search(alone).maximise(z)
+        fits.append((best, uncertainty(alone.evidence(best, detail=True), log.period)))
+    return tuple(compare(problem, fits))

@@ -1,0 +1,171 @@
+"""A robot.yaml with calibrated values: the user's own, comments and order kept, standard errors beside the values."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap, CommentedSeq
+
+from ..estimate import write_text
+from ..source import Source
+from .parameters import AXES, SHORTEST_FILTER
+from .result import Calibration, Estimated
+
+Writer = Callable[[Any, Estimated], None]
+
+
+def write(calibration: Calibration, source: str | Path, out: str | Path) -> None:
+    """Write the calibrated robot.yaml.
+
+    Parameters
+    ----------
+    calibration
+        The outcome.
+    source
+        The robot.yaml that was calibrated.
+    out
+        The new one; its ``urdf`` leads to the same file.
+
+    Raises
+    ------
+    ConfigError
+        ``source`` cannot be read.
+    """
+    tree = Source.read(source).tree
+    urdf = Path(source).parent / tree["urdf"]
+    if Path(source).resolve().parent != Path(out).resolve().parent and not os.path.isabs(tree["urdf"]):
+        tree["urdf"] = os.path.relpath(urdf.resolve(), Path(out).resolve().parent)
+    for estimated in calibration.estimates:
+        if (writer := _WRITERS.get(estimated.parameter.kind)) is not None:
+            writer(tree, estimated)
+    for index in sorted({e.parameter.core[1] for e in calibration.estimates if e.parameter.kind == "rotation"}):
+        _write_rotation(tree["accelerometers"][index], calibration, index)
+    text = StringIO()
+    yaml = YAML()
+    yaml.width = 120
+    yaml.dump(tree, text)
+    write_text(out, text.getvalue())
+
+
+def rounded(value: float, std: float) -> float:
+    """Round a value to two digits of its standard error."""
+    if not (np.isfinite(std) and std > 0 and value):
+        return float(value)
+    return float(round(value, 1 - int(np.floor(np.log10(std)))))
+
+
+def _put(mapping: Any, key: str, value: Any, after: str | None = None) -> None:
+    if key in mapping or after not in mapping:
+        mapping[key] = value
+    else:
+        mapping.insert(list(mapping).index(after) + 1, key, value)
+
+
+def _note(mapping: Any, key: str, text: str) -> None:
+    """Comment at the end of a key's line, behind what is there; not inside braces, where YAML has no place for one."""
+    if mapping.fa.flow_style():
+        return
+    there = mapping.ca.items.get(key)
+    old = there[2].value.strip().lstrip("# ") if there and there[2] else ""
+    if old:
+        there[2].value = f"# {old}; {text}\n" + there[2].value.partition("\n")[2]
+    else:
+        mapping.yaml_add_eol_comment(text, key)
+
+
+def _of_joint(tree: Any, e: Estimated) -> None:
+    joint = tree["joints"][e.parameter.core[1]]
+    _put(
+        joint, e.parameter.kind, rounded(e.value, e.std), "damping" if e.parameter.kind == "mass_scale" else "stiffness"
+    )
+    _note(joint, e.parameter.kind, f"± {e.std:.2g}")
+
+
+def _of_friction(tree: Any, e: Estimated) -> None:
+    joint = tree["joints"][e.parameter.core[1]]
+    _put(joint, "motor_friction", joint.get("motor_friction", _flow_map()), "motor_inertia")
+    joint["motor_friction"][e.parameter.kind] = rounded(e.value, e.std)
+    _note(joint, "motor_friction", f"{e.parameter.kind} ± {e.std:.2g}")
+
+
+def _of_coupling(tree: Any, e: Estimated) -> None:
+    row, column = (tree["joints"][i]["name"] for i in e.parameter.core[1:])
+    coupling = tree.setdefault("coupling", CommentedMap())
+    coupling.setdefault(row, CommentedMap())[column] = rounded(e.value, e.std)
+    _note(coupling[row], column, f"± {e.std:.2g}")
+
+
+def _of_payload(tree: Any, e: Estimated) -> None:
+    _put(tree, "payload", tree.get("payload", CommentedMap()), "tool")
+    payload = tree["payload"]
+    if e.parameter.kind == "payload_mass":
+        payload["mass"] = rounded(e.value, e.std)
+        _note(payload, "mass", f"± {e.std:.2g}")
+    else:
+        _of_vector(payload, "xyz", e, 0.0)
+
+
+def _of_vector(mapping: Any, key: str, e: Estimated, default: float, added: bool = False) -> None:
+    axis = e.parameter.core[2]
+    _put(mapping, key, mapping.get(key, _flow_seq([default] * 3)), "noise_std")
+    mapping[key][axis] = rounded(e.value + (mapping[key][axis] if added else 0.0), e.std)
+    _note(mapping, key, f"{AXES[axis]} ± {e.std:.2g}")
+
+
+def _of_sensor(tree: Any, e: Estimated) -> None:
+    sensor = tree["accelerometers"][e.parameter.core[1]]
+    kind = e.parameter.kind
+    if kind in ("bias", "scale"):
+        _of_vector(sensor, kind, e, 1.0 if kind == "scale" else 0.0)
+    elif kind == "translation":
+        offset = pin.rpy.rpyToMatrix(*map(float, sensor.get("rpy", [0.0] * 3)))[:, e.parameter.core[2]] * e.value
+        _put(sensor, "xyz", sensor.get("xyz", _flow_seq([0.0] * 3)), "link")
+        for axis in range(3):
+            sensor["xyz"][axis] = float(round(sensor["xyz"][axis] + offset[axis], 6))
+        _note(sensor, "xyz", f"along its own {AXES[e.parameter.core[2]]} ± {e.std:.2g}")
+    elif kind == "sensor_noise":
+        _put(sensor, "noise_std", rounded(sensor.get("noise_std", 0.05) * e.value, 1e-2 * e.value), "rpy")
+    elif kind == "delay":
+        _put(sensor, "delay", rounded(e.value, e.std), "noise_std")
+        _note(sensor, "delay", f"± {e.std:.2g}")
+    elif e.value > 2 * SHORTEST_FILTER:
+        corner = 1 / (2 * np.pi * e.value)
+        std = corner * e.std / e.value
+        _put(sensor, "corner_frequency", rounded(corner, std), "noise_std")
+        _note(sensor, "corner_frequency", f"± {std:.2g}")
+
+
+def _write_rotation(sensor: Any, calibration: Calibration, index: int) -> None:
+    found = {e.parameter.core[2]: e for e in calibration.estimates if e.parameter.core[:2] == ("rotation", index)}
+    vector = np.array([found[a].value if a in found else 0.0 for a in range(3)])
+    turned = pin.rpy.rpyToMatrix(*map(float, sensor.get("rpy", [0.0] * 3))) @ pin.exp3(vector)
+    _put(sensor, "rpy", _flow_seq([float(round(x, 6)) for x in pin.rpy.matrixToRpy(turned)]), "xyz")
+    _note(sensor, "rpy", "± " + ", ".join(f"{e.std:.2g} about {AXES[a]}" for a, e in sorted(found.items())))
+
+
+def _flow_map() -> CommentedMap:
+    out = CommentedMap()
+    out.fa.set_flow_style()
+    return out
+
+
+def _flow_seq(values: list[float]) -> CommentedSeq:
+    out = CommentedSeq(values)
+    out.fa.set_flow_style()
+    return out
+
+
+_WRITERS: dict[str, Writer] = {
+    **dict.fromkeys(("stiffness", "cubic_stiffness", "damping", "motor_inertia", "mass_scale"), _of_joint),
+    **dict.fromkeys(("viscous", "coulomb"), _of_friction),
+    **dict.fromkeys(("payload_mass", "payload_xyz"), _of_payload),
+    **dict.fromkeys(("bias", "scale", "translation", "sensor_noise", "delay", "time_constant"), _of_sensor),
+    "coupling": _of_coupling,
+}

@@ -1,0 +1,261 @@
+"""What can be freed: every parameter with its unit, its value in robot.yaml, how far off it may be, and its bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from ..config import AccelerometerConfig, JointConfig, TolerancesConfig
+from ..errors import EstimatorError
+from ..robot import Robot
+from ..source import suggest
+
+FloatArray = npt.NDArray[np.float64]
+CoreName = tuple[str, int, int]
+Bounds = Mapping[str, tuple[float, float]]
+Owner = Literal["joint", "coupling", "payload", "payload axis", "sensor", "sensor axis"]
+
+AXES = "xyz"
+SHORTEST_FILTER = 1e-5
+"""A filter with a shorter time constant is not there, for any reading that a log can hold [s]."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What parameters of a kind have in common.
+
+    Attributes
+    ----------
+    owner
+        What has one of these each.
+    unit : str
+        Its unit.
+    relative : bool
+        Whether its tolerance is a share of its value; it is then positive and varied by its logarithm.
+    least : float
+        Lower bound.
+    """
+
+    owner: Owner
+    unit: str
+    relative: bool = False
+    least: float = -np.inf
+
+
+KINDS = {
+    "stiffness": Kind("joint", "N m/rad", relative=True),
+    "cubic_stiffness": Kind("joint", "N m/rad³", least=0.0),
+    "damping": Kind("joint", "N m s/rad", relative=True),
+    "motor_inertia": Kind("joint", "kg m²", relative=True),
+    "viscous": Kind("joint", "N m s/rad", relative=True),
+    "coulomb": Kind("joint", "N m", relative=True),
+    "mass_scale": Kind("joint", "", relative=True),
+    "coupling": Kind("coupling", "kg m²"),
+    "payload_mass": Kind("payload", "kg", least=0.0),
+    "payload_xyz": Kind("payload axis", "m"),
+    "translation": Kind("sensor axis", "m"),
+    "rotation": Kind("sensor axis", "rad"),
+    "bias": Kind("sensor axis", "m/s²"),
+    "scale": Kind("sensor axis", "", relative=True),
+    "time_constant": Kind("sensor", "s", least=SHORTEST_FILTER),
+    "delay": Kind("sensor", "s", least=0.0),
+    "motor_noise": Kind("joint", "", relative=True),
+    "torque_noise": Kind("joint", "", relative=True),
+    "sensor_noise": Kind("sensor", "", relative=True),
+    "jerk_noise": Kind("joint", "", relative=True),
+}
+"""All kinds of parameters, by name."""
+
+NOISE = ("motor_noise", "torque_noise", "sensor_noise", "jerk_noise")
+"""Kinds that say how uncertain readings are; factors on what `Noise` says."""
+
+NOISE_RANGE = (0.03, 1e3)
+"""Factors on noise: below, an encoder would be better than its steps."""
+
+TORQUE_ONLY = ("motor_inertia", "viscous", "coulomb", "coupling", "torque_noise")
+"""Kinds that nothing but motor torque tells of."""
+
+DEFAULT = (
+    *("stiffness", "cubic_stiffness", "damping", "motor_inertia", "viscous", "coulomb"),
+    *("payload_mass", "bias", "time_constant", "delay", *NOISE),
+)
+"""Kinds that are freed where nothing is said, as far as the recordings tell them apart."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number that may be free.
+
+    It is varied as a number z that is 0 at the value of robot.yaml and ±1 at the ends of its tolerance, so that all
+    parameters are of one size and the prior is N(0, 1): value = start·exp(tolerance·z) for positive ones, start +
+    tolerance·z for others.
+
+    Attributes
+    ----------
+    name : str
+        As users type it, such as ``stiffness_axis2``.
+    kind : str
+        Key of `KINDS`.
+    core : tuple
+        What the core calls it: kind, then indices.
+    start : float
+        Value in robot.yaml, or what stands for it where that is zero.
+    tolerance : float
+        One standard deviation of the prior: relative for positive parameters.
+    low, high : float
+        Bounds of its value.
+    """
+
+    name: str
+    kind: str
+    core: CoreName
+    start: float
+    tolerance: float
+    low: float
+    high: float
+
+    @property
+    def unit(self) -> str:
+        """Its unit."""
+        return KINDS[self.kind].unit
+
+    @property
+    def relative(self) -> bool:
+        """Whether it is varied by its logarithm."""
+        return KINDS[self.kind].relative
+
+    def value(self, z: float) -> float:
+        """Give the physical value."""
+        if self.relative:
+            return float(self.start * np.exp(self.tolerance * z))
+        return self.start + self.tolerance * z
+
+    def slope(self, z: float) -> float:
+        """Give the derivative of the value by z."""
+        return self.tolerance * (self.value(z) if self.relative else 1.0)
+
+    def z(self, value: float) -> float:
+        """Give the number that a value stands for; infinite for a bound that is."""
+        if self.relative:
+            with np.errstate(divide="ignore"):
+                return float(np.log(np.maximum(value, 0.0) / self.start) / self.tolerance)
+        return (value - self.start) / self.tolerance
+
+    def exceeds(self, z: float) -> bool:
+        """Whether a value is at a bound, to within a thousandth of its tolerance."""
+        return bool(min(z - self.z(self.low), self.z(self.high) - z) < 1e-3)
+
+
+def catalogue(robot: Robot, torque: bool) -> list[Parameter]:
+    """Every parameter that a robot has; those that only motor torque tells of where there is ``torque``."""
+    tolerances = robot.config.tolerances
+    kinds = [kind for kind in KINDS if torque or kind not in TORQUE_ONLY]
+    return [parameter for kind in kinds for parameter in _of_kind(robot, kind, tolerances)]
+
+
+def choose(robot: Robot, free: Iterable[str] | None, torque: bool, bounds: Bounds) -> list[Parameter]:
+    """Parameters to try: by kind or by name, `DEFAULT` where nothing is said.
+
+    Raises
+    ------
+    EstimatorError
+        A name that is none, or bounds that contradict each other or the value they start from.
+    """
+    everything = catalogue(robot, torque)
+    names = [p.name for p in everything]
+    wanted = DEFAULT if free is None else tuple(free)
+    for name in () if free is None else wanted:
+        if name not in KINDS and name not in names:
+            _refuse_unknown(name, [*KINDS, *names], torque)
+    chosen = [p for p in everything if p.kind in wanted or p.name in wanted]
+    for name in bounds:
+        if name not in [p.name for p in chosen]:
+            raise EstimatorError(f"bounds: {name!r} is not free; {suggest(name, [p.name for p in chosen])}")
+    return [_bounded(p, bounds[p.name]) if p.name in bounds else p for p in chosen]
+
+
+def _refuse_unknown(name: str, known: Sequence[str], torque: bool) -> None:
+    if not torque and any(name.startswith(kind) for kind in TORQUE_ONLY):
+        raise EstimatorError(f"free: {name!r} shows in motor torque only, and a log has none (columns tau_<joint>)")
+    raise EstimatorError(f"free: {name!r} is no parameter of this robot; {suggest(name, known)}")
+
+
+def _bounded(parameter: Parameter, bounds: tuple[float, float]) -> Parameter:
+    low, high = bounds
+    least = KINDS[parameter.kind].least if not parameter.relative else 0.0
+    if not (low < high and high > least):
+        raise EstimatorError(f"bounds: {parameter.name} from {low:g} to {high:g} leave no value")
+    if not low <= parameter.start <= high:
+        raise EstimatorError(
+            f"bounds: {parameter.name} from {low:g} to {high:g} leave out {parameter.start:g}, its value in robot.yaml"
+        )
+    return replace(parameter, low=max(low, least), high=high)
+
+
+def _of_kind(robot: Robot, kind: str, tolerances: TolerancesConfig) -> list[Parameter]:
+    owner, tolerance = KINDS[kind].owner, getattr(tolerances, kind)
+    sensors = list(enumerate(robot.accelerometers))
+    if owner == "joint":
+        joints = enumerate(robot.drives)
+        return [
+            _of_joint(kind, j, d, tolerance) for j, d in joints if d.elastic or kind in ("mass_scale", "motor_noise")
+        ]
+    if owner == "coupling":
+        pairs = [(i, j) for i in range(robot.n) for j in range(i + 1, robot.n) if robot.elastic[[i, j]].all()]
+        names = robot.names
+        values = robot.coupling
+        return [_made(kind, f"coupling_{names[i]}_{names[j]}", (i, j), values[i, j], tolerance) for i, j in pairs]
+    if owner in ("payload", "payload axis"):
+        return _of_payload(robot, kind, tolerance)
+    if owner == "sensor":
+        return [_made(kind, f"{kind}_{s.name}", (i, 0), _of_sensor(s, kind), tolerance) for i, s in sensors]
+    axes = [(i, s, a) for i, s in sensors for a in range(3) if AXES[a] in s.axes or kind in ("translation", "rotation")]
+    return [_made(kind, f"{kind}_{s.name}_{AXES[a]}", (i, a), _of_axis(s, kind, a), tolerance) for i, s, a in axes]
+
+
+def _made(kind: str, name: str, index: tuple[int, int], start: float, tolerance: float) -> Parameter:
+    low, high = KINDS[kind].least, np.inf
+    if kind in NOISE:
+        low, high = NOISE_RANGE
+    elif KINDS[kind].relative:
+        low, high = start / 100, start * 100
+    return Parameter(name, kind, (kind, *index), max(start, KINDS[kind].least), tolerance, low, high)
+
+
+def _of_joint(kind: str, index: int, drive: JointConfig, tolerance: float) -> Parameter:
+    stiffness = drive.stiffness or 0.0
+    values = {
+        "stiffness": stiffness,
+        "cubic_stiffness": drive.cubic_stiffness,
+        "damping": drive.damping or 1e-3 * stiffness,
+        "motor_inertia": drive.motor_inertia or 0.0,
+        "viscous": drive.motor_friction.viscous or 1e-3 * (drive.motor_inertia or 0.0),
+        "coulomb": drive.motor_friction.coulomb or 1e-5 * stiffness,
+        "mass_scale": drive.mass_scale,
+    }
+    if kind == "cubic_stiffness":
+        tolerance *= stiffness
+    return _made(kind, f"{kind}_{drive.name}", (index, 0), values.get(kind, 1.0), tolerance)
+
+
+def _of_payload(robot: Robot, kind: str, tolerance: float) -> list[Parameter]:
+    if robot.tool is None:
+        return []
+    payload = robot.config.payload
+    if kind == "payload_mass":
+        return [_made(kind, kind, (0, 0), payload.mass, tolerance)]
+    return [_made(kind, f"payload_{AXES[a]}", (0, a), payload.xyz[a], tolerance) for a in range(3)]
+
+
+def _of_sensor(sensor: AccelerometerConfig, kind: str) -> float:
+    if kind == "time_constant":
+        return 1 / (2 * np.pi * sensor.corner_frequency) if sensor.corner_frequency else SHORTEST_FILTER
+    return sensor.delay if kind == "delay" else 1.0
+
+
+def _of_axis(sensor: AccelerometerConfig, kind: str, axis: int) -> float:
+    return {"bias": sensor.bias[axis], "scale": sensor.scale[axis]}.get(kind, 0.0)

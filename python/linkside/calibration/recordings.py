@@ -1,0 +1,87 @@
+"""Whether recordings can be calibrated with: motion, sensors within their range, one robot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from ..errors import EstimatorError, LogError
+from ..log import Log
+from ..robot import Robot
+from ..tune import LEAST_MOTION
+
+FloatArray = npt.NDArray[np.float64]
+
+SATURATED = 10
+"""So many samples in a row at an extreme value are a sensor at the end of its range."""
+
+
+def moving(log: Log) -> npt.NDArray[np.bool_]:
+    """Which joints' motors move at all, (n,)."""
+    return np.asarray(np.nanmax(log.theta, axis=0) - np.nanmin(log.theta, axis=0) > LEAST_MOTION)
+
+
+def use_torque(robot: Robot, logs: Sequence[Log], torque: bool | None) -> bool:
+    """Whether motor torques are readings: as asked for, else where there is nothing better.
+
+    Raises
+    ------
+    EstimatorError
+        Neither accelerometers nor torques.
+    """
+    there = all(log.tau is not None for log in logs)
+    if torque is None:
+        torque = not robot.acceleration_channels and there
+    if torque:
+        for log in logs:
+            log.require("tau", purpose="calibration with motor torques")
+    elif not robot.acceleration_channels:
+        raise EstimatorError("motor positions alone tell nothing of a spring: record accelerometers or motor torques")
+    return torque
+
+
+def refuse(robot: Robot, logs: Sequence[Log]) -> None:
+    """Refuse recordings that cannot be used, before any work is done.
+
+    Raises
+    ------
+    EstimatorError
+        No recording, or a robot without an elastic joint.
+    LogError
+        A column that is missing, no motion, an accelerometer at the end of its range.
+    """
+    if not logs:
+        raise EstimatorError("there is no log to calibrate with")
+    if not robot.elastic.any():
+        raise EstimatorError("no joint of the robot is elastic: there is nothing to calibrate")
+    for log in logs:
+        log.require("theta", purpose="calibration")
+        if robot.acceleration_channels:
+            log.require("acceleration", purpose="calibration")
+        log.require_start("calibration")
+        if not (moving(log) & robot.elastic).any():
+            raise LogError(
+                f"{log.source}: no elastic joint's motor moves by more than {LEAST_MOTION} rad: "
+                "nothing to calibrate with"
+            )
+        _refuse_saturated(robot, log)
+
+
+def _refuse_saturated(robot: Robot, log: Log) -> None:
+    if log.acceleration is None:
+        return
+    for name, values in zip(robot.acceleration_channels, log.acceleration.T, strict=True):
+        for extreme in (np.nanmin(values), np.nanmax(values)):
+            at = values == extreme
+            if _longest_run(at) >= SATURATED:
+                raise LogError(
+                    f"{log.source}: {name} stays at its extreme value {extreme:g} for {_longest_run(at)} samples: "
+                    "a sensor at the end of its range; record with a wider one, or set those samples to NaN"
+                )
+
+
+def _longest_run(flags: npt.NDArray[np.bool_]) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
+    return int(np.max(edges[1::2] - edges[::2], initial=0))

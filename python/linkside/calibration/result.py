@@ -1,0 +1,170 @@
+"""What a calibration found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from ..consistency import autocovariance
+from .parameters import Parameter
+from .problem import Evidence, Problem
+from .uncertainty import Contradiction, Uncertainty
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FloatArray = npt.NDArray[np.float64]
+
+LAGS = 50
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """A parameter's estimate.
+
+    Attributes
+    ----------
+    parameter : Parameter
+        Which.
+    value, std : float
+        Its value and standard error.
+    widening : float
+        By what factor the standard error was widened because errors of the model last.
+    at_bound : bool
+        Whether the value is at a bound: then its standard error means little.
+    """
+
+    parameter: Parameter
+    value: float
+    std: float
+    widening: float
+    at_bound: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """How well parameters explain recordings.
+
+    Attributes
+    ----------
+    log_likelihood : float
+        Of all recordings.
+    used : int
+        Readings.
+    nis : (m,)
+        Normalised innovation squared of each channel; 1 when innovations are as large as expected.
+    autocorrelation : (lags, m)
+        Of normalised innovations from lag 1 on; 0 when they are white.
+    """
+
+    log_likelihood: float
+    used: int
+    nis: FloatArray
+    autocorrelation: FloatArray
+
+    @classmethod
+    def of(cls, evidence: Evidence) -> Fit:
+        """Summarise evidence with details."""
+        joined = np.vstack(evidence.innovations)
+        covariance = np.array([autocovariance(channel, LAGS) for channel in joined.T])
+        correlation = covariance[:, 1:] / np.maximum(covariance[:, :1], 1e-300)
+        counts = np.maximum(1, np.isfinite(joined).sum(axis=0))
+        return cls(evidence.log_likelihood, evidence.used, np.nansum(joined**2, axis=0) / counts, correlation.T)
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Parameters under which recordings are most probable, and how far to believe them.
+
+    Attributes
+    ----------
+    estimates : tuple of Estimated
+        Those that were freed.
+    refused : dict of str to str
+        Those that the recordings cannot tell, with the reason; they stay as in robot.yaml.
+    correlation : (p, p)
+        Of the estimates.
+    before, after : Fit
+        At the values of robot.yaml, and at the estimates.
+    held_out : tuple of float, optional
+        Log-likelihood of recordings that were not used, before and after.
+    contradictions : tuple of Contradiction
+        Between recordings.
+    evaluations : int
+        Of the likelihood with its gradient.
+    seconds : float
+        How long it took.
+    problem : Problem
+        What was solved; its recordings and free parameters.
+    z : (p,)
+        The estimates in tolerances.
+    uncertainty : Uncertainty
+        Likewise.
+    """
+
+    estimates: tuple[Estimated, ...]
+    refused: dict[str, str]
+    before: Fit
+    after: Fit
+    held_out: tuple[float, float] | None
+    contradictions: tuple[Contradiction, ...]
+    evaluations: int
+    seconds: float
+    problem: Problem
+    z: FloatArray
+    uncertainty: Uncertainty
+
+    @property
+    def correlation(self) -> FloatArray:
+        """Correlations of the estimates, (p, p)."""
+        return self.uncertainty.correlation
+
+    def __getitem__(self, name: str) -> Estimated:
+        """Give an estimate by its parameter's name, such as ``stiffness_axis2``."""
+        return next(e for e in self.estimates if e.parameter.name == name)
+
+    def write(self, source: str | Path, out: str | Path) -> None:
+        """Write the robot.yaml ``source`` with the estimates in place of its values; see `output.write`."""
+        from .output import write
+
+        write(self, source, out)
+
+    def write_report(self, out: str | Path) -> None:
+        """Write a report with figures: one HTML file."""
+        from .report import write
+
+        write(self, out)
+
+    def profile(self, first: str, second: str, points: int = 15) -> Figure:
+        """Draw the posterior over a pair of parameters, see `figures.profile`."""
+        from .figures import profile
+
+        return profile(self, first, second, points)
+
+    def to_text(self) -> str:
+        """Report in words."""
+        lines = [f"{'':28} {'before':>12} {'estimate':>12} {'std. error':>11}"]
+        for e in self.estimates:
+            edge = "  at its bound" if e.at_bound else ""
+            lines.append(f"{e.parameter.name:28} {e.parameter.start:12.5g} {e.value:12.5g} {e.std:11.2g}{edge}")
+        lines += [f"not estimated: {name}: {reason}" for name, reason in self.refused.items()]
+        lines.append(self._fit_line())
+        if self.held_out is not None:
+            lines.append(f"held out: log-likelihood {self.held_out[0]:.1f} before, {self.held_out[1]:.1f} after")
+        wide = max((e.widening for e in self.estimates), default=1.0)
+        if wide > 1.5:
+            lines.append(f"standard errors are up to {wide:.1f} times wider than white innovations would have them")
+        lines += [f"warning: {c}" for c in self.contradictions]
+        return "\n".join(lines) + "\n"
+
+    def _fit_line(self) -> str:
+        b, a = self.before, self.after
+        return (
+            f"log-likelihood {b.log_likelihood:.1f} before, {a.log_likelihood:.1f} after; largest correlation of "
+            f"innovations from sample to sample {np.abs(b.autocorrelation[0]).max():.2f} before, "
+            f"{np.abs(a.autocorrelation[0]).max():.2f} after"
+        )

@@ -1,0 +1,193 @@
+"""How far to believe estimates: standard errors, what the data cannot tell, contradictions between recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+
+from .parameters import NOISE, Parameter
+from .problem import Evidence, Problem
+
+FloatArray = npt.NDArray[np.float64]
+
+MEMORY = 0.1
+"""Errors of a model are correlated over about this time [s]."""
+
+TOLD = 0.5
+"""A parameter whose standard error is more than this share of its tolerance has not been told by the data."""
+
+SIGNIFICANT = 1e-4
+"""Recordings contradict each other when estimates as far apart as theirs have a smaller probability than this."""
+
+EXCITATION = {
+    "stiffness": "faster motion, or a heavier load",
+    "cubic_stiffness": "larger torques, from fast or loaded motion",
+    "damping": "motion that leaves the link swinging, as hard stops do",
+    "motor_inertia": "motor torques, and strong accelerations",
+    "viscous": "motor torques, and long stretches at different constant speeds",
+    "coulomb": "motor torques, and reversals at low speed",
+    "coupling": "motor torques, and accelerations of both joints",
+    "mass_scale": "motor torques",
+    "payload_mass": "accelerations about several axes, in several postures",
+    "payload_xyz": "the wrist in several postures, accelerated",
+    "translation": "fast rotation of the link that carries the sensor",
+    "rotation": "several postures that gravity shows the direction of",
+    "bias": "several postures",
+    "scale": "strong accelerations, and several postures",
+    "time_constant": "fast motion: accelerations that change within a few samples",
+    "delay": "fast motion: accelerations that change within a few samples",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """Of the estimates, in tolerances.
+
+    Attributes
+    ----------
+    std : (p,)
+        Standard errors.
+    correlation : (p, p)
+        Correlations.
+    widening : (p,)
+        By what factor standard errors are larger than if innovations were independent.
+    """
+
+    std: FloatArray
+    correlation: FloatArray
+    widening: FloatArray
+
+
+def uncertainty(evidence: Evidence, period: float) -> Uncertainty:
+    """Standard errors from the information, widened where errors last.
+
+    C = (H + 1)⁻¹ is right if the model is. If it is not, errors last from sample to sample and the variance of the
+    gradient is its long-run variance J in place of H, so that C (J + 1) C takes its place (H. White, Econometrica 50,
+    1982; W. K. Newey and K. D. West, Econometrica 55, 1987). Of the two, the larger is reported.
+    """
+    p = len(evidence.gradient)
+    plain = np.linalg.inv(evidence.information + np.eye(p))
+    slow = sum((long_run(scores, round(MEMORY / period)) for scores in evidence.scores), np.zeros((p, p)))
+    robust = plain @ (slow + np.eye(p)) @ plain
+    widening = np.sqrt(np.maximum(1.0, np.diag(robust) / np.diag(plain)))
+    std = np.sqrt(np.diag(plain))
+    return Uncertainty(std * widening, plain / np.outer(std, std), widening)
+
+
+def long_run(scores: FloatArray, lags: int) -> FloatArray:
+    """Variance of the sum of (T, p) correlated vectors, with Bartlett's weights up to ``lags``."""
+    centred = scores - scores.mean(axis=0)
+    total = np.asarray(centred.T @ centred)
+    for lag in range(1, min(lags, len(scores) - 1) + 1):
+        part = centred[lag:].T @ centred[:-lag]
+        total = total + (1 - lag / (lags + 1)) * (part + part.T)
+    return total
+
+
+def untold(problem: Problem, evidence: Evidence, still: Sequence[str]) -> dict[str, str]:
+    """Parameters that the recordings cannot tell, each with the reason; the worst first, then anew without it.
+
+    ``still`` are the names of joints that do not move.
+    """
+    free = list(problem.free)
+    reasons = {p.name: "its joint does not move" for p in free if _of_joint(p, problem, still)}
+    spread = max(1.0, _excess(evidence))
+    kept = [i for i, p in enumerate(free) if p.name not in reasons]
+    while kept:
+        information = evidence.information[np.ix_(kept, kept)] / spread + np.eye(len(kept))
+        covariance: FloatArray = np.linalg.inv(information)
+        std = np.sqrt(np.diag(covariance))
+        judged = [s if free[i].kind not in NOISE else 0.0 for s, i in zip(std, kept, strict=True)]
+        worst = int(np.argmax(judged))
+        if judged[worst] < TOLD:
+            break
+        alone = 1 / np.sqrt(information[worst, worst])
+        parameter = free[kept[worst]]
+        reasons[parameter.name] = _reason(parameter, alone, covariance, worst, [free[i] for i in kept])
+        del kept[worst]
+    return reasons
+
+
+def _of_joint(parameter: Parameter, problem: Problem, still: Sequence[str]) -> bool:
+    owned = any(parameter.name == f"{parameter.kind}_{joint}" for joint in still)
+    return owned and parameter.kind != "mass_scale"
+
+
+def _excess(evidence: Evidence) -> float:
+    """Innovations squared over what is expected, robustly: by the median of each recording."""
+    middles = [np.nanmedian(i**2) / stats.chi2.ppf(0.5, 1) for i in evidence.innovations if np.isfinite(i).any()]
+    return float(np.mean(middles)) if middles else 1.0
+
+
+def _reason(parameter: Parameter, alone: float, covariance: FloatArray, index: int, free: list[Parameter]) -> str:
+    advice = EXCITATION[parameter.kind]
+    if alone >= TOLD or len(free) == 1:
+        return f"the recordings hardly depend on it; they lack {advice}"
+    std = np.sqrt(np.diag(covariance))
+    correlation = covariance[index] / (std * std[index])
+    correlation[index] = 0.0
+    partner = int(np.argmax(np.abs(correlation)))
+    return f"it cannot be told from {free[partner].name} (correlation {correlation[partner]:+.2f}); it takes {advice}"
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """Two recordings that call for different values.
+
+    Attributes
+    ----------
+    logs : tuple of str
+        Their sources.
+    name : str
+        The parameter that differs most.
+    values : tuple of float
+        Its values by each.
+    distance : float
+        Their distance in standard errors.
+    probability : float
+        Of all parameters differing by as much, were they the same.
+    """
+
+    logs: tuple[str, str]
+    name: str
+    values: tuple[float, float]
+    distance: float
+    probability: float
+
+    def __str__(self) -> str:
+        """Say so in a line."""
+        a, b = self.values
+        return (
+            f"{self.logs[0]} and {self.logs[1]} contradict each other: {self.name} is {a:.5g} by one and {b:.5g} by "
+            f"the other, {self.distance:.0f} standard errors apart; calibrate them one by one"
+        )
+
+
+def compare(problem: Problem, fits: Sequence[tuple[FloatArray, Uncertainty]]) -> list[Contradiction]:
+    """Compare the estimates by each recording alone, pair by pair, in units of their joint covariance."""
+    chosen = [i for i, p in enumerate(problem.free) if p.kind not in NOISE]
+    found = []
+    for a in range(len(fits)):
+        for b in range(a + 1, len(fits)):
+            (za, ua), (zb, ub) = fits[a], fits[b]
+            difference = (za - zb)[chosen]
+            covariance = _covariance(ua, chosen) + _covariance(ub, chosen)
+            square = float(difference @ np.linalg.solve(covariance, difference))
+            probability = float(stats.chi2.sf(square, len(chosen)))
+            if probability < SIGNIFICANT:
+                distances = np.abs(difference) / np.sqrt(np.diag(covariance))
+                worst = int(np.argmax(distances))
+                parameter = problem.free[chosen[worst]]
+                values = (parameter.value(za[chosen[worst]]), parameter.value(zb[chosen[worst]]))
+                sources = (problem.logs[a].source, problem.logs[b].source)
+                found.append(Contradiction(sources, parameter.name, values, float(distances[worst]), probability))
+    return found
+
+
+def _covariance(u: Uncertainty, chosen: list[int]) -> FloatArray:
+    std = u.std[chosen]
+    return u.correlation[np.ix_(chosen, chosen)] * np.outer(std, std)

@@ -1,0 +1,295 @@
+//! The filter, over a scalar: what is kept is each reading's innovation.
+
+use super::evaluation::{Evaluation, Reading};
+use super::moments::Moment;
+use super::recording::LikelihoodRecording;
+use crate::estimate::kalman::{Channel, JerkModel, Noise};
+use crate::scalar::Scalar;
+use crate::simd::Kernel;
+
+/// A reading less its prediction by all readings before it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Innovation<T> {
+    pub(super) value: T,
+    pub(super) variance: T,
+    /// The sample of the reading.
+    pub(super) row: usize,
+    pub(super) channel: usize,
+}
+
+/// A filter on its way through a recording.
+#[derive(Clone, Debug)]
+pub(super) struct Filter<T> {
+    evaluation: Evaluation<T>,
+    biases: Vec<Option<usize>>,
+    /// The state that is each channel's filter, and α.
+    memories: Vec<Option<(usize, T)>>,
+    noise: Noise,
+    /// Whether acceleration steps where an interval begins.
+    held: bool,
+    moments: Vec<Moment>,
+    next: usize,
+    mean: Vec<T>,
+    /// n × n, symmetric.
+    covariance: Vec<T>,
+    reference: Vec<T>,
+    gain: Vec<T>,
+    pub(super) innovations: Vec<Innovation<T>>,
+}
+
+impl<T: Scalar> Filter<T> {
+    pub(super) fn new(
+        model: &JerkModel,
+        noise: Noise,
+        evaluation: Evaluation<T>,
+        moments: Vec<Moment>,
+        held: bool,
+    ) -> Self {
+        let n = model.joints();
+        let mut states = model.states();
+        let mut memory = |channel: &Channel| match *channel {
+            Channel::Acceleration { sensor, .. } => evaluation.lateness[sensor].memory.map(|alpha| {
+                states += 1;
+                (states - 1, alpha)
+            }),
+            _ => None,
+        };
+        Self {
+            memories: model.channels.iter().map(&mut memory).collect(),
+            evaluation,
+            biases: model.biases.clone(),
+            noise,
+            held,
+            moments,
+            next: 0,
+            mean: vec![T::default(); states],
+            covariance: vec![T::default(); states * states],
+            reference: vec![T::default(); 3 * n],
+            gain: vec![T::default(); states],
+            innovations: Vec::new(),
+        }
+    }
+
+    /// In how many calls of [`Advance`] with `count` moments each the recording is done.
+    pub(super) fn stretches(&self, count: usize) -> usize {
+        self.moments.len().div_ceil(count)
+    }
+
+    /// Innovations of the next `count` moments.
+    #[inline(always)]
+    fn advance(&mut self, recording: &LikelihoodRecording, count: usize) {
+        self.innovations.clear();
+        for i in self.next..(self.next + count).min(self.moments.len()) {
+            let moment = self.moments[i];
+            if i == 0 {
+                self.start(recording);
+            } else {
+                self.predict(recording, self.moments[i - 1], moment);
+            }
+            self.correct(recording, moment);
+        }
+        self.next += count;
+    }
+
+    fn start(&mut self, recording: &LikelihoodRecording) {
+        let (n, states) = (self.reference.len() / 3, self.mean.len());
+        let q = self.evaluation.rest(&recording.theta[..n]);
+        self.mean[..n].copy_from_slice(&q);
+        for (i, std) in self.noise.initial.iter().enumerate() {
+            self.covariance[i * states + i] = T::constant(std * std);
+        }
+        for (bias, std) in self.biases.iter().zip(&self.noise.initial_bias) {
+            if let Some(b) = *bias {
+                self.covariance[b * states + b] = T::constant(std * std);
+            }
+        }
+    }
+
+    /// When a moment was, from the recording's first sample [s].
+    #[inline(always)]
+    fn time(&self, recording: &LikelihoodRecording, moment: Moment) -> T {
+        let stamp = T::constant(recording.t[moment.row] - recording.t[0]);
+        match moment.late {
+            Some(s) => stamp - self.evaluation.lateness[s].lag,
+            None => stamp,
+        }
+    }
+
+    /// Axelsson, Karlsson and Norrlöf 2012, eqs. (9)–(11).
+    #[inline(always)]
+    fn predict(&mut self, recording: &LikelihoodRecording, from: Moment, to: Moment) {
+        let (n, states) = (self.reference.len() / 3, self.mean.len());
+        let dt = self.time(recording, to) - self.time(recording, from);
+        let half = dt * dt * 0.5;
+        let sixth = half * dt * (1.0 / 3.0);
+        let jerk = &recording.jerk[to.interval * n..][..n];
+        for (j, &u) in jerk.iter().enumerate() {
+            let (dq, ddq) = (self.mean[n + j], self.mean[2 * n + j]);
+            self.mean[j] += dt * dq + half * ddq + sixth * u;
+            self.mean[n + j] += dt * ddq + half * u;
+            self.mean[2 * n + j] += dt * u;
+        }
+        let p = &mut self.covariance;
+        for i in 0..n * states {
+            let (dq, ddq) = (p[n * states + i], p[2 * n * states + i]);
+            p[i] += dt * dq + half * ddq;
+            p[n * states + i] += dt * ddq;
+        }
+        for row in p.chunks_exact_mut(states) {
+            for j in 0..n {
+                let (dq, ddq) = (row[n + j], row[2 * n + j]);
+                row[j] += dt * dq + half * ddq;
+                row[n + j] += dt * ddq;
+            }
+        }
+        self.add_noise(dt);
+    }
+
+    #[inline(always)]
+    fn add_noise(&mut self, dt: T) {
+        let (n, states) = (self.reference.len() / 3, self.mean.len());
+        let spread = if self.held { held_spread(dt) } else { continuous_spread(dt) };
+        for j in 0..n {
+            let density = self.evaluation.parameters().joints[j].jerk_noise * self.noise.jerk[j];
+            let variance = density * density * dt;
+            for a in 0..3 {
+                for b in 0..3 {
+                    self.covariance[(a * n + j) * states + b * n + j] += spread[a][b] * variance;
+                }
+            }
+        }
+        for (bias, walk) in self.biases.iter().zip(&self.noise.bias_walk) {
+            if let Some(b) = *bias {
+                self.covariance[b * states + b] += dt * (walk * walk);
+            }
+        }
+    }
+
+    /// One reading after the other, all linearised where the moment was predicted.
+    #[inline(always)]
+    fn correct(&mut self, recording: &LikelihoodRecording, moment: Moment) {
+        let d = self.reference.len();
+        self.reference.copy_from_slice(&self.mean[..d]);
+        self.evaluation.evaluate(recording, moment, &self.reference);
+        for i in 0..self.evaluation.readings.len() {
+            self.use_reading(i, moment.row);
+        }
+    }
+
+    #[inline(always)]
+    fn use_reading(&mut self, i: usize, row: usize) {
+        let reading = self.evaluation.readings[i];
+        let predicted = self.project(i, &reading);
+        let (predicted, spread) = match self.memories[reading.channel] {
+            Some((state, alpha)) => self.remember(state, alpha, predicted),
+            None => predicted,
+        };
+        let Some(value) = reading.value else { return };
+        let (mut value, mut variance) = (T::constant(value) - predicted, spread + reading.variance);
+        if let Some(b) = self.biases[reading.channel] {
+            let states = self.mean.len();
+            value -= self.mean[b];
+            variance += self.gain[b];
+            for (g, p) in self.gain.iter_mut().zip(&self.covariance[b * states..][..states]) {
+                *g += *p;
+            }
+            variance += self.gain[b];
+        }
+        self.apply(value, variance);
+        self.innovations.push(Innovation { value, variance, row, channel: reading.channel });
+    }
+
+    /// A prediction h(x) without bias at the present mean, and its variance h P hᵀ; leaves P hᵀ in the gain.
+    #[inline(always)]
+    fn project(&mut self, i: usize, reading: &Reading<T>) -> (T, T) {
+        let (d, states) = (self.reference.len(), self.mean.len());
+        let h = &self.evaluation.jacobian[i * d..][..d];
+        let (mut predicted, mut spread) = (reading.prediction, T::default());
+        self.gain.fill(T::default());
+        for (k, (slope, column)) in h.iter().zip(self.covariance.chunks_exact(states)).enumerate() {
+            predicted += *slope * (self.mean[k] - self.reference[k]);
+            for (g, p) in self.gain.iter_mut().zip(column) {
+                *g += *slope * *p;
+            }
+        }
+        for (slope, g) in h.iter().zip(&self.gain) {
+            spread += *slope * *g;
+        }
+        (predicted, spread)
+    }
+
+    /// A filter inside a sensor takes its next value: w ← α w + (1 − α) h(x), where `project` has left h(x), h P hᵀ and
+    /// P hᵀ. Gives mean and variance of w, and leaves its covariances in the gain. On its first value the filter has settled.
+    #[inline(always)]
+    fn remember(&mut self, state: usize, alpha: T, (predicted, spread): (T, T)) -> (T, T) {
+        let states = self.mean.len();
+        let started = self.covariance[state * states + state] != T::default();
+        let alpha = if started { alpha } else { T::default() };
+        let rest = T::constant(1.0) - alpha;
+        let (own, across) = (self.covariance[state * states + state], self.gain[state]);
+        let mean = alpha * self.mean[state] + rest * predicted;
+        let variance = alpha * (alpha * own + rest * across * 2.0) + rest * rest * spread;
+        for k in 0..states {
+            self.gain[k] = alpha * self.covariance[state * states + k] + rest * self.gain[k];
+        }
+        self.gain[state] = variance;
+        for k in 0..states {
+            self.covariance[state * states + k] = self.gain[k];
+            self.covariance[k * states + state] = self.gain[k];
+        }
+        self.mean[state] = mean;
+        (mean, variance)
+    }
+
+    /// x ← x + g ν/s, P ← P − g gᵀ/s.
+    #[inline(always)]
+    fn apply(&mut self, value: T, variance: T) {
+        let states = self.mean.len();
+        let precision = T::constant(1.0) / variance;
+        let weighted = value * precision;
+        for i in 0..states {
+            let g = self.gain[i];
+            self.mean[i] += g * weighted;
+            let scaled = g * precision;
+            for j in i..states {
+                let change = scaled * self.gain[j];
+                self.covariance[i * states + j] -= change;
+                if j > i {
+                    self.covariance[j * states + i] = self.covariance[i * states + j];
+                }
+            }
+        }
+    }
+}
+
+/// Covariance of position, velocity and acceleration, per variance of the latter, after white jerk over `dt` [s].
+#[inline(always)]
+fn continuous_spread<T: Scalar>(dt: T) -> [[T; 3]; 3] {
+    let square = dt * dt;
+    let (p, a) = (square * square * (1.0 / 20.0), T::constant(1.0));
+    let (pv, pa, v, va) = (square * dt * (1.0 / 8.0), square * (1.0 / 6.0), square * (1.0 / 3.0), dt * 0.5);
+    [[p, pv, pa], [pv, v, va], [pa, va, a]]
+}
+
+/// The same where acceleration steps at the interval's start, Axelsson, Karlsson and Norrlöf 2012, eq. (10).
+#[inline(always)]
+fn held_spread<T: Scalar>(dt: T) -> [[T; 3]; 3] {
+    let parts = [dt * dt * 0.5, dt, T::constant(1.0)];
+    parts.map(|a| parts.map(|b| a * b))
+}
+
+/// A filter's next stretch, to be compiled for each instruction set.
+pub(super) struct Advance<'a, T> {
+    pub(super) filter: &'a mut Filter<T>,
+    pub(super) recording: &'a LikelihoodRecording,
+    pub(super) count: usize,
+}
+
+impl<T: Scalar> Kernel for Advance<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.filter.advance(self.recording, self.count);
+    }
+}

@@ -1,0 +1,18 @@
+//! How likely recordings are under a robot's parameters, with the exact gradient: what calibration maximises.
+//!
+//! The density of a recording is the product of its readings' densities, each given those before it, and those are what a
+//! Kalman filter computes (F. C. Schweppe, IEEE Trans. Information Theory 11, 1965). The filter is the one of
+//! [`kalman`](super::kalman) on the acceleration-driven model, written once more over a [`Scalar`](crate::scalar::Scalar),
+//! so that derivative numbers go through it; with `f64` both give the same likelihood.
+
+mod evaluation;
+mod evidence;
+mod filter;
+mod moments;
+mod parameters;
+mod recording;
+mod spring;
+
+pub use evidence::{Evidence, Likelihood, LikelihoodSettings};
+pub use parameters::Parameter;
+pub use recording::LikelihoodRecording;

@@ -1,0 +1,71 @@
+//! What is given: a recording with all signals that bear on a robot's parameters.
+
+use crate::error::DesignError;
+use crate::robot::Robot;
+
+/// A recording, row-major, one row a sample; NaN where a reading is missing.
+#[derive(Clone, Debug)]
+pub struct LikelihoodRecording {
+    /// Times [s].
+    pub t: Vec<f64>,
+    /// Motor positions (n) [rad].
+    pub theta: Vec<f64>,
+    /// Motor velocities (n) [rad/s], NaN to leave the damping torque out.
+    pub dtheta: Vec<f64>,
+    /// Motor accelerations (n) [rad/s²]; empty where torques are not used.
+    pub ddtheta: Vec<f64>,
+    /// Motor torques (n) [N m]; likewise.
+    pub tau: Vec<f64>,
+    /// Accelerometer channels as they were recorded (m) [m/s²].
+    pub acceleration: Vec<f64>,
+    /// Commanded jerk since the sample before (n) [rad/s³].
+    pub jerk: Vec<f64>,
+    /// Median step of time [s].
+    pub period: f64,
+}
+
+impl LikelihoodRecording {
+    /// Number of samples.
+    pub fn len(&self) -> usize {
+        self.t.len()
+    }
+
+    /// Whether there is no sample.
+    pub fn is_empty(&self) -> bool {
+        self.t.is_empty()
+    }
+
+    /// # Errors
+    /// Arrays that do not fit the robot or each other, a first sample without a motor position.
+    pub(super) fn check(&self, robot: &Robot, torque: bool) -> Result<(), DesignError> {
+        let (n, m, count) = (robot.len(), robot.acceleration_channels(), self.len());
+        let motors = if torque { n } else { 0 };
+        let lengths = [
+            ("theta", &self.theta, n),
+            ("dtheta", &self.dtheta, n),
+            ("ddtheta", &self.ddtheta, motors),
+            ("tau", &self.tau, motors),
+            ("acceleration", &self.acceleration, m),
+            ("jerk", &self.jerk, n),
+        ];
+        for (what, values, width) in lengths {
+            let expected = count * width;
+            if values.len() != expected {
+                return Err(DesignError::Length { what, found: values.len(), expected });
+            }
+        }
+        if count < 2 {
+            return Err(DesignError::Length { what: "t", found: count, expected: 2 });
+        }
+        let expected = "a step of time greater than 0";
+        let step =
+            self.t.windows(2).map(|w| w[1] - w[0]).chain([self.period]).find(|step| step.is_nan() || *step <= 0.0);
+        if let Some(value) = step {
+            return Err(DesignError::Range { what: "t", value, expected });
+        }
+        match self.theta[..n].iter().position(|x| x.is_nan()) {
+            Some(joint) => Err(DesignError::NoStart { joint }),
+            None => Ok(()),
+        }
+    }
+}

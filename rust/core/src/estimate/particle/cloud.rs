@@ -1,0 +1,215 @@
+//! Where the particles are kept: blocks of fixed size, a row of numbers for each entry of the state.
+
+use super::evaluation::Sensed;
+use crate::estimate::kalman::JerkModel;
+use crate::scalar::{Lanes, Scalar};
+use crate::simd::Kernel;
+use rayon::prelude::*;
+
+/// Particles a block. Sums are formed by block, then over blocks in order, whatever thread each was on.
+pub(super) const BLOCK: usize = 512;
+/// Particles that go through a kernel together.
+pub(super) const WIDE: usize = 8;
+
+pub(super) type Wide = Lanes<WIDE>;
+
+/// Some particles, and the scratch to move them.
+#[derive(Clone, Debug)]
+pub(super) struct Block {
+    /// Number of the first particle.
+    pub(super) first: usize,
+    /// Particles in use.
+    pub(super) count: usize,
+    /// Entry d of particle i at d · [`BLOCK`] + i.
+    pub(super) state: Vec<f64>,
+    /// Logarithms of weights, −∞ for what is not in use.
+    pub(super) log_weights: Vec<f64>,
+    /// Weights as multiples of the block's largest.
+    pub(super) weights: Vec<f64>,
+    pub(super) sums: Sums,
+    pub(super) scratch: Scratch,
+}
+
+/// Sums over a block, weights as multiples of its largest.
+#[derive(Clone, Debug)]
+pub(super) struct Sums {
+    /// The largest logarithm of a weight, and whose it is.
+    pub(super) largest: f64,
+    pub(super) best: usize,
+    pub(super) weight: f64,
+    pub(super) square: f64,
+    /// Of each entry of the state.
+    pub(super) state: Vec<f64>,
+    /// Of products of two entries' deviations, upper triangle by rows.
+    pub(super) products: Vec<f64>,
+}
+
+/// Room for [`WIDE`] particles on their way.
+#[derive(Clone, Debug)]
+pub(super) struct Scratch {
+    pub(super) sensed: Sensed<Wide>,
+    /// q, q̇, q̈ and biases before the noise, and after it.
+    pub(super) before: Vec<Wide>,
+    pub(super) after: Vec<Wide>,
+    /// Standard normal numbers, and the increments made of them in units of their standard deviation.
+    pub(super) normal: Vec<Wide>,
+    pub(super) noise: Vec<Wide>,
+    /// Mode of the proposal.
+    pub(super) mode: Vec<Wide>,
+    /// Factor of its information matrix, by rows.
+    pub(super) factor: Vec<Wide>,
+}
+
+impl Scratch {
+    fn new(model: &JerkModel) -> Self {
+        let room = |size| vec![Wide::default(); size];
+        let (n, states) = (model.joints(), model.states());
+        Self {
+            sensed: Sensed::new(model),
+            before: room(states),
+            after: room(states),
+            normal: room(states.max(n) + 1),
+            noise: room(n),
+            mode: room(n),
+            factor: room(n * n),
+        }
+    }
+}
+
+impl Block {
+    fn new(model: &JerkModel, first: usize, count: usize) -> Self {
+        let d = model.states();
+        Self {
+            first,
+            count,
+            state: vec![0.0; d * BLOCK],
+            log_weights: vec![f64::NEG_INFINITY; BLOCK],
+            weights: vec![0.0; BLOCK],
+            sums: Sums {
+                largest: f64::NEG_INFINITY,
+                best: 0,
+                weight: 0.0,
+                square: 0.0,
+                state: vec![0.0; d],
+                products: vec![0.0; d * (d + 1) / 2],
+            },
+            scratch: Scratch::new(model),
+        }
+    }
+
+    /// Groups of [`WIDE`] that hold a particle in use.
+    #[inline(always)]
+    pub(super) fn groups(&self) -> usize {
+        self.count.div_ceil(WIDE)
+    }
+
+    /// Numbers of the particles of a group.
+    #[inline(always)]
+    pub(super) fn items(&self, group: usize) -> [u32; WIDE] {
+        let first = (self.first + group * WIDE) as u32;
+        core::array::from_fn(|l| first + l as u32)
+    }
+
+    /// The weighted mean of the block times its weight, for all entries; log-weights become weights.
+    #[inline(always)]
+    pub(super) fn weigh(&mut self) {
+        let Self { log_weights, weights, sums, state, count, .. } = self;
+        let used = count.next_multiple_of(WIDE);
+        (sums.largest, sums.best) = (f64::NEG_INFINITY, 0);
+        for (i, &lw) in log_weights[..*count].iter().enumerate() {
+            if lw > sums.largest {
+                (sums.largest, sums.best) = (lw, i);
+            }
+        }
+        let largest = if sums.largest.is_finite() { sums.largest } else { 0.0 };
+        let [mut weight, mut square] = [Wide::default(); 2];
+        let (out, logs) = (weights[..used].as_chunks_mut::<WIDE>().0, log_weights[..used].as_chunks::<WIDE>().0);
+        for (out, logs) in out.iter_mut().zip(logs) {
+            let w = (Lanes(*logs) + -largest).exp();
+            *out = w.0;
+            weight += w;
+            square += w * w;
+        }
+        (sums.weight, sums.square) = (total(weight), total(square));
+        for (sum, row) in sums.state.iter_mut().zip(state.chunks_exact(BLOCK)) {
+            *sum = dot(&weights[..used], &row[..used]);
+        }
+    }
+}
+
+/// Σ w (x − mean)(x − mean)ᵀ of the first `entries` of the state, over a block.
+pub(super) struct Deviations<'a> {
+    pub(super) block: &'a mut Block,
+    pub(super) mean: &'a [f64],
+    pub(super) entries: usize,
+}
+
+impl Kernel for Deviations<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { block: Block { weights, sums, state, count, .. }, mean, entries } = self;
+        let used = count.next_multiple_of(WIDE);
+        let row = |d: usize| state[d * BLOCK..][..used].as_chunks::<WIDE>().0;
+        let weights = weights[..used].as_chunks::<WIDE>().0;
+        let mut products = sums.products.iter_mut();
+        for a in 0..entries {
+            for (b, product) in (a..entries).zip(&mut products) {
+                let mut sum = Wide::default();
+                for ((w, x), y) in weights.iter().zip(row(a)).zip(row(b)) {
+                    sum += Lanes(*w) * (Lanes(*x) + -mean[a]) * (Lanes(*y) + -mean[b]);
+                }
+                *product = total(sum);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let mut sum = Wide::default();
+    for (a, b) in a.as_chunks::<WIDE>().0.iter().zip(b.as_chunks::<WIDE>().0) {
+        sum += Lanes(*a) * Lanes(*b);
+    }
+    total(sum)
+}
+
+/// Sum of all lanes, always in the same order.
+#[inline(always)]
+fn total(x: Wide) -> f64 {
+    let [a, b, c, d, e, f, g, h] = x.0;
+    ((a + e) + (b + f)) + ((c + g) + (d + h))
+}
+
+/// All particles.
+#[derive(Clone, Debug)]
+pub(super) struct Cloud {
+    pub(super) blocks: Vec<Block>,
+    /// Where chosen particles are copied to.
+    pub(super) next: Vec<Vec<f64>>,
+}
+
+impl Cloud {
+    pub(super) fn new(model: &JerkModel, particles: usize) -> Self {
+        let blocks: Vec<Block> =
+            (0..particles).step_by(BLOCK).map(|first| Block::new(model, first, BLOCK.min(particles - first))).collect();
+        let next = vec![vec![0.0; model.states() * BLOCK]; blocks.len()];
+        Self { blocks, next }
+    }
+
+    /// Calls `f` with every block, on all threads where `threads` says so.
+    pub(super) fn each(&mut self, threads: bool, f: impl Fn(&mut Block) + Sync + Send) {
+        if threads {
+            self.blocks.par_iter_mut().for_each(f);
+        } else {
+            self.blocks.iter_mut().for_each(f);
+        }
+    }
+
+    /// Entry `d` of particle `i`.
+    #[inline(always)]
+    pub(super) fn at(&self, i: usize, d: usize) -> f64 {
+        self.blocks[i / BLOCK].state[d * BLOCK + i % BLOCK]
+    }
+}

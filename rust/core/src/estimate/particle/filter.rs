@@ -1,0 +1,386 @@
+//! The particle filter: one step, and whole recordings.
+
+use super::cloud::{BLOCK, Cloud, Deviations};
+use super::logarithm::ln;
+use super::moves::{Moments, Spread};
+use super::output::{ParticleOutput, Summary};
+use super::proposal::{Advance, Reading, Sample, Walk};
+use super::random::{Purpose, Stream};
+use super::resample;
+use super::settings::{Collapse, ParticleSettings, Proposal};
+use super::start::Start;
+use crate::error::{DesignError, RunError};
+use crate::estimate::Status;
+use crate::estimate::kalman::{FilterOutput, Gaussian, JerkDriven, KalmanRecording, KalmanSample, Keep, Model, Tool};
+use crate::simd;
+use rayon::prelude::*;
+
+/// Fewer particles than this are not worth a second thread.
+const PARALLEL: usize = 2048;
+
+/// Particle filter on the acceleration-driven model; a step on one thread allocates nothing.
+///
+/// Plain, or with the biases marginalised (Rao–Blackwellised; Schön, Gustafsson and Nordlund 2005): as a bias adds to its
+/// channel, and nothing else depends on it, its variance is the same for all particles, and each carries its mean alone.
+#[derive(Clone, Debug)]
+pub struct ParticleFilter {
+    pub(super) model: JerkDriven,
+    pub(super) settings: ParticleSettings,
+    marginalised: bool,
+    /// The cloud's mean as it would move, and where motors and biases were last linearised.
+    pub(super) belief: Gaussian,
+    pub(super) cloud: Cloud,
+    pub(super) sample: Sample,
+    /// Variance of each channel's bias for a given path of the links (channels), where biases are marginalised.
+    pub(super) bias_variance: Vec<f64>,
+    pub(super) summary: Summary,
+    wanted: Moments,
+    found: Moments,
+    ancestors: Vec<u32>,
+    pub(super) tool: Tool,
+    pub(super) memory: Vec<f64>,
+    threads: bool,
+    taken: usize,
+    started: bool,
+}
+
+impl ParticleFilter {
+    /// A filter that starts from rest at its first sample.
+    ///
+    /// # Errors
+    /// Settings out of range or that do not fit the model.
+    pub fn new(model: JerkDriven, settings: ParticleSettings, marginalised: bool) -> Result<Self, DesignError> {
+        let jerk = model.jerk_model();
+        settings.check(jerk, marginalised)?;
+        let (n, m, d) = (jerk.joints(), jerk.channels(), jerk.states());
+        let sample = Sample {
+            seed: settings.seed,
+            step: 0,
+            dt: 0.0,
+            jerk: vec![0.0; n],
+            dtheta: vec![f64::NAN; n],
+            increments: vec![0.0; n],
+            readings: Vec::with_capacity(m),
+            walks: Vec::with_capacity(m),
+            offset: 0.0,
+            proposal: settings.proposal,
+            limits: settings.limits.clone(),
+        };
+        Ok(Self {
+            belief: Gaussian::independent(&vec![0.0; d]),
+            cloud: Cloud::new(jerk, settings.particles),
+            sample,
+            bias_variance: vec![0.0; m],
+            summary: Summary::new(jerk, settings.particles),
+            wanted: Moments::new(d),
+            found: Moments::new(d),
+            ancestors: vec![0; settings.particles],
+            tool: Tool::new(model.robot()),
+            memory: Vec::with_capacity(model.memory()),
+            threads: settings.particles >= PARALLEL,
+            taken: 0,
+            started: false,
+            marginalised,
+            settings,
+            model,
+        })
+    }
+
+    /// Forgets the state: the next sample starts anew, from rest.
+    pub fn reset(&mut self) {
+        (self.taken, self.started) = (0, false);
+    }
+
+    /// The model.
+    pub fn model(&self) -> &JerkDriven {
+        &self.model
+    }
+
+    /// What was found at the last sample.
+    pub fn summary(&self) -> &Summary {
+        &self.summary
+    }
+
+    /// Takes one sample: moves the particles, weighs them by its readings, and chooses anew where few carry all weight.
+    ///
+    /// # Errors
+    /// A first sample from which the model cannot start; no particle that explains the readings, if that is to stop it.
+    pub fn step(&mut self, sample: KalmanSample<'_>) -> Result<(), RunError> {
+        self.resample_if_due();
+        if self.started {
+            self.model.predict(&sample, &mut self.belief);
+        } else {
+            self.start(&sample)?;
+        }
+        self.prepare(&sample);
+        if !self.started {
+            self.scatter();
+        }
+        self.advance();
+        if !self.summarise() {
+            self.recover()?;
+        }
+        self.started = true;
+        self.taken += 1;
+        Ok(())
+    }
+
+    fn start(&mut self, sample: &KalmanSample<'_>) -> Result<(), DesignError> {
+        self.model.start(sample, &mut self.belief)?;
+        let jerk = self.model.jerk_model();
+        for (variance, bias) in self.bias_variance.iter_mut().zip(&jerk.biases) {
+            *variance = bias.map_or(0.0, |b| self.belief.covariance.at(b, b));
+        }
+        self.sample.offset = 0.0;
+        Ok(())
+    }
+
+    /// The first particles.
+    fn scatter(&mut self) {
+        let Self { model, settings, belief, sample, cloud, .. } = self;
+        let n = model.jerk_model().joints();
+        let blind = settings.proposal == Proposal::Bootstrap || !settings.initial.is_empty();
+        let start = if blind {
+            Start::blind(belief, 3 * n)
+        } else {
+            Start::informed(belief, sample, model.linearised(), 3 * n)
+        };
+        start.scatter(cloud, &settings.initial, n, settings.seed);
+    }
+
+    /// What all particles share at this sample; the belief's mean is where they are expected.
+    fn prepare(&mut self, sample: &KalmanSample<'_>) {
+        let n = self.model.jerk_model().joints();
+        let (dt, first) = (sample.dt, !self.started);
+        let mut reference = core::mem::take(&mut self.summary.reference);
+        reference.copy_from_slice(&self.belief.mean[..3 * n]);
+        self.model.linearise(&reference);
+        self.summary.reference = reference;
+        let Self { model, sample: shared, .. } = self;
+        shared.step = self.taken as u32;
+        shared.dt = if first { 0.0 } else { dt };
+        let (dtheta, jerk) = model.inputs();
+        shared.dtheta.copy_from_slice(dtheta);
+        for j in 0..n {
+            shared.jerk[j] = if first { 0.0 } else { jerk[j] };
+            shared.increments[j] = model.noise().jerk[j] * shared.dt.sqrt();
+        }
+        self.summary.status = 0;
+        self.summary.used = 0;
+        self.plan(sample.readings);
+    }
+
+    /// What each reading, and each bias, is to do.
+    fn plan(&mut self, readings: &[f64]) {
+        let first = !self.started;
+        let Self { model, sample, bias_variance, settings, summary, marginalised, .. } = self;
+        sample.readings.clear();
+        sample.walks.clear();
+        let jerk = model.jerk_model();
+        for (channel, &value) in readings.iter().enumerate() {
+            let bias = jerk.biases[channel];
+            let noise = model.variance(channel);
+            let walk = bias.map_or(0.0, |_| model.noise().bias_walk[channel].powi(2) * sample.dt);
+            let tail = settings.tails[channel];
+            let read = !value.is_nan();
+            let drawn_late = *marginalised || (read && settings.proposal != Proposal::Bootstrap && tail.is_infinite());
+            let before = if *marginalised || first { bias_variance[channel] } else { 0.0 };
+            let prior = before + walk;
+            if let (false, Some(bias)) = (drawn_late || prior == 0.0, bias) {
+                sample.walks.push(Walk { bias, std: prior.sqrt() });
+            }
+            let extra = if drawn_late { prior } else { 0.0 };
+            let variance = noise + extra;
+            let gain = extra / variance;
+            if *marginalised {
+                bias_variance[channel] = if read { prior * (1.0 - gain) } else { prior };
+            }
+            if !read {
+                summary.status |= Status::BRIDGED;
+                continue;
+            }
+            summary.used += 1;
+            let rest = if *marginalised { 0.0 } else { (extra * (1.0 - gain)).sqrt() };
+            let constant = Reading::log_factor(variance, tail);
+            sample.readings.push(Reading { channel, value, bias, variance, gain, rest, tail, constant });
+        }
+        if summary.used == 0 {
+            summary.status |= Status::PREDICTED;
+        }
+    }
+
+    fn advance(&mut self) {
+        let Self { model, sample, cloud, threads, .. } = self;
+        let (model, sample, level) = (model.jerk_model(), &*sample, simd::level());
+        cloud.each(*threads, |block| simd::dispatch(level, Advance { model, sample, block }));
+    }
+
+    /// Mean, spread, likelihood and effective number; false when no particle has a weight.
+    fn summarise(&mut self) -> bool {
+        let Self { cloud, summary, sample, belief, .. } = self;
+        let largest = cloud.blocks.iter().fold(f64::NEG_INFINITY, |l, b| l.max(b.sums.largest));
+        if !largest.is_finite() {
+            return false;
+        }
+        sample.offset = summary.weigh(cloud, largest);
+        belief.mean.copy_from_slice(&summary.mean);
+        self.spread(self.model.jerk_model().joints());
+        let Self { cloud, summary, .. } = self;
+        summary.gather_covariance(cloud);
+        true
+    }
+
+    /// Weighted products of deviations from the mean, of the first `entries` of the state, in every block.
+    fn spread(&mut self, entries: usize) {
+        let Self { cloud, summary, threads, .. } = self;
+        let (mean, level) = (&summary.mean, simd::level());
+        cloud.each(*threads, |block| simd::dispatch(level, Deviations { block, mean, entries }));
+    }
+
+    /// Covariance of the state after the last sample (states × states).
+    pub fn covariance(&mut self) -> Vec<f64> {
+        self.take_covariance();
+        self.belief.covariance.dense().collect()
+    }
+
+    /// The whole state and its covariance into row `i`.
+    pub(super) fn report_state(&mut self, i: usize, out: &mut FilterOutput) {
+        self.take_covariance();
+        let Self { summary, belief, .. } = self;
+        out.write_state(i, &summary.mean, &belief.covariance.data, belief.covariance.stride);
+    }
+
+    fn take_covariance(&mut self) {
+        let d = self.belief.mean.len();
+        self.spread(d);
+        let Self { cloud, summary, belief, model, bias_variance, .. } = self;
+        summary.gather_covariance(cloud);
+        let mut products = summary.products.iter();
+        for r in 0..d {
+            for (c, &product) in (r..d).zip(&mut products) {
+                belief.covariance.put(r, c, product);
+            }
+        }
+        for (bias, variance) in model.jerk_model().biases.iter().zip(bias_variance) {
+            if let (true, Some(b)) = (self.marginalised, *bias) {
+                belief.covariance.put(b, b, belief.covariance.at(b, b) + *variance);
+            }
+        }
+    }
+
+    /// No particle is possible: stops, or goes on as if the readings were missing.
+    fn recover(&mut self) -> Result<(), RunError> {
+        if self.settings.collapse == Collapse::Stop {
+            return Err(RunError::Impossible { sample: self.taken });
+        }
+        for reading in self.sample.readings.iter().filter(|_| self.marginalised) {
+            self.bias_variance[reading.channel] = reading.gain * reading.variance;
+        }
+        self.level();
+        self.summarise();
+        (self.summary.used, self.summary.log_likelihood) = (0, 0.0);
+        self.summary.status |= Status::PREDICTED;
+        Ok(())
+    }
+
+    /// Chooses particles when few carry all weight.
+    fn resample_if_due(&mut self) {
+        let n = self.settings.particles as f64;
+        if !self.started || self.summary.effective >= self.settings.threshold * n {
+            return;
+        }
+        let kernel = self.settings.kernel;
+        if kernel.is_some() {
+            self.take_moments(true);
+        }
+        let stream = Stream::new(self.settings.seed, self.taken as u32, Purpose::Ancestors);
+        let weights = self.summary.weights(&self.cloud);
+        resample::choose(self.settings.resampling, &stream, weights, &mut self.ancestors);
+        self.copy_ancestors();
+        if let Some(kernel) = kernel {
+            self.take_moments(false);
+            self.move_apart(kernel);
+        }
+    }
+
+    /// Mean and covariance of the whole state.
+    fn take_moments(&mut self, before: bool) {
+        let d = self.belief.mean.len();
+        if !before {
+            self.summary.weigh(&self.cloud, self.cloud.blocks[0].sums.largest);
+        }
+        self.spread(d);
+        let Self { cloud, summary, wanted, found, .. } = self;
+        summary.gather_covariance(cloud);
+        let moments = if before { wanted } else { found };
+        moments.mean.copy_from_slice(&summary.mean);
+        moments.factorise(&summary.products);
+    }
+
+    fn copy_ancestors(&mut self) {
+        let Self { cloud: Cloud { blocks, next }, ancestors, threads, .. } = self;
+        let source = &*blocks;
+        let copy = |(next, ancestors): (&mut Vec<f64>, &[u32])| {
+            for (d, row) in next.chunks_exact_mut(BLOCK).enumerate() {
+                for (slot, &a) in row.iter_mut().zip(ancestors) {
+                    let a = a as usize;
+                    *slot = source[a / BLOCK].state[d * BLOCK + a % BLOCK];
+                }
+            }
+        };
+        if *threads {
+            next.par_iter_mut().zip(ancestors.par_chunks(BLOCK)).for_each(copy);
+        } else {
+            next.iter_mut().zip(ancestors.chunks(BLOCK)).for_each(copy);
+        }
+        for (block, next) in blocks.iter_mut().zip(next) {
+            core::mem::swap(&mut block.state, next);
+        }
+        self.level();
+    }
+
+    /// Gives all particles the same weight.
+    fn level(&mut self) {
+        let even = -ln(self.settings.particles as f64);
+        for block in &mut self.cloud.blocks {
+            block.log_weights[..block.count].fill(even);
+            block.weigh();
+        }
+        self.sample.offset = 0.0;
+    }
+
+    fn move_apart(&mut self, kernel: f64) {
+        let Self { cloud, wanted, found, settings, threads, .. } = self;
+        let stream = Stream::new(settings.seed, self.taken as u32, Purpose::Move);
+        let (wanted, found, level) = (&*wanted, &*found, simd::level());
+        cloud.each(*threads, |block| simd::dispatch(level, Spread { block, wanted, found, kernel, stream }));
+    }
+
+    /// Filters a recording, `count` rows; goes on from where it was, so that it may come in pieces.
+    ///
+    /// # Errors
+    /// As [`step`](Self::step), wrong lengths, or a sample after which the estimate is not finite.
+    pub fn run(&mut self, recording: KalmanRecording<'_>, keep: Keep) -> Result<ParticleOutput, RunError> {
+        self.model.check(&recording)?;
+        let count = recording.dt.len();
+        let mut out = ParticleOutput::zeros(count, self, keep);
+        for i in 0..count {
+            self.step(recording.sample(i, &self.model))?;
+            if !self.summary.mean.iter().all(|x| x.is_finite()) {
+                return Err(RunError::NotFinite { sample: self.taken - 1 });
+            }
+            out.report(i, self, keep);
+        }
+        Ok(out)
+    }
+
+    /// Runs each of `recordings` from a fresh start, on all cores.
+    pub fn run_all(&self, recordings: &[KalmanRecording<'_>], keep: Keep) -> Vec<Result<ParticleOutput, RunError>> {
+        let one = |&recording: &KalmanRecording<'_>| {
+            let mut filter = self.clone();
+            filter.reset();
+            filter.run(recording, keep)
+        };
+        recordings.par_iter().map(one).collect()
+    }
+}

@@ -1,0 +1,17 @@
+//! Particle filters: beliefs that are not normal, states with limits, readings with outliers.
+
+mod cloud;
+mod evaluation;
+mod filter;
+mod logarithm;
+mod moves;
+mod output;
+mod proposal;
+mod random;
+mod resample;
+mod settings;
+mod start;
+
+pub use filter::ParticleFilter;
+pub use output::{ParticleOutput, Summary};
+pub use settings::{Collapse, MOST_PARTICLES, ParticleSettings, Proposal, Resampling};

@@ -1,0 +1,102 @@
+//! After a choice of particles: copies are spread again, and the cloud gets back the mean and covariance that it had.
+//!
+//! A choice at random moves the cloud's mean, and these errors add up where the readings say little; copies of one
+//! particle stay copies where there is no process noise. Both are undone by x ← m + L (a L₁⁻¹ (x − m₁) + h ζ) with
+//! a² + h² = 1: shrunk and spread by a normal kernel (Liu and West 2001), from the moments m₁, L₁ L₁ᵀ that chance left
+//! to those that the weights said.
+
+use super::cloud::{BLOCK, Block, WIDE, Wide};
+use super::proposal::draw;
+use super::random::Stream;
+use crate::scalar::{Lanes, Scalar};
+use crate::simd::Kernel;
+
+/// Mean and lower factor of the covariance of a cloud.
+#[derive(Clone, Debug)]
+pub(super) struct Moments {
+    pub(super) mean: Vec<f64>,
+    /// L by rows, with L Lᵀ the covariance; a column of zeros where there is no spread that is not others'.
+    pub(super) factor: Vec<f64>,
+}
+
+/// A spread this small, as a part of the variance, is rounding.
+const ROUNDING: f64 = 1e-13;
+
+impl Moments {
+    pub(super) fn new(entries: usize) -> Self {
+        Self { mean: vec![0.0; entries], factor: vec![0.0; entries * entries] }
+    }
+
+    /// L from the covariance's upper triangle by rows.
+    pub(super) fn factorise(&mut self, covariance: &[f64]) {
+        let n = self.mean.len();
+        let l = &mut self.factor;
+        let mut packed = covariance.iter();
+        for j in 0..n {
+            for i in j..n {
+                l[i * n + j] = packed.next().copied().unwrap_or(0.0);
+            }
+        }
+        for j in 0..n {
+            let variance = l[j * n + j];
+            for k in 0..j {
+                let a = l[j * n + k];
+                l[j * n + j] -= a * a;
+            }
+            let pivot = l[j * n + j];
+            let root = if pivot > ROUNDING * variance { pivot.sqrt() } else { 0.0 };
+            l[j * n + j] = root;
+            for i in j + 1..n {
+                for k in 0..j {
+                    l[i * n + j] -= l[i * n + k] * l[j * n + k];
+                }
+                l[i * n + j] = if root > 0.0 { l[i * n + j] / root } else { 0.0 };
+            }
+        }
+    }
+}
+
+/// Spreads a block's particles.
+pub(super) struct Spread<'a> {
+    pub(super) block: &'a mut Block,
+    /// What the cloud's moments should be.
+    pub(super) wanted: &'a Moments,
+    /// What they are.
+    pub(super) found: &'a Moments,
+    /// h.
+    pub(super) kernel: f64,
+    pub(super) stream: Stream,
+}
+
+impl Kernel for Spread<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { block, wanted, found, kernel, stream } = self;
+        let shrunk = (1.0 - kernel * kernel).sqrt();
+        let d = wanted.mean.len();
+        for group in 0..block.groups() {
+            let items = block.items(group);
+            draw(&stream, items, 0, &mut block.scratch.normal[..d]);
+            let (deviation, normal) = (&mut block.scratch.before, &block.scratch.normal);
+            for (a, row) in block.state.chunks_exact(BLOCK).enumerate() {
+                let mut value = Lanes(row.as_chunks::<WIDE>().0[group]) + -found.mean[a];
+                let (earlier, own) = deviation.split_at_mut(a);
+                for (b, other) in earlier.iter().enumerate() {
+                    value -= *other * found.factor[a * d + b];
+                }
+                let root = found.factor[a * d + a];
+                own[0] = if root > 0.0 { value * (1.0 / root) } else { Wide::default() };
+            }
+            for (a, row) in block.state.chunks_exact_mut(BLOCK).enumerate() {
+                let mut value = Wide::constant(wanted.mean[a]);
+                for b in 0..=a {
+                    let standard = deviation[b] * shrunk + normal[b] * kernel;
+                    value += standard * wanted.factor[a * d + b];
+                }
+                row.as_chunks_mut::<WIDE>().0[group] = value.0;
+            }
+        }
+    }
+}

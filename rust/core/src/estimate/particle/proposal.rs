@@ -1,0 +1,400 @@
+//! One step of a block of particles: where they go, and what that does to their weights.
+
+use super::cloud::{BLOCK, Block, Scratch, WIDE, Wide};
+use super::evaluation::Reach;
+use super::logarithm::ln;
+use super::random::{Purpose, Stream};
+use super::settings::Proposal;
+use crate::estimate::kalman::JerkModel;
+use crate::scalar::{Lanes, Scalar};
+use crate::simd::Kernel;
+
+/// What all particles share at a sample.
+#[derive(Clone, Debug)]
+pub(super) struct Sample {
+    pub(super) seed: u64,
+    pub(super) step: u32,
+    pub(super) dt: f64,
+    /// Commanded jerk (n), zero at the first sample.
+    pub(super) jerk: Vec<f64>,
+    pub(super) dtheta: Vec<f64>,
+    /// Standard deviation of each joint's increment of acceleration.
+    pub(super) increments: Vec<f64>,
+    pub(super) readings: Vec<Reading>,
+    pub(super) walks: Vec<Walk>,
+    /// Logarithm of the total weight before.
+    pub(super) offset: f64,
+    pub(super) proposal: Proposal,
+    pub(super) limits: Vec<(f64, f64)>,
+}
+
+/// One channel's reading, and what its bias, if it has one, does with the innovation.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Reading {
+    pub(super) channel: usize,
+    pub(super) value: f64,
+    pub(super) bias: Option<usize>,
+    /// Variance of the reading for a given path of the links: of its noise, and of a marginalised or undrawn bias.
+    pub(super) variance: f64,
+    /// By which part of the innovation the bias moves, and the standard deviation of what is then drawn around it.
+    pub(super) gain: f64,
+    pub(super) rest: f64,
+    /// Degrees of freedom of its noise.
+    pub(super) tail: f64,
+    /// Logarithm of the density's factor.
+    pub(super) constant: f64,
+}
+
+/// A bias that is drawn before readings are looked at.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Walk {
+    pub(super) bias: usize,
+    pub(super) std: f64,
+}
+
+/// Moves a block by one sample.
+pub(super) struct Advance<'a> {
+    pub(super) model: &'a JerkModel,
+    pub(super) sample: &'a Sample,
+    pub(super) block: &'a mut Block,
+}
+
+impl Kernel for Advance<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { model, sample, block } = self;
+        for group in 0..block.groups() {
+            let items = block.items(group);
+            load(block, group);
+            let increment = block.scratch.step(model, sample, items);
+            if !increment.0.iter().all(|x| x.is_finite()) {
+                block.scratch.keep_finite();
+            }
+            store(block, group, increment, sample.offset);
+        }
+        let used = block.groups() * WIDE;
+        block.log_weights[block.count..used].fill(f64::NEG_INFINITY);
+        block.weigh();
+    }
+}
+
+#[inline(always)]
+fn load(block: &mut Block, group: usize) {
+    for (entry, row) in block.scratch.before.iter_mut().zip(block.state.chunks_exact(BLOCK)) {
+        *entry = Lanes(row.as_chunks::<WIDE>().0[group]);
+    }
+}
+
+#[inline(always)]
+fn store(block: &mut Block, group: usize, increment: Wide, offset: f64) {
+    for (entry, row) in block.scratch.after.iter().zip(block.state.chunks_exact_mut(BLOCK)) {
+        row.as_chunks_mut::<WIDE>().0[group] = entry.0;
+    }
+    for (log_weight, more) in block.log_weights.as_chunks_mut::<WIDE>().0[group].iter_mut().zip(increment.0) {
+        let sum = *log_weight - offset + more;
+        *log_weight = if sum.is_nan() { f64::NEG_INFINITY } else { sum };
+    }
+}
+
+impl Scratch {
+    /// From `before` to `after`; returns by how much the logarithms of the weights change.
+    #[inline(always)]
+    fn step(&mut self, model: &JerkModel, sample: &Sample, items: [u32; WIDE]) -> Wide {
+        let n = model.joints();
+        let motion = Stream::new(sample.seed, sample.step, Purpose::Motion);
+        draw(&motion, items, 0, &mut self.normal[..n]);
+        self.coast(n, sample);
+        self.walk(sample, &motion, items);
+        let mut change = match sample.proposal {
+            Proposal::Bootstrap => {
+                self.noise.copy_from_slice(&self.normal[..n]);
+                Wide::default()
+            }
+            Proposal::Linearised { iterations, tail } => self.propose(model, sample, items, iterations, tail),
+        };
+        self.apply_noise(sample);
+        self.sensed.predict(model, &self.after, &sample.dtheta);
+        change += self.weigh_and_learn(sample, &motion, items);
+        for (j, &(low, high)) in sample.limits.iter().enumerate() {
+            let outside = |q: f64| if q < low || q > high { f64::NEG_INFINITY } else { 0.0 };
+            change += self.after[j].map(outside);
+        }
+        change
+    }
+
+    /// Particles that absurd readings drove out of the numbers stay where they would be without them.
+    fn keep_finite(&mut self) {
+        for l in 0..WIDE {
+            if !self.after.iter().all(|x| x.0[l].is_finite()) {
+                for (after, before) in self.after.iter_mut().zip(&self.before) {
+                    after.0[l] = before.0[l];
+                }
+            }
+        }
+    }
+
+    /// Motion without noise: x ← F x + G u (Axelsson, Karlsson and Norrlöf 2012, eq. (10)).
+    #[inline(always)]
+    fn coast(&mut self, n: usize, sample: &Sample) {
+        let (dt, half) = (sample.dt, 0.5 * sample.dt * sample.dt);
+        for j in 0..n {
+            let (dq, ddq, u) = (self.before[n + j], self.before[2 * n + j], sample.jerk[j]);
+            self.before[j] += dq * dt + ddq * half + half * dt / 3.0 * u;
+            self.before[n + j] += ddq * dt + half * u;
+            self.before[2 * n + j] = ddq + dt * u;
+        }
+    }
+
+    /// Biases that wander whatever the readings say.
+    #[inline(always)]
+    fn walk(&mut self, sample: &Sample, motion: &Stream, items: [u32; WIDE]) {
+        for walk in &sample.walks {
+            let [normal, _] = motion.normals(items, BIAS_DRAWS + walk.bias as u32);
+            self.before[walk.bias] += normal * walk.std;
+        }
+    }
+
+    /// Draws increments by the linearised readings; returns log p(w) − log q(w).
+    ///
+    /// In noise space, increments in units of their standard deviation: Λ = 1 + AᵀS⁻¹A and ŵ = Λ⁻¹AᵀS⁻¹ε.
+    /// The usual pseudo-inverse of a singular Q (Axelsson, Karlsson and Norrlöf 2012, eq. (19)) takes directions in
+    /// which the process has no noise for directions in which nothing is known.
+    #[inline(always)]
+    fn propose(
+        &mut self,
+        model: &JerkModel,
+        sample: &Sample,
+        items: [u32; WIDE],
+        iterations: usize,
+        tail: Option<u32>,
+    ) -> Wide {
+        self.mode.fill(Wide::default());
+        for iteration in 0..iterations {
+            self.noise.copy_from_slice(&self.mode);
+            self.apply_noise(sample);
+            self.sensed.linearise(model, &self.after, &sample.dtheta, reach(sample.dt));
+            self.gather_information(sample, iteration > 0);
+            factorise(&mut self.factor, self.mode.len());
+            solve(&self.factor, &mut self.mode);
+        }
+        let stretch = tail.map(|dof| stretch(sample, items, dof));
+        self.draw_around_mode(stretch.zip(tail))
+    }
+
+    /// Λ into `factor` and AᵀS⁻¹(ε + A ŵ) into `mode`, ε taken at ŵ.
+    #[inline(always)]
+    fn gather_information(&mut self, sample: &Sample, again: bool) {
+        let Self { sensed, after, mode, noise, factor, .. } = self;
+        let n = mode.len();
+        factor.fill(Wide::default());
+        mode.fill(Wide::default());
+        for j in 0..n {
+            factor[j * n + j] = Wide::constant(1.0);
+        }
+        for reading in &sample.readings {
+            let row = &mut sensed.by_increment[reading.channel * n..][..n];
+            let mut error = reading.error(after, &sensed.prediction);
+            let precision = reading.precision(error);
+            for j in 0..n {
+                row[j] = row[j] * sample.increments[j];
+                if again {
+                    error += row[j] * noise[j];
+                }
+            }
+            for j in 0..n {
+                let weighted = row[j] * precision;
+                mode[j] += weighted * error;
+                for k in 0..=j {
+                    factor[j * n + k] += weighted * row[k];
+                }
+            }
+        }
+    }
+
+    /// w = ŵ + L⁻ᵀζ with Λ = L Lᵀ, ζ normal or Student's; returns log p(w) − log q(w) but for a constant that is the
+    /// same for all particles where ζ is normal.
+    #[inline(always)]
+    fn draw_around_mode(&mut self, heavy: Option<(Wide, u32)>) -> Wide {
+        let n = self.mode.len();
+        let mut change = Wide::default();
+        let mut square = Wide::default();
+        let mut determinant = Wide::constant(1.0);
+        for j in 0..n {
+            if let Some((stretch, _)) = heavy {
+                self.normal[j] = self.normal[j] * stretch;
+            }
+            square += self.normal[j] * self.normal[j];
+            determinant = determinant * self.factor[j * n + j];
+        }
+        change += match heavy {
+            None => square * 0.5,
+            Some((_, dof)) => student_term(square, f64::from(dof), n),
+        };
+        change -= determinant.map(ln);
+        self.noise.copy_from_slice(&self.normal[..n]);
+        for j in (0..n).rev() {
+            let mut value = self.noise[j];
+            for k in j + 1..n {
+                value -= self.factor[k * n + j] * self.noise[k];
+            }
+            self.noise[j] = value / self.factor[j * n + j];
+        }
+        for j in 0..n {
+            self.noise[j] += self.mode[j];
+            change -= self.noise[j] * self.noise[j] * 0.5;
+        }
+        change
+    }
+
+    /// x = x⁻ + G w.
+    #[inline(always)]
+    fn apply_noise(&mut self, sample: &Sample) {
+        let n = self.noise.len();
+        let [r0, r1, _] = reach(sample.dt);
+        self.after.copy_from_slice(&self.before);
+        for j in 0..n {
+            let w = self.noise[j] * sample.increments[j];
+            self.after[j] += w * r0;
+            self.after[n + j] += w * r1;
+            self.after[2 * n + j] += w;
+        }
+    }
+
+    /// log p(y | x), and what the biases learn from y.
+    #[inline(always)]
+    fn weigh_and_learn(&mut self, sample: &Sample, motion: &Stream, items: [u32; WIDE]) -> Wide {
+        let mut change = Wide::default();
+        for reading in &sample.readings {
+            let error = reading.error(&self.after, &self.sensed.prediction);
+            change += reading.log_density(error);
+            if let Some(bias) = reading.bias {
+                self.after[bias] += error * reading.gain;
+                if reading.rest > 0.0 {
+                    let [normal, _] = motion.normals(items, BIAS_DRAWS + bias as u32);
+                    self.after[bias] += normal * reading.rest;
+                }
+            }
+        }
+        change
+    }
+}
+
+/// Draws of biases follow those of increments.
+const BIAS_DRAWS: u32 = 1 << 16;
+
+#[inline(always)]
+fn reach(dt: f64) -> Reach {
+    [0.5 * dt * dt, dt, 1.0]
+}
+
+/// Standard normal numbers, two a draw.
+#[inline(always)]
+pub(super) fn draw(stream: &Stream, items: [u32; WIDE], from: u32, out: &mut [Wide]) {
+    for (k, pair) in out.chunks_mut(2).enumerate() {
+        let normals = stream.normals(items, from + k as u32);
+        pair.copy_from_slice(&normals[..pair.len()]);
+    }
+}
+
+/// √(ν/χ²) of each particle, χ² of an even ν degrees of freedom being −2 ln of a product of ν/2 uniform numbers.
+#[inline(always)]
+fn stretch(sample: &Sample, items: [u32; WIDE], dof: u32) -> Wide {
+    let stream = Stream::new(sample.seed, sample.step, Purpose::Tail);
+    let mut log = Wide::default();
+    for k in 0..dof / 2 {
+        log += stream.uniforms(items, k)[0].map(ln);
+    }
+    (Wide::constant(f64::from(dof)) / (log * -2.0)).sqrt()
+}
+
+/// −log of Student's density of n dimensions, less the same of the normal one's constant.
+#[inline(always)]
+fn student_term(square: Wide, dof: f64, n: usize) -> Wide {
+    let n = n as f64;
+    // Γ((ν+n)/2)/Γ(ν/2) over (ν/2)^(n/2), by recurrence from half-integers.
+    let constant = log_gamma(0.5 * (dof + n)) - log_gamma(0.5 * dof) - 0.5 * n * ln(0.5 * dof);
+    (square * (1.0 / dof) + 1.0).map(ln) * (0.5 * (dof + n)) + -constant
+}
+
+/// ln Γ(x) by Stirling's series above 12 and recurrence below.
+pub(super) fn log_gamma(x: f64) -> f64 {
+    let (mut y, mut product) = (x, 1.0);
+    while y < 12.0 {
+        product *= y;
+        y += 1.0;
+    }
+    let z = 1.0 / (y * y);
+    let series = (1.0 / 12.0 - z * (1.0 / 360.0 - z * (1.0 / 1260.0 - z / 1680.0))) / y;
+    (y - 0.5) * ln(y) - y + 0.5 * ln(core::f64::consts::TAU) + series - ln(product)
+}
+
+/// Lower factor L of a positive definite matrix, over its lower triangle.
+#[inline(always)]
+fn factorise(a: &mut [Wide], n: usize) {
+    for j in 0..n {
+        for i in j..n {
+            let mut sum = a[i * n + j];
+            for k in 0..j {
+                sum -= a[i * n + k] * a[j * n + k];
+            }
+            a[i * n + j] = if i == j { sum.sqrt() } else { sum / a[j * n + j] };
+        }
+    }
+}
+
+/// x ← (L Lᵀ)⁻¹ x.
+#[inline(always)]
+fn solve(l: &[Wide], x: &mut [Wide]) {
+    let n = x.len();
+    for i in 0..n {
+        let mut sum = x[i];
+        for k in 0..i {
+            sum -= l[i * n + k] * x[k];
+        }
+        x[i] = sum / l[i * n + i];
+    }
+    for i in (0..n).rev() {
+        let mut sum = x[i];
+        for k in i + 1..n {
+            sum -= l[k * n + i] * x[k];
+        }
+        x[i] = sum / l[i * n + i];
+    }
+}
+
+impl Reading {
+    /// y − h(x) − b.
+    #[inline(always)]
+    fn error(&self, state: &[Wide], prediction: &[Wide]) -> Wide {
+        let error = -prediction[self.channel] + self.value;
+        self.bias.map_or(error, |b| error - state[b])
+    }
+
+    /// 1/S; of Student's noise that of the normal density with the same slope at `error`.
+    #[inline(always)]
+    fn precision(&self, error: Wide) -> Wide {
+        if self.tail.is_infinite() {
+            return Wide::constant(1.0 / self.variance);
+        }
+        Wide::constant(self.tail + 1.0) / (error * error + self.tail * self.variance)
+    }
+
+    #[inline(always)]
+    fn log_density(&self, error: Wide) -> Wide {
+        let square = error * error * (1.0 / self.variance);
+        if self.tail.is_infinite() {
+            return square * -0.5 + self.constant;
+        }
+        (square * (1.0 / self.tail) + 1.0).map(ln) * (-0.5 * (self.tail + 1.0)) + self.constant
+    }
+
+    /// Logarithm of the density's factor, for `variance` and `tail`.
+    pub(super) fn log_factor(variance: f64, tail: f64) -> f64 {
+        if tail.is_infinite() {
+            return -0.5 * ln(core::f64::consts::TAU * variance);
+        }
+        log_gamma(0.5 * (tail + 1.0)) - log_gamma(0.5 * tail) - 0.5 * ln(core::f64::consts::PI * tail * variance)
+    }
+}

@@ -1,0 +1,170 @@
+//! Random numbers by counter: what a particle draws depends on its number, the step and the seed alone.
+//!
+//! Philox 4×32-10 (Salmon, Moraes, Dror and Shaw 2011), so that neither threads nor the width of instructions enter.
+
+use super::logarithm::ln;
+use crate::scalar::{Lanes, Scalar};
+
+const MULTIPLIERS: [u64; 2] = [0xD251_1F53, 0xCD9E_8D57];
+const WEYL: [u32; 2] = [0x9E37_79B9, 0xBB67_AE85];
+const ROUNDS: u32 = 10;
+
+/// What a number is drawn for; streams of different purposes never meet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Purpose {
+    Start,
+    Motion,
+    Tail,
+    Ancestors,
+    Move,
+    Pairing,
+    Backward,
+}
+
+/// The random numbers of one step and purpose.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Stream {
+    seed: u64,
+    step: u32,
+    purpose: u32,
+}
+
+impl Stream {
+    pub(super) fn new(seed: u64, step: u32, purpose: Purpose) -> Self {
+        Self { seed, step, purpose: purpose as u32 }
+    }
+
+    /// The `draw`-th two uniform numbers in (0, 1) of each of `items`.
+    #[inline(always)]
+    pub(super) fn uniforms<const L: usize>(&self, items: [u32; L], draw: u32) -> [Lanes<L>; 2] {
+        let mut words = [items, [draw; L], [self.step; L], [self.purpose; L]];
+        philox(&mut words, self.seed);
+        [open_unit(&words[0], &words[1]), open_unit(&words[2], &words[3])]
+    }
+
+    /// The `draw`-th two standard normal numbers of each of `items` (Box and Muller 1958).
+    #[inline(always)]
+    pub(super) fn normals<const L: usize>(&self, items: [u32; L], draw: u32) -> [Lanes<L>; 2] {
+        let [u, v] = self.uniforms(items, draw);
+        let radius = (u.map(ln) * -2.0).sqrt();
+        let (sin, cos) = (v * core::f64::consts::TAU).sin_cos();
+        [radius * cos, radius * sin]
+    }
+
+    /// One uniform number in (0, 1).
+    pub(super) fn uniform(&self, item: u32) -> f64 {
+        self.uniforms([item], 0)[0].0[0]
+    }
+
+    /// 32 random bits.
+    pub(super) fn bits(&self) -> u32 {
+        let mut words = [[0], [0], [self.step], [self.purpose]];
+        philox(&mut words, self.seed);
+        words[0][0]
+    }
+}
+
+/// Ten rounds on L counters at once.
+#[inline(always)]
+fn philox<const L: usize>(words: &mut [[u32; L]; 4], seed: u64) {
+    let mut key = [seed as u32, (seed >> 32) as u32];
+    for _ in 0..ROUNDS {
+        let [mut high, mut low] = [[[0_u32; L]; 2]; 2];
+        for half in 0..2 {
+            for l in 0..L {
+                let product = u64::from(words[2 * half][l]) * MULTIPLIERS[half];
+                (high[half][l], low[half][l]) = ((product >> 32) as u32, product as u32);
+            }
+        }
+        for l in 0..L {
+            words[0][l] = high[1][l] ^ words[1][l] ^ key[0];
+            words[1][l] = low[1][l];
+            words[2][l] = high[0][l] ^ words[3][l] ^ key[1];
+            words[3][l] = low[0][l];
+        }
+        key = [key[0].wrapping_add(WEYL[0]), key[1].wrapping_add(WEYL[1])];
+    }
+}
+
+/// 52 bits as the middle of one of 2⁵² equal parts of (0, 1).
+#[inline(always)]
+fn open_unit<const L: usize>(high: &[u32; L], low: &[u32; L]) -> Lanes<L> {
+    let mut out = Lanes([0.0; L]);
+    for l in 0..L {
+        let bits = (u64::from(high[l]) << 32 | u64::from(low[l])) >> 12;
+        out.0[l] = f64::from_bits(bits | 0x3FF0_0000_0000_0000) - (1.0 - 0.5 * f64::EPSILON);
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Known answers that the authors publish with their library Random123 (kat_vectors, philox4x32 10).
+    #[test]
+    fn philox_gives_the_published_numbers() {
+        let cases: [([u32; 4], u64, [u32; 4]); 3] = [
+            ([0; 4], 0, [0x6627_e8d5, 0xe169_c58d, 0xbc57_ac4c, 0x9b00_dbd8]),
+            ([u32::MAX; 4], u64::MAX, [0x408f_276d, 0x41c8_3b0e, 0xa20b_c7c6, 0x6d54_51fd]),
+            (
+                [0x243f_6a88, 0x85a3_08d3, 0x1319_8a2e, 0x0370_7344],
+                0x299f_31d0_a409_3822,
+                [0xd16c_fe09, 0x94fd_cceb, 0x5001_e420, 0x2412_6ea1],
+            ),
+        ];
+        for (counter, seed, expected) in cases {
+            let mut words = counter.map(|word| [word]);
+            philox(&mut words, seed);
+            assert_eq!(words.map(|[word]| word), expected);
+        }
+    }
+
+    #[test]
+    fn lanes_draw_what_one_alone_draws() {
+        let stream = Stream::new(7, 3, Purpose::Motion);
+        let together = stream.normals([4, 5, 6, 7], 1);
+        for l in 0..4 {
+            let alone = stream.normals([4 + l as u32], 1);
+            assert_eq!([together[0].0[l], together[1].0[l]], [alone[0].0[0], alone[1].0[0]]);
+        }
+    }
+
+    #[test]
+    fn normals_have_the_moments_of_the_normal_density() {
+        let stream = Stream::new(1, 0, Purpose::Start);
+        let count = 50_000;
+        let mut sums = [0.0; 5];
+        for item in 0..count {
+            let [a, b] = stream.normals([item], 0).map(|x| x.0[0]);
+            for x in [a, b] {
+                for (k, sum) in sums[..4].iter_mut().enumerate() {
+                    *sum += x.powi(k as i32 + 1) / (2.0 * f64::from(count));
+                }
+            }
+            sums[4] += a * b / f64::from(count);
+        }
+        let wide = 5.0 / f64::from(2 * count).sqrt(); // five standard errors of the mean
+        for (sum, (expected, factor)) in sums.iter().zip([(0.0, 1.0), (1.0, 1.5), (0.0, 4.0), (3.0, 10.0), (0.0, 1.5)])
+        {
+            assert!((sum - expected).abs() < wide * factor, "{sums:?}");
+        }
+    }
+
+    #[test]
+    fn steps_purposes_seeds_and_items_have_numbers_of_their_own() {
+        let number = |seed, step, purpose, item| Stream::new(seed, step, purpose).uniform(item);
+        let all = [
+            number(0, 0, Purpose::Start, 0),
+            number(1, 0, Purpose::Start, 0),
+            number(0, 1, Purpose::Start, 0),
+            number(0, 0, Purpose::Motion, 0),
+            number(0, 0, Purpose::Start, 1),
+        ];
+        for i in 0..all.len() {
+            for j in 0..i {
+                assert_ne!(all[i], all[j]);
+            }
+        }
+    }
+}

@@ -1,0 +1,117 @@
+//! How a particle filter goes about it.
+
+use crate::error::DesignError;
+use crate::estimate::kalman::{Channel, JerkModel};
+
+/// Most particles that a filter takes.
+pub const MOST_PARTICLES: usize = 1 << 22;
+
+/// Where particles go next.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Proposal {
+    /// Wherever the process takes them; the readings only weigh them (Gordon, Salmond and Smith 1993).
+    Bootstrap,
+    /// Where process and readings take them, by the readings linearised at each particle (Doucet, Godsill and Andrieu
+    /// 2000). Drawn as process noise, which has fewer dimensions than the state.
+    Linearised {
+        /// How often readings are linearised, each time at the mode of the time before.
+        iterations: usize,
+        /// Degrees of freedom of Student's density that takes the normal one's place; None keeps the normal density.
+        tail: Option<u32>,
+    },
+}
+
+/// How particles are chosen in proportion to their weights.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Resampling {
+    /// One random number, N equal steps (Kitagawa 1996).
+    Systematic,
+    /// One random number in each of N equal parts.
+    Stratified,
+    /// Whole copies first, the rest systematically.
+    Residual,
+    /// N independent choices.
+    Multinomial,
+}
+
+/// What to do when no particle explains a sample's readings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Collapse {
+    /// Stop, and name the sample.
+    Stop,
+    /// Go on as if the readings were missing; the sample's status says so.
+    Recover,
+}
+
+/// Settings of a particle filter.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ParticleSettings {
+    /// N.
+    pub particles: usize,
+    /// The same seed gives the same numbers, on any machine and number of threads.
+    pub seed: u64,
+    /// Where particles go next.
+    pub proposal: Proposal,
+    /// How particles are chosen.
+    pub resampling: Resampling,
+    /// Choose anew when fewer than this share of N is effective.
+    pub threshold: f64,
+    /// Width of the normal density around each chosen particle, in units of the cloud's own (Liu and West 2001); mean and
+    /// covariance of the cloud stay what they were. None leaves copies where they are.
+    pub kernel: Option<f64>,
+    /// Degrees of freedom of Student's density of each channel's noise (channels); infinite where it is normal.
+    pub tails: Vec<f64>,
+    /// Least and largest position of each joint (n).
+    pub limits: Vec<(f64, f64)>,
+    /// Link positions that particles start from in turn, at rest (any number of rows of n); empty for one at rest.
+    pub initial: Vec<f64>,
+    /// What to do when no particle explains a sample.
+    pub collapse: Collapse,
+    /// Shares of probability whose quantiles of position are reported.
+    pub quantiles: Vec<f64>,
+}
+
+impl ParticleSettings {
+    /// # Errors
+    /// A setting out of its range, or of a length that does not fit `model`.
+    pub(super) fn check(&self, model: &JerkModel, marginalised: bool) -> Result<(), DesignError> {
+        let range = |ok: bool, what, value, expected| {
+            if ok { Ok(()) } else { Err(DesignError::Range { what, value, expected }) }
+        };
+        let length = |what, found, expected| {
+            if found == expected { Ok(()) } else { Err(DesignError::Length { what, found, expected }) }
+        };
+        let unused = !model.channels.contains(&Channel::MotorVelocity(0));
+        range(unused, "motor_velocities", 1.0, "0: a particle filter does not measure with them")?;
+        let count = self.particles as f64;
+        range((1..=MOST_PARTICLES).contains(&self.particles), "particles", count, "1 to 4194304")?;
+        range((0.0..=1.0).contains(&self.threshold), "threshold", self.threshold, "a share of 0 to 1")?;
+        if let Some(h) = self.kernel {
+            range(h > 0.0 && h <= 1.0, "kernel", h, "a width above 0 and up to 1")?;
+        }
+        if let Proposal::Linearised { iterations, tail } = self.proposal {
+            range(iterations > 0, "iterations", 0.0, "at least 1")?;
+            let dof = tail.unwrap_or(2);
+            range(dof >= 2 && dof % 2 == 0, "proposal_tail", f64::from(dof), "an even number of at least 2")?;
+        }
+        length("tails", self.tails.len(), model.channels())?;
+        for &tail in &self.tails {
+            range(tail >= 1.0, "outliers", tail, "at least 1 degree of freedom")?;
+            let fits = tail.is_infinite() || !marginalised;
+            range(fits, "outliers", tail, "normal noise where biases are marginalised")?;
+        }
+        length("limits", self.limits.len(), model.joints())?;
+        for &(low, high) in &self.limits {
+            range(low < high, "limits", low, "a lower limit below the upper one")?;
+        }
+        let rows = self.initial.len().div_ceil(model.joints());
+        length("initial", self.initial.len(), rows * model.joints())?;
+        if let Some(&q) = self.initial.iter().find(|q| !q.is_finite()) {
+            range(false, "initial", q, "finite positions")?;
+        }
+        for &share in &self.quantiles {
+            range(share > 0.0 && share < 1.0, "quantiles", share, "shares between 0 and 1")?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,114 @@
+//! The first cloud.
+
+use super::cloud::{BLOCK, Cloud, WIDE, Wide};
+use super::logarithm::ln;
+use super::proposal::{Sample, draw};
+use super::random::{Purpose, Stream};
+use crate::estimate::kalman::{Gaussian, Linearised};
+use crate::scalar::{Lanes, Scalar};
+
+/// Where the first particles come from: N(mode, (Λ⁻¹)) in units of the first belief's standard deviations.
+///
+/// Drawn blindly, the first belief's 3n independent entries would leave hardly one particle near the first readings.
+pub(super) struct Start<'a> {
+    belief: &'a Gaussian,
+    mode: Vec<f64>,
+    /// Lower factor of Λ by rows.
+    factor: Vec<f64>,
+}
+
+impl<'a> Start<'a> {
+    /// The belief as it is.
+    pub(super) fn blind(belief: &'a Gaussian, entries: usize) -> Self {
+        let mut factor = vec![0.0; entries * entries];
+        factor.iter_mut().step_by(entries + 1).for_each(|x| *x = 1.0);
+        Self { belief, mode: vec![0.0; entries], factor }
+    }
+
+    /// The belief after the readings of `sample`, linearised at its mean.
+    pub(super) fn informed(belief: &'a Gaussian, sample: &Sample, linearised: Linearised<'_>, entries: usize) -> Self {
+        let mut start = Self::blind(belief, entries);
+        let std = |d: usize| belief.covariance.at(d, d).sqrt();
+        for reading in &sample.readings {
+            let row = &linearised.jacobian[reading.channel * entries..][..entries];
+            let bias = reading.bias.map_or(0.0, |b| belief.mean[b]);
+            let error = reading.value - linearised.prediction[reading.channel] - bias;
+            for a in 0..entries {
+                let weighted = row[a] * std(a) / reading.variance;
+                start.mode[a] += weighted * error;
+                for b in 0..=a {
+                    start.factor[a * entries + b] += weighted * row[b] * std(b);
+                }
+            }
+        }
+        start.solve();
+        start
+    }
+
+    /// Λ to its factor, AᵀS⁻¹ε to the mode.
+    fn solve(&mut self) {
+        let (n, l) = (self.mode.len(), &mut self.factor);
+        for j in 0..n {
+            for i in j..n {
+                let sum = l[i * n + j] - (0..j).map(|k| l[i * n + k] * l[j * n + k]).sum::<f64>();
+                l[i * n + j] = if i == j { sum.sqrt() } else { sum / l[j * n + j] };
+            }
+        }
+        for i in 0..n {
+            let sum: f64 = (0..i).map(|k| l[i * n + k] * self.mode[k]).sum();
+            self.mode[i] = (self.mode[i] - sum) / l[i * n + i];
+        }
+        for i in (0..n).rev() {
+            let sum: f64 = (i + 1..n).map(|k| l[k * n + i] * self.mode[k]).sum();
+            self.mode[i] = (self.mode[i] - sum) / l[i * n + i];
+        }
+    }
+
+    /// Draws the cloud, with weights as if it came from the belief; the mean of its positions is `origins`' where there
+    /// are any (rows of `joints`, one particle after the other), and entries of the state beyond are the belief's mean.
+    pub(super) fn scatter(&self, cloud: &mut Cloud, origins: &[f64], joints: usize, seed: u64) {
+        let stream = Stream::new(seed, 0, Purpose::Start);
+        let n = self.mode.len();
+        let even = -ln(cloud.blocks.iter().map(|b| b.count).sum::<usize>() as f64);
+        let determinant: f64 = (0..n).map(|i| ln(self.factor[i * n + i])).sum();
+        for block in &mut cloud.blocks {
+            for group in 0..block.groups() {
+                let items = block.items(group);
+                let normal = &mut block.scratch.normal[..n];
+                draw(&stream, items, 0, normal);
+                let change = self.around_mode(normal) + (even - determinant);
+                block.log_weights.as_chunks_mut::<WIDE>().0[group] = change.0;
+                for (d, row) in block.state.chunks_exact_mut(BLOCK).enumerate() {
+                    let mut value = Wide::constant(self.belief.mean[d]);
+                    if d < joints && !origins.is_empty() {
+                        let rows = origins.len() / joints;
+                        value = Lanes(items.map(|i| origins[i as usize % rows * joints + d]));
+                    }
+                    if d < n {
+                        value += normal[d] * self.belief.covariance.at(d, d).sqrt();
+                    }
+                    row.as_chunks_mut::<WIDE>().0[group] = value.0;
+                }
+            }
+        }
+    }
+
+    /// ζ to v = mode + L⁻ᵀζ; returns log p(v) − log q(v) but for log det L.
+    fn around_mode(&self, v: &mut [Wide]) -> Wide {
+        let n = v.len();
+        let mut change = Wide::default();
+        for i in (0..n).rev() {
+            change += v[i] * v[i] * 0.5;
+            let mut value = v[i];
+            for k in i + 1..n {
+                value -= v[k] * self.factor[k * n + i];
+            }
+            v[i] = value * (1.0 / self.factor[i * n + i]);
+        }
+        for i in 0..n {
+            v[i] += Wide::constant(self.mode[i]);
+            change -= v[i] * v[i] * 0.5;
+        }
+        change
+    }
+}

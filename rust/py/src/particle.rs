@@ -1,0 +1,193 @@
+//! Particle filters on the acceleration-driven model.
+
+use crate::array::{Signal, shaped, write_into};
+use crate::error::{EstimatorError, IntoPyErr, outcome};
+use crate::gil::Release;
+use crate::kalman::{Arrays, Live, Noise, into_dict, recording};
+use crate::robot::Robot;
+use linkside_core::error::{DesignError, RunError};
+use linkside_core::estimate::kalman::{Further, JerkDriven, JerkModel, KalmanSample, Keep, Model};
+use linkside_core::estimate::particle::{self, Collapse, ParticleOutput, ParticleSettings, Proposal, Resampling};
+use numpy::PyArray1;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::sync::Arc;
+
+/// Settings as Python spells them.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct Settings {
+    particles: usize,
+    seed: u64,
+    proposal: String,
+    iterations: usize,
+    proposal_tail: Option<u32>,
+    resampling: String,
+    threshold: f64,
+    kernel: Option<f64>,
+    tails: Vec<f64>,
+    limits: Vec<(f64, f64)>,
+    initial: Vec<f64>,
+    recover: bool,
+    quantiles: Vec<f64>,
+}
+
+impl Settings {
+    fn into_core(self) -> PyResult<ParticleSettings> {
+        let unknown = |what: &str, value: &str| Err(EstimatorError::new_err(format!("{what} {value:?} is not known")));
+        let proposal = match self.proposal.as_str() {
+            "bootstrap" => Proposal::Bootstrap,
+            "linearised" => Proposal::Linearised { iterations: self.iterations, tail: self.proposal_tail },
+            other => return unknown("proposal", other),
+        };
+        let resampling = match self.resampling.as_str() {
+            "systematic" => Resampling::Systematic,
+            "stratified" => Resampling::Stratified,
+            "residual" => Resampling::Residual,
+            "multinomial" => Resampling::Multinomial,
+            other => return unknown("resampling", other),
+        };
+        let Self { particles, seed, threshold, kernel, tails, limits, initial, quantiles, .. } = self;
+        let collapse = if self.recover { Collapse::Recover } else { Collapse::Stop };
+        Ok(ParticleSettings {
+            particles,
+            seed,
+            proposal,
+            resampling,
+            threshold,
+            kernel,
+            tails,
+            limits,
+            initial,
+            collapse,
+            quantiles,
+        })
+    }
+}
+
+/// Particle filter of one robot.
+#[pyclass(module = "linkside._core")]
+#[derive(Clone)]
+pub(crate) struct ParticleFilter {
+    filter: particle::ParticleFilter,
+    tool: bool,
+    levels: usize,
+    live: Live,
+}
+
+#[pymethods]
+impl ParticleFilter {
+    #[new]
+    #[pyo3(signature = (robot, *, motor_velocities, rates, links, torques, biased, noise, damping, marginalised, settings))]
+    fn new(
+        robot: &Robot,
+        motor_velocities: bool,
+        rates: bool,
+        links: bool,
+        torques: bool,
+        biased: Vec<bool>,
+        noise: Noise,
+        damping: bool,
+        marginalised: bool,
+        settings: Settings,
+    ) -> PyResult<Self> {
+        let settings = settings.into_core()?;
+        let levels = settings.quantiles.len();
+        let build = || -> Result<_, DesignError> {
+            let model =
+                JerkModel::new(Arc::clone(&robot.0), Further { motor_velocities, rates, links, torques }, &biased)?;
+            let model = JerkDriven::new(model, noise.into(), damping)?;
+            particle::ParticleFilter::new(model, settings, marginalised)
+        };
+        let filter = build().map_err(IntoPyErr::into_py_err)?;
+        let live = Live::new(filter.model().robot().len(), filter.model().channels());
+        Ok(Self { filter, tool: robot.0.tool.is_some(), levels, live })
+    }
+
+    /// Number of states.
+    #[getter]
+    fn states(&self) -> usize {
+        self.filter.model().states()
+    }
+
+    fn reset(&mut self) {
+        self.filter.reset();
+    }
+
+    /// Takes one sample, and writes the state's mean into `out`; what is not given is missing.
+    #[pyo3(signature = (dt, theta, acceleration, dtheta, ddqref, further, out))]
+    fn step(
+        &mut self,
+        py: Python<'_>,
+        dt: f64,
+        theta: Signal<'_>,
+        acceleration: Option<Signal<'_>>,
+        dtheta: Option<Signal<'_>>,
+        ddqref: Option<Signal<'_>>,
+        further: Option<Signal<'_>>,
+        out: &Bound<'_, PyArray1<f64>>,
+    ) -> PyResult<u8> {
+        let states = self.filter.model().states();
+        let sensors = self.filter.model().acceleration_channels();
+        let signals = (acceleration.as_ref(), dtheta.as_ref(), ddqref.as_ref(), further.as_ref());
+        let Self { filter, live, .. } = self;
+        write_into(out, states, |out| {
+            live.set(dt, sensors, &theta, signals.0, signals.1, signals.2, signals.3)?;
+            let sample = KalmanSample { dt, readings: &live.readings, inputs: live.inputs() };
+            py.release(|| filter.step(sample))?;
+            out.copy_from_slice(&filter.summary().mean);
+            Ok(filter.summary().status)
+        })
+    }
+
+    /// Effective number of particles after the last sample.
+    #[getter]
+    fn effective(&self) -> f64 {
+        self.filter.summary().effective
+    }
+
+    /// Covariance of the state after the last sample.
+    #[getter]
+    fn covariance<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, numpy::PyArrayDyn<f64>>> {
+        let states = self.filter.model().states();
+        shaped(py, self.filter.covariance(), vec![states, states])
+    }
+
+    /// Goes on from the live state with the rows of a log, or of a piece of one.
+    fn run<'py>(&mut self, py: Python<'py>, arrays: Arrays<'py>, covariance: bool) -> PyResult<Bound<'py, PyDict>> {
+        let recording = recording(self.filter.model(), &arrays)?;
+        let filter = &mut self.filter;
+        let out = py.release(|| filter.run(recording, Keep { covariance, innovations: false }))?;
+        self.convert(py, out)
+    }
+
+    /// Each log from a fresh start, on all cores: its arrays, or the exception that it came to.
+    fn run_all<'py>(
+        &self,
+        py: Python<'py>,
+        logs: Vec<Arrays<'py>>,
+        covariance: bool,
+    ) -> PyResult<Vec<Bound<'py, PyAny>>> {
+        let model = self.filter.model();
+        let recordings = logs.iter().map(|arrays| recording(model, arrays)).collect::<PyResult<Vec<_>>>()?;
+        let filter = &self.filter;
+        let keep = Keep { covariance, innovations: false };
+        let results = py.release(|| Ok::<_, RunError>(filter.run_all(&recordings, keep)))?;
+        results.into_iter().map(|result| outcome(py, result, |out| self.convert(py, out))).collect()
+    }
+}
+
+impl ParticleFilter {
+    fn convert<'py>(&self, py: Python<'py>, o: ParticleOutput) -> PyResult<Bound<'py, PyDict>> {
+        let ParticleOutput { links, effective, best, quantiles } = o;
+        let (count, n) = (effective.len(), self.filter.model().robot().len());
+        let out = into_dict(py, links, self.filter.model(), self.tool)?;
+        out.del_item("nis")?;
+        out.set_item("effective", shaped(py, effective, vec![count])?)?;
+        out.set_item("best", shaped(py, best, vec![count, n])?)?;
+        if self.levels > 0 {
+            out.set_item("quantiles", shaped(py, quantiles, vec![count, self.levels, n])?)?;
+        }
+        Ok(out)
+    }
+}
