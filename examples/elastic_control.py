@@ -21,7 +21,7 @@ from linkside.feedback import StateFeedback, motor_only, pole_placement
 from linkside.trajectories import rest_to_rest
 
 PERIOD = 5e-4
-MOTIONS = {"short": (5.0, 0.15), "long": (30.0, 0.4)}  # [°], [s]
+MOTIONS = {"short": (5.0, 0.2), "long": (30.0, 0.4)}  # [°], [s]
 AFTER = 1.0  # looked at after the motion [s]
 
 
@@ -42,7 +42,7 @@ class Watched:
 def experiment(robot, start, angle, duration, gains):
     """Run one motion; give time, desired, true (θ, q, θ̇, q̇) and observed states of joint 1."""
     goal = start + np.radians(angle) * np.eye(robot.n)[0]
-    motion = rest_to_rest([start, goal], duration, PERIOD, degree=5).held(0.05, AFTER)
+    motion = rest_to_rest([start, goal], duration, PERIOD).held(0.05, AFTER)
     desired = inverse_dynamics(robot, motion)
     watched = Watched(StateFeedback(robot, desired, gains))
     states, *_ = run(Plant(specimen(robot), desired), watched, len(motion), PERIOD)

@@ -8,7 +8,7 @@
 (2000, 6)
 """
 
-from . import demo, poles, sensors
+from . import control, demo, feedback, poles, sensors, trajectories
 from .elastic import ElasticJointFilter, ElasticJointSmoother, ElasticNoise
 from .errors import ConfigError, EstimatorError, LinksideError, LogError, NumericalError, OutputError
 from .estimate import Estimate, EstimateWriter, Status
@@ -50,8 +50,11 @@ __all__ = [
     "Robot",
     "Status",
     "VelocityEstimate",
+    "control",
     "demo",
+    "feedback",
     "poles",
     "sensors",
     "smooth_file",
+    "trajectories",
 ]

@@ -18,8 +18,8 @@ from .robot import Robot
 
 FloatArray = npt.NDArray[np.float64]
 
-SLOW = 30.0
-"""Frequency of the two slow closed-loop poles [rad/s], as in the paper."""
+SLOW = 50.0
+"""Frequency of the two slow closed-loop poles [rad/s]: near the frequency at which links swing on their springs."""
 
 LIMIT = 1.0 - 1e-6
 """Magnitude that no pole of the sampled loop may reach."""

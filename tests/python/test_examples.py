@@ -31,3 +31,18 @@ def test_square_path(tmp_path):
 
 def rows(text):
     return re.findall(r"^(motors alone|EKF, 2 kHz|EKF, 200 Hz|smoother) ([ \d.]+)$", text, re.MULTILINE)
+
+
+def test_elastic_control(tmp_path):
+    command = [sys.executable, ROOT / "examples/elastic_control.py", "--out", tmp_path]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=tmp_path)
+    for name in ("observed_short", "observed_long", "control_short", "control_long"):
+        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    found = re.findall(r"^(\w+, [\w ]+?) +([\d.]+) +([\d.]+) +[\d.]+$", done.stdout, re.MULTILINE)
+    assert len(found) == 4
+    document = (ROOT / "docs/control.md").read_text()
+    stated = re.findall(r"^\| \d+° in [\d.]+ s, (.*?) \| ([\d.]+) \| ([\d.]+) \|$", document, re.MULTILINE)
+    for (name, *measured), (what, *written) in zip(found, stated, strict=True):
+        assert name.endswith(what)
+        for text, value in zip(written, map(float, measured), strict=True):
+            assert value == pytest.approx(float(text), abs=0.6 * 10.0 ** -len(text.partition(".")[2]))
