@@ -223,7 +223,7 @@ def _worst(robot: Robot, side: Side, q: FloatArray, values: FloatArray, of: Meas
 
 def _at(robot: Robot, side: Side, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """c0 and the smallest and largest eigenvalue of the inertia at postures (T, n)."""
-    eigenvalues: FloatArray = np.linalg.eigvalsh(rigid_inertia(robot, q, side))
+    eigenvalues = np.asarray(np.linalg.eigvalsh(rigid_inertia(robot, q, side)), np.float64)
     return coriolis_bound(christoffel(robot, q)), eigenvalues[:, 0], eigenvalues[:, -1]
 
 
