@@ -67,17 +67,18 @@ def simulate(observer: ReducedOrderObserver, torque: Torque, seconds: float = 20
     count = round(seconds / PERIOD) + 1
     t, x, found, level = PERIOD * np.arange(count), np.empty((count, 4)), np.zeros((count, 2)), np.empty(count)
     x[0] = START
-    estimate = np.zeros(2)
+    estimate = ahead = np.zeros(2)
     for i in range(count):
-        # A torque held over the period is that of its middle; a feedback's is what the estimate before it says.
-        state = observer.step(q=x[i, :2], tau=torque(t[i] + PERIOD / 2, x[i], estimate))
-        found[i], level[i], estimate = state.dq, state.level, state.dq
+
+        def applied(
+            at: float, x: Array, start: float = t[i] - PERIOD, dq: Array = estimate, ddq: Array = ahead
+        ) -> Array:
+            """What the controller asks for, by the estimate of the sample before, carried on."""
+            return torque(at, x, dq + (at - start) * ddq)
+
+        state = observer.step(q=x[i, :2], tau=applied(t[i] + PERIOD / 2, x[i]))  # held: that of the period's middle
+        found[i], level[i], estimate, ahead = state.dq, state.level, state.dq, state.ddq
         if i + 1 < count:
-            ahead = state.ddq
-
-            def applied(at: float, x: Array, start: float = t[i], dq: Array = estimate, ddq: Array = ahead) -> Array:
-                return torque(at, x, dq + (at - start) * ddq)
-
             x[i + 1] = advance(x[i], applied, t[i])
     return t, x, found, level
 

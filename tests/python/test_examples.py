@@ -46,3 +46,18 @@ def test_elastic_control(tmp_path):
         assert name.endswith(what)
         for text, value in zip(written, map(float, measured), strict=True):
             assert value == pytest.approx(float(text), abs=0.6 * 10.0 ** -len(text.partition(".")[2]))
+
+
+@pytest.mark.slow
+def test_velocity_two_links(tmp_path):
+    command = [sys.executable, ROOT / "examples/velocity_two_links.py", "--out", tmp_path]
+    said = subprocess.run(command, check=True, capture_output=True, text=True, cwd=tmp_path).stdout
+    for name in ("bounded", "beyond", "regulation"):
+        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    assert "k0 = 13.3580" in said
+    five, one = re.search(r"reduced order +5 % +([\d.]+) s +1 % +([\d.]+) s", said).groups()
+    assert (float(five), float(one)) == pytest.approx((0.209, 0.322), rel=0.05)
+    up, down = re.search(r"jumps: ([\d.]+) s to 2, ([\d.]+) s to 1\n", said).groups()
+    assert (float(up), float(down)) == pytest.approx((0.024, 3.871), abs=5e-3)
+    ends = [float(x) for x in re.findall(r"-?\d+\.\d+", said.rsplit("q(2) = ", 1)[1])]
+    assert ends == pytest.approx([-0.35243, -0.80150, 1.00723, -0.60681], abs=1e-3)
