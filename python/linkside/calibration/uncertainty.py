@@ -99,7 +99,7 @@ def untold(problem: Problem, evidence: Evidence, still: Sequence[str]) -> dict[s
     kept = [i for i, p in enumerate(free) if p.name not in reasons]
     while kept:
         information = evidence.information[np.ix_(kept, kept)] / spread + np.eye(len(kept))
-        covariance: FloatArray = np.linalg.inv(information)
+        covariance = np.asarray(np.linalg.inv(information), np.float64)
         std = np.sqrt(np.diag(covariance))
         judged = [s if free[i].kind not in NOISE else 0.0 for s, i in zip(std, kept, strict=True)]
         worst = int(np.argmax(judged))
