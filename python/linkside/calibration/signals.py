@@ -35,7 +35,8 @@ def window(period: float) -> int:
 def filled(values: FloatArray) -> FloatArray:
     """Interpolate columns where a value is missing."""
     rows, known = np.arange(len(values)), ~np.isnan(values)
-    return np.array([np.interp(rows, rows[k], column[k]) for column, k in zip(values.T, known.T, strict=True)]).T
+    columns = [np.interp(rows, rows[k], column[k]) for column, k in zip(values.T, known.T, strict=True)]
+    return np.stack(columns, axis=1)
 
 
 def derivative(values: FloatArray, period: float, order: int) -> FloatArray:
