@@ -169,7 +169,7 @@ def choose(robot: Robot, free: Iterable[str] | None, torque: bool, bounds: Bound
     names = [p.name for p in everything]
     wanted = DEFAULT if free is None else tuple(free)
     for name in () if free is None else wanted:
-        if name not in KINDS and name not in names:
+        if name not in names and name not in {p.kind for p in everything}:
             _refuse_unknown(name, [*KINDS, *names], torque)
     chosen = [p for p in everything if p.kind in wanted or p.name in wanted]
     for name in bounds:

@@ -17,6 +17,9 @@ FloatArray = npt.NDArray[np.float64]
 Progress = Callable[["Step"], None]
 
 EVALUATIONS = 60
+GAIN = 1e-2
+"""A step that gains less log-likelihood than this is the last."""
+
 FLOOR = 20.0
 """No reading's log-density exceeds this: its standard deviation would be below 1e-9 of its unit."""
 
@@ -52,9 +55,9 @@ class Search:
 
     The posterior's maximum is found as a problem of least squares that has its value, its gradient g and Fisher's
     information H + 1 (with that of the prior): residuals L⁻¹g and one more that makes up the value, Jacobian Lᵀ and
-    zero, with L Lᵀ = H + 1. `scipy.optimize.least_squares` then takes Gauss-Newton steps (scoring) in a rectangular
-    trust region within bounds (Voglis and Lagaris 2004): Newton's method without second derivatives, in twenty or so
-    evaluations, and where parameters end at a bound it converges as fast as elsewhere.
+    zero, with L Lᵀ = H + 1. `scipy.optimize.least_squares` then takes Gauss-Newton steps (scoring) in a trust
+    region within bounds (Branch, Coleman and Li 1999): Newton's method without second derivatives, in thirty or so
+    evaluations.
     """
 
     problem: Problem
@@ -72,19 +75,18 @@ class Search:
         if not len(start):
             return start
         low, high = self.bounds()
-        start = np.clip(start, low + 1e-6, high - 1e-6)
-        evidence = self.problem.evidence(start)
-        self._offset = FLOOR * evidence.used
+        used = self.problem.evidence(np.clip(start, low, high)).used
+        self._offset = FLOOR * used
         # Shifted by one: the first step may then be a tolerance long, where SciPy takes the start's size for a scale.
         scipy.optimize.least_squares(
             lambda x: self._residual(x - 1),
-            start + 1,
+            np.clip(start, low, high) + 1,
             jac=lambda x: self._slope(x - 1),
             bounds=(low + 1, high + 1),
-            method="dogbox",
-            ftol=1e-11,
+            method="trf",
+            ftol=GAIN / self._offset,
             xtol=1e-5,
-            gtol=1e-4,
+            gtol=1e-3,
             max_nfev=EVALUATIONS,
         )
         return self.best_at

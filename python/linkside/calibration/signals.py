@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,10 @@ FloatArray = npt.NDArray[np.float64]
 SMOOTHING = 0.01
 """Over this time motor positions are taken for a cubic, to be differentiated [s]."""
 
+HALF = 3
+SPIKE = 10.0
+"""A reading further than this from its neighbours, in their spread, stands alone; `HALF` of them on either side."""
+
 TORQUE_DRIFT = 0.02
 """Initial bias of a motor torque, and its walk in one second, as a share of the torque's standard deviation."""
 
@@ -27,16 +32,32 @@ def window(period: float) -> int:
     return max(7, 2 * round(SMOOTHING / period / 2) + 1)
 
 
+def filled(values: FloatArray) -> FloatArray:
+    """Interpolate columns where a value is missing."""
+    rows, known = np.arange(len(values)), ~np.isnan(values)
+    columns = [np.interp(rows, rows[k], column[k]) for column, k in zip(values.T, known.T, strict=True)]
+    return np.stack(columns, axis=1)
+
+
 def derivative(values: FloatArray, period: float, order: int) -> FloatArray:
     """Differentiate columns by a cubic through each window (Savitzky and Golay 1964); NaN where a value was missing."""
-    missing = np.isnan(values)
-    rows = np.arange(len(values))
-    filled = np.array(
-        [np.interp(rows, rows[~gap], column[~gap]) for column, gap in zip(values.T, missing.T, strict=True)]
-    ).T
+    missing, whole = np.isnan(values), filled(values)
     length = min(window(period), len(values) - 1 + len(values) % 2)
-    out = scipy.signal.savgol_filter(filled, length, min(3, length - 1), deriv=order, delta=period, axis=0)
+    out = scipy.signal.savgol_filter(whole, length, min(3, length - 1), deriv=order, delta=period, axis=0)
     return np.where(missing, np.nan, out)
+
+
+def without_spikes(values: FloatArray, least: FloatArray) -> FloatArray:
+    """Leave out readings that stand alone: a filter would follow them for many samples.
+
+    A reading is one if it differs from the median of the seven around it by more than ten times their spread, the
+    median of absolute deviations, and by more than ten times ``least`` (F. R. Hampel, J. Am. Stat. Assoc. 69, 1974).
+    """
+    padded = np.pad(values, ((HALF, HALF), (0, 0)), mode="edge")
+    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * HALF + 1, axis=0)
+    middle = np.median(around, axis=-1)
+    spread = np.median(np.abs(around - middle[..., None]), axis=-1)
+    return np.where(np.abs(values - middle) > SPIKE * np.maximum(1.4826 * spread, least), np.nan, values)
 
 
 def signals(robot: Robot, log: Log, torque: bool) -> dict[str, Any]:
@@ -45,15 +66,18 @@ def signals(robot: Robot, log: Log, torque: bool) -> dict[str, Any]:
     dt = np.diff(log.t, prepend=log.t[0] - log.period)
     bias, scale = robot.acceleration_errors
     readings = np.zeros((count, 0)) if log.acceleration is None else log.acceleration * scale + bias
-    dtheta = derivative(log.theta, log.period, 1) if log.dtheta is None else log.dtheta
     none = np.zeros((count, 0))
+    noise = np.array([sensor.noise_std for sensor in robot.accelerometers for _ in sensor.axes])
+    theta = without_spikes(log.theta, np.full(robot.n, robot.config.encoder.resolution))
+    theta[0] = log.theta[0]
+    dtheta = derivative(theta, log.period, 1) if log.dtheta is None else log.dtheta
     arrays = {
         "t": log.t,
-        "theta": log.theta,
+        "theta": theta,
         "dtheta": dtheta,
-        "ddtheta": derivative(log.theta, log.period, 2) if torque else none,
+        "ddtheta": derivative(theta, log.period, 2) if torque else none,
         "tau": log.tau if torque else none,
-        "acceleration": readings,
+        "acceleration": without_spikes(readings, noise),
         "jerk": _jerk(log, dt, None),
     }
     return {name: np.ascontiguousarray(array) for name, array in arrays.items()} | {"period": log.period}
@@ -62,7 +86,8 @@ def signals(robot: Robot, log: Log, torque: bool) -> dict[str, Any]:
 def noise_arrays(robot: Robot, log: Log, noise: Noise, torque: bool, free_bias: list[bool]) -> dict[str, Any]:
     """Noise of motors, accelerometers and torques; a bias that is a parameter is not also an uncertain state."""
     kinds = ("motor", "acceleration", "torque") if torque else ("motor", "acceleration")
-    arrays = noise.for_log(log).arrays(robot, kinds)
+    steps = np.full(robot.n, robot.config.encoder.resolution)
+    arrays = noise.for_log(replace(log, theta=filled(without_spikes(log.theta, steps)))).arrays(robot, kinds)
     n, m = robot.n, len(robot.acceleration_channels)
     for channel, free in enumerate(free_bias):
         arrays["initial_bias"][n + channel] *= 0.0 if free else 1.0

@@ -1,0 +1,326 @@
+"""Calibration against recordings of known robots, closed forms, and chance; what cannot be calibrated is refused."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from linkside import Estimate, ExtendedKalmanFilter, Log, Noise, RauchTungStriebelSmoother, Robot, _core, cli
+from linkside.calibration import calibrate, resume
+from linkside.calibration.parameters import choose
+from linkside.calibration.problem import Problem, bare
+from linkside.calibration.search import Step
+from linkside.calibration.signals import derivative, signals
+from linkside.calibration.uncertainty import Uncertainty, compare, long_run
+from linkside.errors import ConfigError, EstimatorError, LogError
+
+from . import drawn
+
+DATA = Path(__file__).parents[1] / "data"
+MISMATCH = DATA / "arm2_square_mismatch"
+FREE = ["stiffness", "damping", "sensor_noise"]
+
+
+def load(folder, **changes):
+    robot = Robot.load(folder / "robot.yaml")
+    if changes:
+        robot = Robot(robot.config.model_copy(update=changes), robot.model)
+    return robot, Log.read(folder / "log.parquet", robot)
+
+
+@pytest.fixture(scope="module")
+def calibrated():
+    robot, log = load(MISMATCH)
+    return calibrate(robot, log)
+
+
+def tool_error(method, path):
+    robot = Robot.load(path)
+    estimate = method(robot).run(Log.read(MISMATCH / "log.parquet", robot))
+    error = estimate.tool_position - Estimate.read(MISMATCH / "truth.parquet").tool_position
+    return 1e3 * np.sqrt(np.mean(np.sum((error - error.mean(axis=0)) ** 2, axis=1)))
+
+
+def test_the_likelihood_is_that_of_the_filter():
+    robot, log = load(DATA / "arm2_square")
+    log = log[:600]
+    filtered = ExtendedKalmanFilter(robot)
+    noise = filtered.noise.for_log(log).arrays(robot, ("motor", "acceleration"))
+    settings = {"noise": noise, "biased": [True] * 5, "torque": False, "held": True, "fixed": [], "huber": np.inf}
+    ours = _core.Likelihood(robot.core, signals(robot, log, False), **settings).log_likelihood([], [])
+    assert ours == pytest.approx(filtered.run(log).log_likelihood.sum(), rel=1e-9)
+
+
+def test_the_gradient_is_that_of_the_likelihood():
+    robot, log = load(MISMATCH)
+    free = choose(robot, ["stiffness", "damping", "bias", "jerk_noise"], False, {})
+    problem = Problem(robot, [log[:500], log[500:900]], Noise(), False, free)
+    z = np.linspace(-0.3, 0.3, len(free))
+    gradient = problem.evidence(z).gradient
+    for i in range(len(free)):
+        step = 1e-4 * np.eye(len(free))[i]
+        near, far = (
+            problem.evidence(z + k * step).log_likelihood - problem.evidence(z - k * step).log_likelihood
+            for k in (1, 2)
+        )
+        slope = (8 * near - far) / 12e-4
+        assert gradient[i] == pytest.approx(slope, rel=1e-5, abs=1e-4)
+
+
+def test_a_wrong_robot_is_put_right_from_its_recording_alone(calibrated, tmp_path):
+    calibrated.write(MISMATCH / "robot.yaml", tmp_path / "robot.yaml")
+    assert tool_error(ExtendedKalmanFilter, tmp_path / "robot.yaml") < 0.06
+    assert tool_error(RauchTungStriebelSmoother, tmp_path / "robot.yaml") < 0.03
+    # Motions of a link show stiffness over inertia: links are 5 % heavier than the model has them.
+    assert calibrated["stiffness_axis2"].value == pytest.approx(0.92 / 1.05 * 4.5e5, rel=0.01)
+    assert calibrated["damping_axis2"].value == pytest.approx(1.4 / 1.05 * 500, rel=0.05)
+    assert calibrated["cubic_stiffness_axis2"].value == pytest.approx(5000 * 0.92 / 1.05 * 4.5e5, rel=0.1)
+    assert calibrated["payload_mass"].value == pytest.approx(4, abs=3 * calibrated["payload_mass"].std)
+    assert calibrated.after.log_likelihood > calibrated.before.log_likelihood + 1e4
+
+
+def test_the_robot_file_keeps_its_comments_and_order(calibrated, tmp_path):
+    text = (MISMATCH / "robot.yaml").read_text()
+    text = text.replace("damping: 500.0", "damping: 500.0  # from the maker").replace("joints:", "# axes\njoints:")
+    (tmp_path / "robot.yaml").write_text(text)
+    shutil.copy(MISMATCH / "robot.urdf", tmp_path)
+    (tmp_path / "new").mkdir()
+    calibrated.write(tmp_path / "robot.yaml", tmp_path / "new/robot.yaml")
+    found = (tmp_path / "new/robot.yaml").read_text()
+    assert "# axes\njoints:" in found
+    assert "# from the maker; ± " in found
+    keys = [line.split(":")[0].strip() for line in text.splitlines() if line[:1].isalpha()]
+    assert [k for k in (line.split(":")[0] for line in found.splitlines() if line[:1].isalpha()) if k in keys] == keys
+    assert Robot.load(tmp_path / "new/robot.yaml").drives[0].stiffness == pytest.approx(
+        calibrated["stiffness_axis2"].value, rel=1e-3
+    )
+
+
+def test_the_report_is_one_file(calibrated, tmp_path):
+    calibrated.write_report(tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text()
+    assert page.count("data:image/png") == 4
+    assert all(e.parameter.name in page for e in calibrated.estimates)
+    assert 'src="http' not in page
+    for line in ("stiffness_axis2", "at its bound", "log-likelihood"):
+        assert line in calibrated.to_text()
+
+
+def test_a_profile_is_of_two_estimates(calibrated):
+    with pytest.raises(EstimatorError, match="was not estimated; did you mean 'stiffness_axis"):
+        calibrated.profile("stiffness_axis", "payload_mass")
+    with pytest.raises(EstimatorError, match="twice"):
+        calibrated.profile("payload_mass", "payload_mass")
+
+
+def test_outliers_do_little():
+    robot, log = load(DATA / "arm2_square")
+    spoilt = log.theta[:1200].copy()
+    spoilt[np.arange(50, 1200, 97), 0] += 0.02
+    columns = {"t": log.t[:1200], "theta_axis2": spoilt[:, 0], "theta_axis3": log.theta[:1200, 1]}
+    columns |= dict(zip(robot.acceleration_channels, log.acceleration[:1200].T, strict=True))
+    columns |= {"dtheta_axis2": log.dtheta[:1200, 0], "dtheta_axis3": log.dtheta[:1200, 1]}
+    with_them = calibrate(robot, Log.from_table(columns, robot), ["stiffness"])
+    without = calibrate(robot, log[:1200], ["stiffness"])
+    assert with_them["stiffness_axis2"].value == pytest.approx(without["stiffness_axis2"].value, rel=0.02)
+
+
+def test_a_joint_that_does_not_move_is_left_as_it_is():
+    robot, log = load(DATA / "arm2_square")
+    columns = {"t": log.t[:800], "theta_axis2": log.theta[:800, 0], "theta_axis3": np.full(800, log.theta[0, 1])}
+    columns |= dict(zip(robot.acceleration_channels, log.acceleration[:800].T, strict=True))
+    found = calibrate(robot, Log.from_table(columns, robot), ["stiffness_axis3", "stiffness_axis2"])
+    assert found.refused["stiffness_axis3"] == "its joint does not move"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"free": ["stifness"]}, "'stifness' is no parameter of this robot; did you mean 'stiffness'"),
+        ({"free": ["coulomb"], "torque": False}, "shows in motor torque only"),
+        ({"bounds": {"stiffness_axis2": (5e5, 4e5)}}, "leave no value"),
+        ({"bounds": {"stiffness_axis2": (1e5, 2e5)}}, "leave out 450000"),
+        ({"bounds": {"stiffness_axis9": (1, 2)}}, "'stiffness_axis9' is not free"),
+        ({"logs": []}, "there is no log"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(arguments, message):
+    robot, log = load(MISMATCH)
+    with pytest.raises(EstimatorError, match=message):
+        calibrate(robot, **{"logs": log[:100]} | arguments)
+
+
+def table(robot, log, rows=400, **changes):
+    columns = {"t": log.t[:rows]}
+    columns |= {f"theta_{name}": log.theta[:rows, i] for i, name in enumerate(robot.names)}
+    columns |= dict(zip(robot.acceleration_channels, log.acceleration[:rows].T, strict=True))
+    return columns | changes
+
+
+def test_recordings_that_tell_nothing_are_refused():
+    robot, log = load(MISMATCH)
+    still = table(robot, log, theta_axis2=np.full(400, 0.1), theta_axis3=np.full(400, 0.2))
+    with pytest.raises(LogError, match="no elastic joint's motor moves"):
+        calibrate(robot, Log.from_table(still, robot))
+    clipped = table(
+        robot, log, tool_acc_x=np.minimum(log.acceleration[:400, 0], np.quantile(log.acceleration[:400, 0], 0.5))
+    )
+    with pytest.raises(LogError, match="tool_acc_x stays at its extreme value"):
+        calibrate(robot, Log.from_table(clipped, robot))
+    no_torque = Log.from_table(table(robot, log), robot)
+    with pytest.raises(LogError, match="'tau_axis2' is missing"):
+        calibrate(robot, no_torque, torque=True)
+    other, _ = load(DATA / "kr15_long")
+    with pytest.raises(LogError, match="column 'theta_a1' is missing"):
+        Log.from_table(table(robot, log), other)
+
+
+def test_a_robot_that_shows_nothing_is_refused():
+    robot, log = load(MISMATCH, accelerometers=())
+    with pytest.raises(EstimatorError, match="motor positions alone"):
+        calibrate(robot, log, torque=False)
+    rigid = tuple(joint.model_copy(update={"elastic": False}) for joint in robot.drives)
+    robot, log = load(MISMATCH, joints=rigid)
+    with pytest.raises(EstimatorError, match="no joint of the robot is elastic"):
+        calibrate(robot, log)
+
+
+def test_contradictory_recordings_are_told():
+    robot, log = load(MISMATCH)
+    problem = Problem(robot, [log[:200], log[200:400]], Noise(), False, choose(robot, ["stiffness"], False, {}))
+    sure = Uncertainty(np.array([0.01, 0.01]), np.eye(2), np.ones(2))
+    near, far = np.zeros(2), np.array([0.0, 0.1])
+    assert compare(problem, [(near, sure), (near + 0.01, sure)]) == []
+    (found,) = compare(problem, [(near, sure), (far, sure)])
+    assert found.name == "stiffness_axis3"
+    assert found.distance == pytest.approx(0.1 / np.hypot(0.01, 0.01))
+    assert "contradict each other: stiffness_axis3 is 3e+05 by one and" in str(found)
+
+
+def test_the_long_run_variance_of_correlated_scores():
+    rng = np.random.default_rng(5)
+    noise = rng.standard_normal((40_000, 1))
+    scores = np.zeros_like(noise)
+    for i in range(1, len(noise)):
+        scores[i] = 0.8 * scores[i - 1] + noise[i]
+    # An AR(1) process: the variance of its sum grows by 1/(1 - 0.8)² a sample.
+    assert long_run(scores, 100)[0, 0] / len(scores) == pytest.approx(25, rel=0.15)
+
+
+def test_derivatives_of_a_cubic_are_exact_and_gaps_stay_gaps():
+    t = 1e-3 * np.arange(50)
+    values = np.stack([t**3, np.where(t == t[20], np.nan, t**2)], axis=1)
+    second = derivative(values, 1e-3, 2)
+    assert np.allclose(second[:, 0], 6 * t, atol=1e-8)
+    assert np.flatnonzero(np.isnan(second[:, 1])).tolist() == [20]
+
+
+def test_payload_and_heavier_links_load_the_robot_and_come_off_again():
+    robot = Robot.load(MISMATCH / "robot.yaml")
+    path = MISMATCH / "robot.urdf"
+    joints = [j.model_dump() | {"mass_scale": scale} for j, scale in zip(robot.drives, (1.1, 0.7), strict=True)]
+    tool, payload = robot.tool.model_dump(), {"mass": 4.0, "xyz": [0.1, 0.0, 0.2]}
+    loaded = Robot.from_urdf(path, joints, tool=tool, payload=payload)
+    q = np.array([0.3, -0.4])
+    plain = [
+        Robot.from_urdf(path, [j.model_dump() | {"mass_scale": s} for j, s in zip(robot.drives, pair, strict=True)])
+        for pair in ((1.1, 1.0), (1.0, 0.7), (1.0, 1.0))
+    ]
+    expected = plain[0].gravity_torque(q) + plain[1].gravity_torque(q) - plain[2].gravity_torque(q)
+    at = Robot.from_urdf(path, robot.drives, tool=tool | {"xyz": np.add(tool["xyz"], [0.1, 0, 0.2]).tolist()})
+    step = 1e-6
+    for j in range(2):
+        height = [at.tool_position(q + s * np.eye(2)[j])[2] for s in (step, -step)]
+        expected[j] += 4.0 * 9.81 * (height[0] - height[1]) / (2 * step)
+    assert np.allclose(loaded.gravity_torque(q), expected, rtol=1e-8)
+    assert np.allclose(bare(loaded).gravity_torque(q), plain[2].gravity_torque(q), rtol=1e-12)
+    with pytest.raises(ConfigError, match="expected a tool that carries it"):
+        Robot.from_urdf(path, robot.drives, payload=payload)
+
+
+def test_bias_and_scale_are_taken_off_a_log_and_put_back_for_calibration():
+    robot, log = load(MISMATCH)
+    sensor = robot.accelerometers[0].model_copy(update={"bias": (0.1, 0.0, -0.2), "scale": (1.0, 2.0, 1.0)})
+    other, corrected = load(MISMATCH, accelerometers=(sensor,))
+    assert np.allclose(corrected.acceleration * [1, 2, 1] + [0.1, 0, -0.2], log.acceleration)
+    assert np.allclose(signals(other, corrected, False)["acceleration"], log.acceleration)
+
+
+def command(*arguments):
+    return CliRunner().invoke(cli.main, ["calibrate", *map(str, arguments)])
+
+
+def test_the_command_line_resumes_an_interrupted_run(tmp_path):
+    robot, log = MISMATCH / "robot.yaml", MISMATCH / "log.parquet"
+    out, report = tmp_path / "new.yaml", tmp_path / "report.html"
+    partial = tmp_path / "new.yaml.partial"
+    settings = (robot, log, "--out", out, "--free", ",".join(FREE))
+    missing = command(*settings, "--resume")
+    assert missing.exit_code == 2
+    assert "no interrupted calibration" in missing.output
+    partial.write_text("[]")
+    assert "expected the state of a calibration" in command(*settings, "--resume").output
+    resume.keep(partial, Step(1, 0.0, 0.0, "", {"stiffness_axis2": -0.4, "stiffness_axis3": -0.3}))
+    assert json.loads(partial.read_text())["z"]["stiffness_axis2"] == -0.4
+    done = command(*settings, "--resume", "--report", report, "--held-out", DATA / "arm2_square/log.parquet")
+    assert done.exit_code == 0, done.output
+    assert "held out" in done.output
+    assert out.exists()
+    assert report.exists()
+    assert not partial.exists()
+
+
+def test_the_command_line_refuses_in_one_line(tmp_path):
+    result = command(MISMATCH / "robot.yaml", MISMATCH / "log.parquet", "--out", tmp_path / "a.yaml", "--bound", "x=1")
+    assert result.exit_code == 2
+    assert "--bound x=1: expected NAME=LOW:HIGH" in result.output
+
+
+def continuous(rng, arrays, n, rows):
+    """Links under jerk that is white in continuous time."""
+    dt = drawn.PERIOD
+    spread = np.array([[dt**4 / 20, dt**3 / 8, dt**2 / 6], [dt**3 / 8, dt**2 / 3, dt / 2], [dt**2 / 6, dt / 2, 1]]) * dt
+    factor = np.linalg.cholesky(spread)
+    out = np.empty((rows, 3, n))
+    out[0] = np.reshape(arrays["initial"], (3, n)) * rng.standard_normal((3, n)) + [[0.3, 0.9], [0, 0], [0, 0]]
+    for row in range(1, rows):
+        q, dq, ddq = out[row - 1]
+        shock = factor @ rng.standard_normal((3, n)) * arrays["jerk"]
+        out[row] = np.add([q + dt * dq + 0.5 * dt**2 * ddq, dq + dt * ddq, ddq], shock)
+    return np.ascontiguousarray(out.transpose(1, 0, 2))
+
+
+def intervals(repeats, monkeypatch):
+    """Estimates less truth in standard errors, (repeats, parameters), on recordings drawn from the model."""
+    monkeypatch.setattr(drawn, "links", continuous)
+    true = drawn.arm()  # drawn without damping
+    still = tuple(joint.model_copy(update={"damping": 0.0}) for joint in true.drives)
+    true = Robot(true.config.model_copy(update={"joints": still}), true.model)
+    noise = Noise(jerk=300.0, torsion=0.0, acceleration_bias=0.0)
+    joints = [j.model_copy(update={"stiffness": 1.1 * j.stiffness}) for j in true.drives]
+    nominal = Robot(true.config.model_copy(update={"joints": tuple(joints)}), true.model)
+    names = [f"stiffness_{joint}" for joint in true.names]
+    scores = []
+    for seed in range(repeats):
+        log, _ = drawn.draw(true, noise, 600, seed)
+        found = calibrate(nominal, log, ["stiffness", "bias"], noise=noise)
+        truth = [drive.stiffness for drive in true.drives]
+        scores.append([(found[n].value - k) / found[n].std for n, k in zip(names, truth, strict=True)])
+    return np.array(scores)
+
+
+def test_estimates_are_within_their_standard_errors(monkeypatch):
+    scores = intervals(6, monkeypatch)
+    assert np.abs(scores).max() < 4
+    assert np.abs(scores.mean(axis=0)).max() < 4 / np.sqrt(len(scores))
+
+
+@pytest.mark.slow
+def test_intervals_of_95_percent_cover(monkeypatch):
+    scores = intervals(100, monkeypatch)
+    assert np.all(np.abs(scores.mean(axis=0)) < 3 / np.sqrt(len(scores)))
+    inside = np.mean(np.abs(scores) < 1.96, axis=0)
+    assert np.all((inside >= 0.90) & (inside <= 0.99)), inside
