@@ -85,6 +85,8 @@ METHODS = {
         "weighted samples of the state", ("tuning", "particles", "seed"), partial(_particle, ParticleFilter)
     ),
     "marginalized": Method(
-        "the same, biases in closed form", ("tuning", "particles", "seed"), partial(_particle, MarginalizedParticleFilter)
+        "the same, biases in closed form",
+        ("tuning", "particles", "seed"),
+        partial(_particle, MarginalizedParticleFilter),
     ),
 }

@@ -137,9 +137,7 @@ class ParticleFilter:
         if collapse not in ("raise", "recover"):
             raise EstimatorError(f"collapse is {collapse!r}, expected 'raise' or 'recover'")
         self.robot = robot
-        self._front = ExtendedKalmanFilter(
-            robot, noise, biases=biases, damping=damping, rate=rate, q=q, torque=torque
-        )
+        self._front = ExtendedKalmanFilter(robot, noise, biases=biases, damping=damping, rate=rate, q=q, torque=torque)
         self.noise = self._front.noise
         self._outliers = _by_kind(outliers or {})
         self._settings = {
@@ -259,7 +257,9 @@ class ParticleFilter:
         self._front._refuse_late("a particle filter")
         settings = self._front._settings(kinds, noise)
         widths = [self._front._width(kind) for kind in kinds]
-        tails = [self._outliers.get(kind, np.inf) for kind, width in zip(kinds, widths, strict=True) for _ in range(width)]
+        tails = [
+            self._outliers.get(kind, np.inf) for kind, width in zip(kinds, widths, strict=True) for _ in range(width)
+        ]
         return _core.ParticleFilter(
             self.robot.core,
             **settings,
@@ -308,6 +308,6 @@ def _positions(robot: Robot, initial: npt.ArrayLike | None) -> list[float]:
     if initial is None:
         return []
     rows = np.atleast_2d(np.asarray(initial, float))
-    if rows.ndim != 2 or rows.shape[1] != robot.n:  # noqa: PLR2004
+    if rows.ndim != 2 or rows.shape[1] != robot.n:
         raise EstimatorError(f"initial has shape {np.shape(initial)}, expected one row of {robot.n} a start")
     return list(rows.ravel())
