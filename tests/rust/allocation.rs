@@ -13,6 +13,7 @@ use linkside_core::estimate::kalman::{
 use linkside_core::estimate::observer::{
     AccelerationObserver, AccelerationSource, Complex, Form, Sample, Settings, link_position_at_rest,
 };
+use linkside_core::estimate::particle::{Collapse, ParticleFilter, ParticleSettings, Proposal, Resampling};
 use linkside_core::robot::{Drive, Robot};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::Arc;
@@ -138,6 +139,47 @@ fn a_kalman_step_allocates_nothing() {
         }
     });
     assert_eq!(count, 0);
+}
+
+#[test]
+fn a_particle_filters_step_allocates_nothing() {
+    for marginalised in [false, true] {
+        let model = JerkModel::new(Arc::new(robot()), Further::default(), &[true; 12]).unwrap();
+        let noise = Noise {
+            jerk: vec![20.0; 6],
+            reading: vec![1e-2; 12],
+            torsion: 1e-3,
+            bias_walk: vec![1e-6; 12],
+            initial: vec![1e-3; 18],
+            initial_bias: vec![1e-4; 12],
+        };
+        let settings = ParticleSettings {
+            particles: 600,
+            seed: 0,
+            proposal: Proposal::Linearised { iterations: 2, tail: Some(4) },
+            resampling: Resampling::Residual,
+            threshold: 1.0, // particles are chosen at every step
+            kernel: Some(0.5),
+            tails: vec![f64::INFINITY; 12],
+            limits: vec![(-1e3, 1e3); 6],
+            initial: vec![],
+            collapse: Collapse::Recover,
+            quantiles: vec![],
+        };
+        let model = JerkDriven::new(model, noise, true).unwrap();
+        let mut filter = ParticleFilter::new(model, settings, marginalised).unwrap();
+        let mut step = |readings: &[f64]| {
+            let inputs = Inputs { dtheta: &[0.1; 6], jerk: &[0.5; 6], tau: &[] };
+            filter.step(KalmanSample { dt: 5e-4, readings, inputs }).unwrap();
+        };
+        step(&[0.1; 12]);
+        let count = allocations(|| {
+            for readings in [[0.1; 12], [f64::NAN; 12], [0.2; 12], [f64::INFINITY; 12]] {
+                step(&readings);
+            }
+        });
+        assert_eq!(count, 0, "marginalised: {marginalised}");
+    }
 }
 
 #[test]

@@ -17,8 +17,6 @@ pub(super) enum Purpose {
     Tail,
     Ancestors,
     Move,
-    Pairing,
-    Backward,
 }
 
 /// The random numbers of one step and purpose.
@@ -54,13 +52,6 @@ impl Stream {
     /// One uniform number in (0, 1).
     pub(super) fn uniform(&self, item: u32) -> f64 {
         self.uniforms([item], 0)[0].0[0]
-    }
-
-    /// 32 random bits.
-    pub(super) fn bits(&self) -> u32 {
-        let mut words = [[0], [0], [self.step], [self.purpose]];
-        philox(&mut words, self.seed);
-        words[0][0]
     }
 }
 

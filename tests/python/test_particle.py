@@ -1,0 +1,243 @@
+"""Particle filters: towards the Kalman filter as N grows, on recordings, and with what only particles can do."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from robots import DATA
+
+from linkside import (
+    Estimate,
+    EstimatorError,
+    ExtendedKalmanFilter,
+    Log,
+    MarginalizedParticleFilter,
+    Noise,
+    NumericalError,
+    ParticleFilter,
+    Robot,
+    Status,
+)
+
+SLIDE = """<robot name="slide"><link name="base"/>
+  <link name="cart"><inertial><mass value="3"/>
+    <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>
+  <joint name="x" type="prismatic"><parent link="base"/><child link="cart"/><axis xyz="1 0 0"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+LINEAR = Noise(jerk=300.0, torsion=0.0, transmission=1e-3, acceleration_bias=0.3, position=1e-3, motor_bias=1e-3)
+
+
+@cache
+def slide():
+    """A mass on a spring along a line: linear in everything, so that the EKF is the Kalman filter."""
+    drive = {"name": "x", "stiffness": 3e3, "damping": 1.0, "motor_inertia": 1.0}
+    sensor = {"name": "a", "link": "cart", "xyz": [0, 0, 0], "noise_std": 0.3, "axes": "x"}
+    robot = Robot.from_urdf(SLIDE, joints=[drive], accelerometers=[sensor], encoder={"resolution": 1e-6})
+    t = 1e-3 * np.arange(40)
+    rng = np.random.default_rng(3)
+    columns = {"theta_x": 1e-3 * rng.standard_normal(40), "a_x": 0.5 + 0.3 * rng.standard_normal(40)}
+    return robot, Log.from_table({"t": t, **columns}, robot)
+
+
+@cache
+def recording(name="arm2_square"):
+    robot = Robot.load(DATA / name / "robot.yaml")
+    return robot, Log.read(DATA / name / "log.parquet", robot)
+
+
+def errors(method, count, seeds, **settings):
+    """Deviations from the Kalman filter, in its standard deviations: of the mean, the deviation, the likelihood."""
+    robot, log = slide()
+    exact = ExtendedKalmanFilter(robot, LINEAR).run(log, covariance=True)
+    out = []
+    for seed in range(seeds):
+        ours = method(robot, LINEAR, particles=count, seed=seed, **settings).run(log, covariance=True)
+        std = np.sqrt(np.diagonal(exact.covariance, axis1=1, axis2=2))
+        ours_std = np.sqrt(np.diagonal(ours.covariance, axis1=1, axis2=2))
+        mean = np.sqrt(np.mean(((ours.state - exact.state) / std) ** 2))
+        spread = np.sqrt(np.mean((ours_std / std - 1) ** 2))
+        out.append((mean, spread, ours.log_likelihood.sum() - exact.log_likelihood.sum()))
+    return np.sqrt(np.mean(np.square(out), axis=0))
+
+
+@pytest.mark.parametrize("method", [ParticleFilter, MarginalizedParticleFilter])
+@pytest.mark.parametrize("settings", [{"kernel": None}, {"kernel": 0.5}])
+def test_on_a_linear_model_errors_shrink_with_the_root_of_n(method, settings):
+    few, many = errors(method, 200, 12, **settings), errors(method, 200 * 64, 12, **settings)
+    # A factor of 64 in N is one of 8; 12 seeds know a root mean square to within some 20 %.
+    assert (few / many > 4).all(), (few, many)
+    assert (few / many < 16).all(), (few, many)
+    assert many[0] < 0.1
+    assert many[1] < 0.1
+
+
+def test_marginalising_biases_makes_the_likelihood_less_random():
+    plain = errors(ParticleFilter, 200, 20, kernel=None)
+    closed = errors(MarginalizedParticleFilter, 200, 20, kernel=None)
+    assert closed[2] < 0.7 * plain[2]
+
+
+@pytest.mark.parametrize("resampling", ["systematic", "stratified", "residual", "multinomial"])
+def test_every_way_of_resampling_finds_the_same(resampling):
+    assert errors(MarginalizedParticleFilter, 2000, 3, kernel=None, resampling=resampling)[0] < 0.3
+
+
+def tool_error(name, **settings):
+    robot, log = recording(name)
+    estimate = MarginalizedParticleFilter(robot, particles=500, **settings).run(log)
+    return estimate.error_against(DATA / name / "truth.parquet").tool_rms_centred
+
+
+def test_tool_error_on_recordings():
+    assert tool_error("arm2_square", seed=1) < 0.03
+    assert tool_error("arm2_square_mismatch", seed=1) < 1.0
+
+
+@pytest.mark.slow
+def test_six_joints_do_not_diverge():
+    for seed in range(20):
+        assert tool_error("kr15_six_axes", seed=seed) < 0.05
+
+
+def spoiled(log, column=0, share=0.02, size=50, std=0.05):
+    """Outliers of 50 σ in one axis."""
+    rng = np.random.default_rng(5)
+    acceleration = log.acceleration.copy()
+    hit = rng.random(len(log)) < share
+    acceleration[hit, column] += size * std * rng.choice([-1, 1], hit.sum())
+    return replace(log, acceleration=acceleration)
+
+
+def test_students_noise_withstands_outliers():
+    robot, log = recording()
+    truth = Estimate.read(DATA / "arm2_square/truth.parquet")
+    log, bad, truth = log[:2000], spoiled(log)[:2000], truth[:2000]
+    settings = {"particles": 500, "kernel": 1.0}
+    clean = ParticleFilter(robot, **settings).run(log).error_against(truth).tool_rms_centred
+    robust = ParticleFilter(robot, outliers={"acceleration": 4.0}, **settings).run(bad)
+    error = robust.error_against(truth).tool_rms_centred
+    assert error < 1.2 * clean, (clean, error)
+
+
+def test_a_belief_of_two_peaks_is_resolved():
+    robot, log = recording()
+    start = ExtendedKalmanFilter(robot).run(log[:1]).q[0]
+    starts = [start + 0.02, start]
+    estimate = ParticleFilter(robot, particles=2000, initial=starts, kernel=None).run(log[:200])
+    assert np.abs(estimate.q[-1] - ExtendedKalmanFilter(robot).run(log[:200]).q[-1]).max() < 1e-4
+
+
+def test_quantiles_enclose_the_mean():
+    robot, log = recording()
+    free = MarginalizedParticleFilter(robot, particles=300, quantiles=(0.05, 0.95)).run(log[:300])
+    low, up = free.quantiles[:, 0], free.quantiles[:, 1]
+    assert ((low <= free.q + 1e-6) & (free.q <= up + 1e-6)).mean() > 0.99
+
+
+@pytest.mark.parametrize("method", [ParticleFilter, MarginalizedParticleFilter])
+def test_steps_and_pieces_are_the_run(method):
+    robot, log = recording()
+    log, noise = log[:60], Noise(jerk=15.0)
+    whole = method(robot, noise, particles=40, seed=3).run(log)
+    pieces = list(method(robot, noise, particles=40, seed=3).run_pieces([log[:17], log[17:]]))
+    assert (np.concatenate([p.q for p in pieces]) == whole.q).all()
+    live = method(robot, noise, particles=40, seed=3)
+    for i in range(len(log)):
+        dt = log.t[i] - log.t[i - 1] if i else log.period
+        ddqref = None if log.ddqref is None else log.ddqref[i]
+        signals = {"acceleration": log.acceleration[i], "dtheta": log.dtheta[i], "ddqref": ddqref}
+        state = live.step(dt=dt, theta=log.theta[i], **signals)
+        assert np.allclose(state[:2], whole.q[i], rtol=0, atol=1e-12)
+    assert live.covariance.shape == (len(state), len(state))
+    assert live.effective == whole.effective[-1]
+    assert live.status == Status.GOOD
+    live.reset()
+    assert np.allclose(live.step(dt=1e-3, theta=log.theta[0])[:2], whole.q[0], atol=1e-3)
+
+
+SCRIPT = """
+import sys; sys.path.insert(0, "tests/python")
+from test_particle import recording
+from linkside import MarginalizedParticleFilter
+robot, log = recording()
+estimate = MarginalizedParticleFilter(robot, particles=2500, seed=2).run(log[:50], covariance=True)
+print(estimate.state.tobytes().hex()[-4000:], estimate.covariance.sum().hex())
+"""
+
+
+def test_processors_and_threads_do_not_change_a_bit():
+    root = DATA.parents[1]
+    choices = [("baseline", "1"), ("avx2", "2"), ("widest", "2")]
+    outputs = {
+        subprocess.run(
+            [sys.executable, "-c", SCRIPT],
+            env=os.environ | {"LINKSIDE_SIMD": level, "RAYON_NUM_THREADS": threads},
+            cwd=root,
+            capture_output=True,
+            check=True,
+        ).stdout
+        for level, threads in choices
+    }
+    assert len(outputs) == 1
+
+
+def test_a_sample_that_no_particle_explains():
+    robot, log = recording()
+    theta = log.theta[:20].copy()
+    theta[7] = np.inf
+    log = replace(log[:20], theta=theta)
+    with pytest.raises(NumericalError, match=r"no particle .* sample 7"):
+        ParticleFilter(robot, Noise(jerk=15.0), particles=50).run(log)
+    estimate = MarginalizedParticleFilter(robot, Noise(jerk=15.0), particles=50, collapse="recover").run(log)
+    assert estimate.status[7] & Status.PREDICTED
+    assert not estimate.status[8]
+    assert np.isfinite(estimate.q).all()
+
+
+def test_one_particle_is_enough_to_run():
+    robot, log = recording()
+    assert np.isfinite(ParticleFilter(robot, particles=1).run(log[:50]).q).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"particles": 0}, "particles"),
+        ({"particles": 10_000_000}, "particles"),
+        ({"particles": 1.5}, "whole number"),
+        ({"proposal": "magic"}, "proposal"),
+        ({"resampling": "magic"}, "resampling"),
+        ({"threshold": 2}, "threshold"),
+        ({"collapse": "magic"}, "collapse"),
+        ({"outliers": {"magic": 4}}, "magic"),
+        ({"limits": {"magic": (0, 1)}}, "magic"),
+        ({"limits": {"axis2": (1, 0)}}, "limits"),
+        ({"initial": [[1.0]]}, "initial"),
+        ({"quantiles": (0.0,)}, "quantiles"),
+    ],
+)
+def test_bad_settings_are_named(settings, message):
+    with pytest.raises(EstimatorError, match=message):
+        ParticleFilter(recording()[0], **settings)
+
+
+def test_outliers_are_not_for_marginalised_biases():
+    with pytest.raises(EstimatorError, match="outliers"):
+        MarginalizedParticleFilter(recording()[0], outliers={"acceleration": 4})
+
+
+def test_command_line(tmp_path):
+    from linkside.cli import main
+
+    for method in ("particle", "marginalized"):
+        out = tmp_path / f"{method}.parquet"
+        folder = DATA / "arm2_square"
+        arguments = ["estimate", str(folder / "robot.yaml"), str(folder / "log.parquet"), "--with", method]
+        with pytest.raises(SystemExit) as end:
+            main([*arguments, "--particles", "100", "--seed", "1", "--out", str(out)])
+        assert end.value.code == 0
+        assert len(Estimate.read(out)) == 3960
