@@ -11,11 +11,14 @@ const POSTURES: u32 = 500;
 /// Looks at the inertia of links and motors together in five hundred postures, spread evenly.
 ///
 /// A rotor's inertia B and coupling S belong together: [M S; Sᵀ B] is positive definite in every posture if M holds
-/// S B⁻¹ Sᵀ beside the links' own inertia.
+/// S B⁻¹ Sᵀ beside the links' own inertia. Without a coupling it is as good as M, and nothing is looked at.
 ///
 /// # Errors
 /// A posture in which it is not positive definite.
 pub fn check_inertia(robot: &Robot) -> Result<(), RobotError> {
+    if robot.coupling.iter().all(|&s| s == 0.0) {
+        return Ok(());
+    }
     let n = robot.len();
     let mut dynamics = ElasticDynamics::<f64>::new(robot);
     let (zero, mut q, mut ddq, mut ddtheta) = (vec![0.0; n], vec![0.0; n], vec![0.0; n], vec![0.0; n]);
