@@ -59,6 +59,12 @@ PositiveVector3 = Annotated[tuple[Positive, ...], BeforeValidator(_listed), _exa
 Vector6 = Annotated[tuple[Number, ...], BeforeValidator(_listed), _exactly(6)]
 
 
+def _direction(value: tuple[float, ...]) -> tuple[float, ...]:
+    if not any(value):
+        raise refusal("expected a direction, got three zeros")
+    return value
+
+
 class _Section(BaseModel):
     """A mapping with a fixed set of keys."""
 
@@ -90,6 +96,8 @@ class MotorFriction(_Section):
 
     viscous: NonNegative = 0.0  # N m s/rad
     coulomb: NonNegative = 0.0  # N m
+    stribeck: NonNegative = 0.0  # N m; by how much breaking away takes more than coulomb
+    stribeck_velocity: Positive = 0.01  # rad/s; at which that has fallen to 1/e
 
 
 class JointConfig(_Section):
@@ -123,6 +131,17 @@ class JointConfig(_Section):
             message = f"expected less than the stiffness {self.stiffness:g} can bear, got {windup:g}"
             raise refusal(f"{message}: the spring's torque must rise with torsion", "soft_windup", "stiffness")
         return self
+
+
+class RotorConfig(_Section):
+    """The link that carries a motor's rotor, and the axis of its spin in that link's frame.
+
+    The coupling S(q) of that motor follows from both and from the joint's `gear_ratio` and `motor_inertia`. The link's
+    inertia in the URDF has the rotor's mass, but not its spin inertia.
+    """
+
+    link: Name
+    axis: Annotated[Vector3, AfterValidator(_direction)]
 
 
 class FrameConfig(_Section):
@@ -230,6 +249,7 @@ class RobotConfig(_Section):
     gravity: Vector3 = (0.0, 0.0, -9.81)  # m/s², of free fall in the base frame
     joints: Annotated[tuple[JointConfig, ...], AfterValidator(_some)]
     coupling: dict[str, dict[str, Number]] = {}  # S, kg m²: {link's joint: {motor's joint: value}}
+    rotors: dict[str, RotorConfig] = {}  # motors carried by links, by the joint that they drive
     accelerometers: tuple[AccelerometerConfig, ...] = ()
     gyroscopes: tuple[GyroscopeConfig, ...] = ()
     encoder: EncoderConfig = EncoderConfig()
@@ -280,6 +300,16 @@ class RobotConfig(_Section):
     def _payload_carried(self) -> "RobotConfig":
         if self.payload.mass and self.tool is None:
             raise refusal("expected a tool that carries it: name one, `tool: {link: …}`", "payload", "mass")
+        return self
+
+    @model_validator(mode="after")
+    def _rotors_known(self) -> "RobotConfig":
+        joints = [joint.name for joint in self.joints]
+        for motor in self.rotors:
+            if motor not in joints:
+                raise refusal(f"expected a joint; {suggest(motor, joints)}", "rotors", motor)
+            if any(entries.get(motor) for entries in self.coupling.values()):
+                raise refusal("expected no coupling of this motor: a rotor brings its own", "rotors", motor)
         return self
 
     @model_validator(mode="after")

@@ -225,6 +225,18 @@ class Robot:
         stacked = self._rows(self.core.inverse_dynamics_derivatives, q=q, dq=dq, ddq=ddq)
         return stacked[..., 0, :, :], stacked[..., 1, :, :], stacked[..., 2, :, :]
 
+    def forward_dynamics(
+        self, q: ArrayLike, dq: ArrayLike, theta: ArrayLike, dtheta: ArrayLike, tau: ArrayLike
+    ) -> tuple[Array, Array]:
+        """Accelerations of links and motors, q̈ and θ̈, under motor torques, two of (T, n) [rad/s²].
+
+        Springs, damping, friction and coupling as in robot.yaml: De Luca, Schröder, Thümmel 2007, eq. (2);
+        Ulrich, Sasiadek 2011, eqs. (10)–(16). Of a rigid joint `theta` and `dtheta` are not looked at; its motor
+        accelerates as its link does.
+        """
+        stacked = self._rows(self.core.forward_dynamics, q=q, dq=dq, theta=theta, dtheta=dtheta, tau=tau)
+        return stacked[..., 0, :], stacked[..., 1, :]
+
     def mass_matrix(self, q: ArrayLike) -> Array:
         """Inertia of the links M(q), (T, n, n) [kg m²]."""
         return self._rows(self.core.mass_matrix, q=q)

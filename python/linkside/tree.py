@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 
 from . import _core
-from .config import FrameConfig, JointConfig, RobotConfig, SensorConfig
+from .config import FrameConfig, JointConfig, RobotConfig, RotorConfig, SensorConfig
 from .errors import ConfigError
 from .source import Source, suggest
 from .urdf import impossible
@@ -90,6 +90,7 @@ def compile_robot(config: RobotConfig, model: Any) -> _core.Robot:
         [_sensor(model, sensor) for sensor in config.accelerometers],
         [_sensor(model, sensor) for sensor in config.gyroscopes],
         None if config.tool is None else _frame(model, config.tool),
+        [_rotor(model, config, motor, rotor) for motor, rotor in config.rotors.items()],
     )
 
 
@@ -135,11 +136,13 @@ def _refuse_unknown_links(model: Any, config: RobotConfig, source: Source) -> No
     for kind in ("accelerometers", "gyroscopes"):
         for index, sensor in enumerate(getattr(config, kind)):
             _refuse_unknown_link(model, sensor, source.where(kind, index, "link"))
+    for motor, rotor in config.rotors.items():
+        _refuse_unknown_link(model, rotor, source.where("rotors", motor, "link"))
     if config.tool is not None:
         _refuse_unknown_link(model, config.tool, source.where("tool", "link"))
 
 
-def _refuse_unknown_link(model: Any, frame: FrameConfig, where: str) -> None:
+def _refuse_unknown_link(model: Any, frame: FrameConfig | RotorConfig, where: str) -> None:
     if frame.link not in _links(model):
         raise ConfigError(f"{where}no link '{frame.link}'; {suggest(frame.link, _links(model))}")
     if frame.link not in moving_links(model):
@@ -183,6 +186,8 @@ def _drive(joint: JointConfig) -> dict[str, Any]:
         "soft_windup_shape": joint.soft_windup.shape,
         "friction_viscous": joint.motor_friction.viscous,
         "friction_coulomb": joint.motor_friction.coulomb,
+        "friction_stribeck": joint.motor_friction.stribeck,
+        "friction_stribeck_velocity": joint.motor_friction.stribeck_velocity,
         "link_friction": list(joint.link_friction),
     }
 
@@ -190,6 +195,13 @@ def _drive(joint: JointConfig) -> dict[str, Any]:
 def _frame(model: Any, frame: FrameConfig) -> dict[str, Any]:
     joint, pose = mount(model, frame)
     return {"body": joint - 1, "rotation": pose.rotation, "translation": pose.translation}
+
+
+def _rotor(model: Any, config: RobotConfig, motor: str, rotor: RotorConfig) -> dict[str, Any]:
+    link = model.frames[_links(model)[rotor.link]]
+    index = [joint.name for joint in config.joints].index(motor)
+    axis = link.placement.rotation @ (np.array(rotor.axis) / np.linalg.norm(rotor.axis))
+    return {"motor": index, "body": link.parentJoint - 1, "axis": axis, "ratio": config.joints[index].gear_ratio}
 
 
 def _sensor(model: Any, sensor: SensorConfig) -> dict[str, Any]:

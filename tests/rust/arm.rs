@@ -21,7 +21,7 @@ pub(crate) fn drive() -> Drive {
         motor_inertia: 30.0,
         cubic_stiffness: 0.0,
         soft_windup: SoftWindup::default(),
-        motor_friction: MotorFriction { viscous: 10.0, coulomb: 5.0 },
+        motor_friction: MotorFriction { viscous: 10.0, coulomb: 5.0, ..MotorFriction::default() },
         link_friction: [0.0; 6],
     }
 }

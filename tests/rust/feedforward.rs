@@ -121,7 +121,7 @@ fn rigid_joints_and_friction_are_accounted_for() {
     let mut robot = robot([0.0; N], &[]);
     robot.drives[1].elastic = false;
     let plain = inverse_dynamics(&robot, path).unwrap();
-    robot.drives[1].motor_friction = MotorFriction { viscous: 3.0, coulomb: 2.0 };
+    robot.drives[1].motor_friction = MotorFriction { viscous: 3.0, coulomb: 2.0, ..MotorFriction::default() };
     robot.drives[2].link_friction[5] = 5.0;
     let found = inverse_dynamics(&robot, path).unwrap();
     for row in 0..t.len() {

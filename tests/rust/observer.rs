@@ -34,7 +34,7 @@ fn drives() -> impl Strategy<Value = Drive> {
             stiffness: 10_f64.powf(stiffness),
             damping,
             motor_inertia: 10_f64.powf(inertia),
-            motor_friction: MotorFriction { viscous, coulomb: 0.0 },
+            motor_friction: MotorFriction { viscous, ..MotorFriction::default() },
             ..drive()
         }
     })

@@ -55,6 +55,14 @@ pub enum RobotError {
         /// How many there are.
         count: usize,
     },
+    /// Inertia that no masses have.
+    #[error(
+        "the inertia of links and motors together is not positive definite at q = {posture:.3?}: the coupling is too large for the motor inertias and the links"
+    )]
+    Indefinite {
+        /// Where, q.
+        posture: Vec<f64>,
+    },
     /// Arrays that do not fit together.
     #[error("{what} has {found} entries, expected {expected}")]
     Length {

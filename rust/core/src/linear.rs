@@ -1,5 +1,7 @@
 //! Small dense products on rows padded to a multiple of [`LANES`], accumulated in registers.
 
+use crate::scalar::Scalar;
+
 /// Columns that one vector register holds, and to a multiple of which rows are padded.
 pub(crate) const LANES: usize = 4;
 /// Rows that share what is loaded.
@@ -209,5 +211,54 @@ pub(crate) fn solve(l: &[f64], n: usize, b: &mut [f64], width: usize) {
 fn scale(row: &mut [f64], factor: f64) {
     for x in row {
         *x *= factor;
+    }
+}
+
+/// L and D of A = L D Lᵀ over A's lower triangle and diagonal, row-major n × n. Without square roots, for any scalar.
+#[inline(always)]
+pub(crate) fn factorise<T: Scalar>(a: &mut [T], n: usize) {
+    for j in 0..n {
+        for k in 0..j {
+            let (l, d) = (a[j * n + k], a[k * n + k]);
+            // Above the diagonal: L D of this row, which the rows below want.
+            a[k * n + j] = l * d;
+            let below = a[k * n + j];
+            for i in j..n {
+                let own = a[i * n + k];
+                a[i * n + j] -= own * below;
+            }
+        }
+        let inverse = T::constant(1.0) / a[j * n + j];
+        for i in j + 1..n {
+            a[i * n + j] = a[i * n + j] * inverse;
+        }
+    }
+}
+
+/// X of L D Lᵀ X = B, in place, after [`factorise`]: B has n rows of `width`.
+#[inline(always)]
+pub(crate) fn solve_factorised<T: Scalar>(a: &[T], n: usize, b: &mut [T], width: usize) {
+    let subtract = |own: &mut [T], row: &[T], factor: T| {
+        for (x, y) in own.iter_mut().zip(row) {
+            *x -= *y * factor;
+        }
+    };
+    for i in 1..n {
+        let (done, rest) = b.split_at_mut(i * width);
+        for (k, row) in done.chunks_exact(width).enumerate() {
+            subtract(&mut rest[..width], row, a[i * n + k]);
+        }
+    }
+    for (i, row) in b.chunks_exact_mut(width).enumerate() {
+        let inverse = T::constant(1.0) / a[i * n + i];
+        for x in row {
+            *x = *x * inverse;
+        }
+    }
+    for i in (0..n).rev() {
+        let (rest, done) = b.split_at_mut((i + 1) * width);
+        for (k, row) in done.chunks_exact(width).enumerate() {
+            subtract(&mut rest[i * width..], row, a[(i + 1 + k) * n + i]);
+        }
     }
 }

@@ -3,9 +3,9 @@
 use crate::array::{mat3, rows, shaped, vec3};
 use crate::error::IntoPyErr;
 use crate::gil::Release;
-use linkside_core::dynamics::{Batch, States};
+use linkside_core::dynamics::{Batch, DrivenStates, States, check_inertia};
 use linkside_core::error::RobotError;
-use linkside_core::robot::{self, BodySpec, JointKind, MotorFriction, SoftWindup, Tree};
+use linkside_core::robot::{self, BodySpec, JointKind, MotorFriction, Rotor, SoftWindup, Tree};
 use numpy::{PyArrayDyn, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use std::sync::Arc;
@@ -36,6 +36,8 @@ struct Drive {
     soft_windup_shape: f64,
     friction_viscous: f64,
     friction_coulomb: f64,
+    friction_stribeck: f64,
+    friction_stribeck_velocity: f64,
     link_friction: [f64; 6],
 }
 
@@ -47,6 +49,15 @@ struct Sensor {
     translation: [f64; 3],
     axes: Vec<usize>,
     noise_std: f64,
+}
+
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct RotorPlace {
+    motor: usize,
+    body: usize,
+    axis: [f64; 3],
+    ratio: f64,
 }
 
 #[derive(FromPyObject)]
@@ -82,7 +93,12 @@ impl From<Drive> for robot::Drive {
             motor_inertia: d.motor_inertia,
             cubic_stiffness: d.cubic_stiffness,
             soft_windup: SoftWindup { stiffness: d.soft_windup_stiffness, shape: d.soft_windup_shape },
-            motor_friction: MotorFriction { viscous: d.friction_viscous, coulomb: d.friction_coulomb },
+            motor_friction: MotorFriction {
+                viscous: d.friction_viscous,
+                coulomb: d.friction_coulomb,
+                stribeck: d.friction_stribeck,
+                stribeck_velocity: d.friction_stribeck_velocity,
+            },
             link_friction: d.link_friction,
         }
     }
@@ -113,6 +129,7 @@ impl Robot {
         accelerometers: Vec<Sensor>,
         gyroscopes: Vec<Sensor>,
         tool: Option<Tool>,
+        rotors: Vec<RotorPlace>,
     ) -> PyResult<Self> {
         let coupling = rows("coupling", &coupling, bodies.len())?.to_vec();
         let specs: Vec<BodySpec> = bodies.into_iter().map(Body::spec).collect();
@@ -125,9 +142,12 @@ impl Robot {
             let gyroscopes = place("gyroscope", gyroscopes)?;
             let tool = tool.map(|t| tree.frame("tool", t.body, &mat3(t.rotation), &vec3(t.translation))).transpose()?;
             let drives = drives.into_iter().map(Into::into).collect();
-            robot::Robot::new(tree, drives, coupling, accelerometers, gyroscopes, tool)
+            let rotors =
+                rotors.into_iter().map(|r| Rotor { motor: r.motor, body: r.body, axis: vec3(r.axis), ratio: r.ratio });
+            robot::Robot::new(tree, drives, coupling, accelerometers, gyroscopes, tool)?.with_rotors(rotors.collect())
         };
-        build().map(|r| Self(Arc::new(r))).map_err(IntoPyErr::into_py_err)
+        let checked = |robot| check_inertia(&robot).map(|()| Self(Arc::new(robot)));
+        build().and_then(checked).map_err(IntoPyErr::into_py_err)
     }
 
     /// Number of joints.
@@ -138,6 +158,25 @@ impl Robot {
 
     fn inverse_dynamics<'py>(&self, q: Input<'py>, dq: Input<'py>, ddq: Input<'py>) -> Output<'py> {
         self.states(&q, &dq, &ddq, [self.0.len()], Batch::inverse_dynamics)
+    }
+
+    fn forward_dynamics<'py>(
+        &self,
+        q: Input<'py>,
+        dq: Input<'py>,
+        theta: Input<'py>,
+        dtheta: Input<'py>,
+        tau: Input<'py>,
+    ) -> Output<'py> {
+        let n = self.0.len();
+        let states = DrivenStates {
+            q: rows("q", &q, n)?,
+            dq: rows("dq", &dq, n)?,
+            theta: rows("theta", &theta, n)?,
+            dtheta: rows("dtheta", &dtheta, n)?,
+            tau: rows("tau", &tau, n)?,
+        };
+        self.over(&q, [2, n], |batch, out| batch.forward_dynamics(states, out))
     }
 
     fn coriolis_matrix<'py>(&self, q: Input<'py>, dq: Input<'py>) -> Output<'py> {

@@ -1,6 +1,6 @@
 //! Whole arrays at once: one row a sample, `count` rows, row-major.
 
-use super::{Kinematics, Loads};
+use super::{ElasticDynamics, ElasticState, Kinematics, Loads};
 use crate::robot::{Robot, Sensor};
 use crate::spatial::Vec3;
 
@@ -22,6 +22,21 @@ pub struct States<'a> {
     pub dq: &'a [f64],
     /// q̈.
     pub ddq: &'a [f64],
+}
+
+/// A state of links and motors with the motors' torque, one row a sample, n columns.
+#[derive(Clone, Copy, Debug)]
+pub struct DrivenStates<'a> {
+    /// q.
+    pub q: &'a [f64],
+    /// q̇.
+    pub dq: &'a [f64],
+    /// θ.
+    pub theta: &'a [f64],
+    /// θ̇.
+    pub dtheta: &'a [f64],
+    /// τ.
+    pub tau: &'a [f64],
 }
 
 impl<'a> Batch<'a> {
@@ -55,6 +70,17 @@ impl<'a> Batch<'a> {
         self.each(s, out, self.robot.len(), |b, tau| {
             b.loads.inverse_dynamics_into(&b.robot.tree, &b.kinematics, tau);
         });
+    }
+
+    /// q̈ and θ̈ one after the other: 2 n a sample.
+    pub fn forward_dynamics(&mut self, s: DrivenStates<'_>, out: &mut [f64]) {
+        let n = self.robot.len();
+        let mut dynamics = ElasticDynamics::new(self.robot);
+        for (i, out) in out.chunks_exact_mut(2 * n).enumerate() {
+            let [q, dq, theta, dtheta, tau] = [s.q, s.dq, s.theta, s.dtheta, s.tau].map(|x| &x[i * n..][..n]);
+            let (ddq, ddtheta) = out.split_at_mut(n);
+            dynamics.accelerations_into(self.robot, ElasticState { q, dq, theta, dtheta }, tau, ddq, ddtheta);
+        }
     }
 
     /// g(q): n a sample.

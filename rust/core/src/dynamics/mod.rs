@@ -4,11 +4,15 @@
 //! Matrices are row-major slices. Nothing allocates after construction.
 
 mod batch;
+mod definite;
+mod forward;
 mod kinematics;
 mod loads;
 mod sensing;
 
-pub use batch::{Batch, States};
+pub use batch::{Batch, DrivenStates, States};
+pub use definite::check_inertia;
+pub use forward::{ElasticDynamics, ElasticJacobian, ElasticState};
 pub use kinematics::Kinematics;
 pub use loads::Loads;
 pub(crate) use sensing::Placed;

@@ -1,9 +1,11 @@
 //! A robot as the kernels see it: tree, drives, sensors.
 
 mod drive;
+mod rotor;
 mod tree;
 
 pub use drive::{Drive, MotorFriction, SoftWindup};
+pub use rotor::Rotor;
 pub use tree::{Body, BodySpec, Frame, JointKind, Tree};
 
 use crate::error::RobotError;
@@ -43,6 +45,8 @@ pub struct Robot {
     pub gyroscopes: Vec<Sensor>,
     /// Tool centre point.
     pub tool: Option<Frame>,
+    /// Motors whose rotors links carry, one a motor at most.
+    pub rotors: Vec<Rotor>,
 }
 
 impl Robot {
@@ -74,7 +78,7 @@ impl Robot {
                 sensor.check(&format!("{kind} {i}"))?;
             }
         }
-        Ok(Self { tree, drives, coupling, accelerometers, gyroscopes, tool })
+        Ok(Self { tree, drives, coupling, accelerometers, gyroscopes, tool, rotors: Vec::new() })
     }
 
     /// Number of joints.

@@ -1,6 +1,6 @@
 //! The kinematic tree, compiled: bodies in topological order, every joint along or about its own z axis.
 
-use super::expect;
+use super::{Drive, Rotor, expect};
 use crate::error::RobotError;
 use crate::spatial::{Inertia, Mat3, Sym3, Vec3};
 
@@ -118,6 +118,35 @@ impl Tree {
         let carrier = self.bodies.get(body).ok_or_else(|| RobotError::Body { owner: owner.into(), body, count })?;
         let align = &carrier.align;
         Ok(Frame { body, rotation: align.mul_constant(rotation), translation: align.apply(translation) })
+    }
+
+    /// The tree with each rotor as one more joint, after all others.
+    pub(crate) fn with_rotors(&self, rotors: &[Rotor], drives: &[Drive]) -> Self {
+        let mut tree = self.clone();
+        for rotor in rotors {
+            tree.bodies.push(self.rotor(rotor, tree.len(), &drives[rotor.motor]));
+        }
+        tree
+    }
+
+    /// Spin inertia about the rotor's axis alone: its mass is its carrier's.
+    fn rotor(&self, rotor: &Rotor, joint: usize, drive: &Drive) -> Body {
+        let axis = Mat3::z_to(&self.bodies[rotor.body].align.apply(&rotor.axis));
+        let spin = drive.motor_inertia / (rotor.ratio * rotor.ratio);
+        Body {
+            parent: Some(rotor.body),
+            joint,
+            kind: JointKind::Revolute,
+            rotation: axis,
+            translation: Vec3([0.0; 3]),
+            // tr(Σ)·1 − Σ is then the spin inertia about z, and nothing about x and y.
+            inertia: Inertia {
+                mass: 0.0,
+                first: Vec3([0.0; 3]),
+                second: Sym3([0.5 * spin, 0.0, 0.0, 0.5 * spin, 0.0, -0.5 * spin]),
+            },
+            align: axis.transpose(),
+        }
     }
 
     /// The bodies from `body` to the base, itself first.

@@ -257,7 +257,7 @@ mod tests {
             motor_inertia: 3.0,
             cubic_stiffness: 3e3,
             soft_windup: SoftWindup { stiffness: 120.0, shape: 80.0 },
-            motor_friction: MotorFriction { viscous: 0.4, coulomb: 1e-3 },
+            motor_friction: MotorFriction { viscous: 0.4, coulomb: 1e-3, ..MotorFriction::default() },
             link_friction: [0.5, 1.5, 0.5, 0.2, 1.0, 0.5],
         };
         let body = |index: usize| BodySpec {

@@ -58,7 +58,10 @@ impl<T: Scalar> Evaluation<T> {
         let (robot, n) = (model.robot.clone(), model.joints());
         let mut kinematics = Kinematics::new(&robot.tree);
         kinematics.set_masses(parameters.masses(&robot));
-        let unit = |d: &Drive| Drive { motor_friction: MotorFriction { viscous: 0.0, coulomb: 1.0 }, ..d.clone() };
+        let unit = |d: &Drive| Drive {
+            motor_friction: MotorFriction { coulomb: 1.0, ..MotorFriction::default() },
+            ..d.clone()
+        };
         Self {
             channels: model.channels.clone(),
             turns: parameters.sensors.iter().map(|s| s.turn()).collect(),

@@ -1,5 +1,11 @@
 //! What is between a motor and its link.
 
+mod motor_friction;
+mod soft_windup;
+
+pub use motor_friction::MotorFriction;
+pub use soft_windup::SoftWindup;
+
 use super::expect;
 use crate::error::RobotError;
 use crate::scalar::Scalar;
@@ -25,27 +31,6 @@ pub struct Drive {
     pub link_friction: [f64; 6],
 }
 
-/// Soft wind-up of a harmonic drive: −k·exp(−a δ²)·δ (Ulrich and Sasiadek 2011, eqs. (10)–(13)).
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct SoftWindup {
-    /// k [N m/rad].
-    pub stiffness: f64,
-    /// a [1/rad²].
-    pub shape: f64,
-}
-
-/// Friction torque of a motor.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct MotorFriction {
-    /// [N m s/rad].
-    pub viscous: f64,
-    /// [N m].
-    pub coulomb: f64,
-}
-
-/// Below this speed dry friction fades out [rad/s]: an encoder or an estimate cannot tell the direction of so slow a motion.
-const CREEP: f64 = 2e-3;
-
 impl Drive {
     /// # Errors
     /// A number that is not finite, and of an elastic joint a stiffness or motor inertia that is not positive, or a
@@ -53,7 +38,7 @@ impl Drive {
     pub(crate) fn check(&self, owner: &str) -> Result<(), RobotError> {
         let owner = || owner.to_string();
         let SoftWindup { stiffness, shape } = self.soft_windup;
-        let MotorFriction { viscous, coulomb } = self.motor_friction;
+        let MotorFriction { viscous, coulomb, stribeck, stribeck_velocity } = self.motor_friction;
         let finite = [
             ("stiffness", self.stiffness),
             ("damping", self.damping),
@@ -63,15 +48,24 @@ impl Drive {
             ("soft wind-up's shape", shape),
             ("viscous motor friction", viscous),
             ("dry motor friction", coulomb),
+            ("Stribeck friction", stribeck),
+            ("Stribeck velocity", stribeck_velocity),
         ];
         let friction = self.link_friction.iter().map(|&g| ("link friction", g));
         for (what, value) in finite.into_iter().chain(friction) {
             expect(value.is_finite(), what, owner, value, "a finite number")?;
         }
+        let fades = stribeck == 0.0 || stribeck_velocity > 0.0;
+        expect(fades, "Stribeck velocity", owner, stribeck_velocity, "greater than 0")?;
         if self.elastic {
             expect(self.stiffness > 0.0, "stiffness", owner, self.stiffness, "greater than 0")?;
             expect(self.motor_inertia > 0.0, "motor inertia", owner, self.motor_inertia, "greater than 0")?;
             expect(self.damping >= 0.0, "damping", owner, self.damping, "at least 0")?;
+            let (cubic, rising) = (self.cubic_stiffness, "greater than 0: the spring's torque must rise with torsion");
+            expect(cubic >= 0.0, "cubic stiffness", owner, cubic, "at least 0")?;
+            expect(shape >= 0.0, "soft wind-up's shape", owner, shape, "at least 0")?;
+            let least = self.soft_windup.least_slope(self.stiffness, cubic);
+            expect(least > 0.0, "least tangent stiffness", owner, least, rising)?;
         }
         Ok(())
     }
@@ -80,11 +74,7 @@ impl Drive {
     #[inline(always)]
     pub fn nonlinear_torque<T: Scalar>(&self, torsion: T) -> T {
         let square = torsion * torsion;
-        let mut stiffness = square * self.cubic_stiffness;
-        if self.soft_windup.stiffness != 0.0 {
-            stiffness -= (square * -self.soft_windup.shape).exp() * self.soft_windup.stiffness;
-        }
-        stiffness * torsion
+        (square * self.cubic_stiffness + self.soft_windup.secant(square)) * torsion
     }
 
     /// Torque of the spring at torsion δ [rad] [N m].
@@ -97,12 +87,7 @@ impl Drive {
     #[inline(always)]
     pub fn tangent_stiffness<T: Scalar>(&self, torsion: T) -> T {
         let square = torsion * torsion;
-        let mut slope = square * (3.0 * self.cubic_stiffness) + self.stiffness;
-        let SoftWindup { stiffness, shape } = self.soft_windup;
-        if stiffness != 0.0 {
-            slope -= (square * -shape).exp() * (square * (-2.0 * shape) + 1.0) * stiffness;
-        }
-        slope
+        square * (3.0 * self.cubic_stiffness) + self.stiffness + self.soft_windup.tangent(square)
     }
 
     /// Torsion at which the spring holds `torque` [N m] [rad].
@@ -149,25 +134,22 @@ impl Drive {
         ((a - b) * g1 + c * g4 + v * g6, slope)
     }
 
+    /// Friction torque of the motor at speed `v` [rad/s], and its slope [N m, N m s/rad].
+    #[inline(always)]
+    pub fn motor_friction<T: Scalar>(&self, v: T) -> (T, T) {
+        self.motor_friction.torque(v)
+    }
+
     /// Slope of [`dry_friction`](Self::dry_friction) at speed `v` [rad/s] [N m s/rad].
     #[inline(always)]
     pub fn dry_friction_slope<T: Scalar>(&self, v: T) -> T {
-        match self.motor_friction.coulomb {
-            0.0 => T::default(),
-            coulomb => {
-                let square = v * v + CREEP * CREEP;
-                T::constant(coulomb * CREEP * CREEP) / (square * square.sqrt())
-            }
-        }
+        self.motor_friction.dry(v).1
     }
 
     /// Dry friction of the motor at speed `v` [rad/s] [N m].
     #[inline(always)]
     pub fn dry_friction<T: Scalar>(&self, v: T) -> T {
-        match self.motor_friction.coulomb {
-            0.0 => T::default(),
-            coulomb => v * coulomb / (v * v + CREEP * CREEP).sqrt(),
-        }
+        self.motor_friction.dry(v).0
     }
 }
 
@@ -184,7 +166,7 @@ mod tests {
             motor_inertia: 1.0,
             cubic_stiffness: 3e4,
             soft_windup: SoftWindup { stiffness: 120.0, shape: 800.0 },
-            motor_friction: MotorFriction { viscous: 0.1, coulomb: 2.0 },
+            motor_friction: MotorFriction { viscous: 0.1, coulomb: 2.0, stribeck: 1.5, stribeck_velocity: 0.05 },
             link_friction: [0.5, 150.0, 50.0, 2.0, 100.0, 0.5],
         }
     }
@@ -197,11 +179,38 @@ mod tests {
             let near = |a: f64, b: f64| assert!((a - b).abs() <= 1e-13 * (1.0 + a.abs()), "{x}: {a} {b}");
             near(d.spring_torque(v).gradient[0], d.tangent_stiffness(x));
             near(d.link_friction(v).0.gradient[0], d.link_friction(x).1);
-            near(d.dry_friction(v).gradient[0], d.dry_friction_slope(x));
+            near(d.motor_friction(v).0.gradient[0], d.motor_friction(x).1);
             let torque = d.spring_torque(v);
             near(d.torsion(torque).value, x);
             near(d.torsion(torque).gradient[0], 1.0);
         }
+    }
+
+    /// The least slope on a fine grid, for wind-ups that are missing and that are added.
+    #[test]
+    fn the_softest_torsion_is_found() {
+        for (k, shape, cubic) in [(300.0, 800.0, 3e4), (-900.0, 800.0, 0.0), (-900.0, 800.0, 3e4), (-9.0, 80.0, 3e5)] {
+            let d = Drive { soft_windup: SoftWindup { stiffness: k, shape }, cubic_stiffness: cubic, ..drive() };
+            let grid = (0..20_000).map(|i| d.tangent_stiffness(1e-5 * f64::from(i)));
+            let least = grid.fold(f64::INFINITY, f64::min);
+            assert!((d.soft_windup.least_slope(d.stiffness, cubic) - least).abs() < 1e-5 * d.stiffness, "{k} {least}");
+        }
+    }
+
+    #[test]
+    fn a_spring_that_gives_way_is_refused() {
+        let windup = |stiffness, shape| Drive { soft_windup: SoftWindup { stiffness, shape }, ..drive() }.check("it");
+        assert!(windup(499.0, 800.0).is_ok() && windup(-1000.0, 800.0).is_ok());
+        for (stiffness, shape) in [(501.0, 800.0), (-2000.0, 2e5)] {
+            let error = windup(stiffness, shape).unwrap_err().to_string();
+            assert!(error.contains("least tangent stiffness of it") && error.contains("must rise"), "{error}");
+        }
+        assert!(windup(10.0, -1.0).unwrap_err().to_string().contains("soft wind-up's shape of it is -1"));
+        let cubic = Drive { cubic_stiffness: -1.0, ..drive() }.check("it").unwrap_err();
+        assert!(cubic.to_string().contains("cubic stiffness of it is -1, expected at least 0"));
+        let stribeck = MotorFriction { stribeck: 1.0, ..MotorFriction::default() };
+        let error = Drive { motor_friction: stribeck, ..drive() }.check("it").unwrap_err();
+        assert!(error.to_string().contains("Stribeck velocity of it is 0, expected greater than 0"));
     }
 
     #[test]

@@ -1,0 +1,332 @@
+//! Elastic-joint dynamics on random robots: balance of power, derivatives, rigid joints; and a published closed form.
+
+#[allow(dead_code, unused_imports)]
+mod support;
+
+use linkside_core::dynamics::{ElasticDynamics, ElasticJacobian, ElasticState, check_inertia};
+use linkside_core::error::RobotError;
+use linkside_core::robot::{BodySpec, Drive, JointKind, MotorFriction, Robot, Rotor, SoftWindup, Tree};
+use linkside_core::scalar::{Dual, Lanes, Scalar};
+use linkside_core::spatial::{Mat3, Vec3};
+use proptest::prelude::*;
+use support::{Case, Kernels, State, cases, check_close, check_same_bits, multiply};
+
+/// Most joints of a [`Case`].
+const MOST: usize = 8;
+/// q, q̇, θ, θ̇ and τ.
+const DIRECTIONS: usize = 5 * MOST;
+
+fn config() -> ProptestConfig {
+    ProptestConfig { cases: 200, ..support::config() }
+}
+
+/// A robot with everything: nonlinear drives, some rigid, coupling or rotors; and signals q, q̇, θ, θ̇, τ.
+#[derive(Clone, Debug)]
+struct Driven {
+    case: Case,
+    robot: Robot,
+    signals: [Vec<f64>; 5],
+}
+
+fn drives() -> impl Strategy<Value = Drive> {
+    let spring = (100.0..1e3, 0.0..3.0, 0.0..1e3, -40.0..90.0_f64, 0.0..50.0);
+    let friction = (0.0..0.5, 0.0..0.5, 0.0..0.5, 0.1..1.0, prop::array::uniform6(0.0..1.0));
+    (prop::bool::weighted(0.75), 0.5..4.0, spring, friction).prop_map(
+        |(elastic, motor_inertia, (stiffness, damping, cubic_stiffness, missing, shape), (v, c, s, speed, link))| {
+            Drive {
+                elastic,
+                stiffness,
+                damping,
+                motor_inertia,
+                cubic_stiffness,
+                soft_windup: SoftWindup { stiffness: missing, shape },
+                motor_friction: MotorFriction { viscous: v, coulomb: c, stribeck: s, stribeck_velocity: speed },
+                link_friction: link,
+            }
+        },
+    )
+}
+
+fn driven() -> impl Strategy<Value = Driven> {
+    let vector = |most: f64| prop::collection::vec(-most..most, MOST);
+    let rotors = prop::collection::vec(
+        (prop::bool::ANY, any::<prop::sample::Index>(), support::vectors(1.0), 2.0..9.0_f64),
+        MOST,
+    );
+    let drives = prop::collection::vec(drives(), MOST);
+    (cases(), drives, vector(0.05), rotors, vector(0.2), vector(5.0)).prop_map(
+        |(case, mut drives, coupling, rotors, torsion, tau)| {
+            let n = case.tree.len();
+            drives.truncate(n);
+            let rotors: Vec<_> = (0..n)
+                .filter(|&j| rotors[j].0 && rotors[j].2.norm() > 0.1)
+                .map(|j| {
+                    let (_, body, axis, ratio) = &rotors[j];
+                    Rotor { motor: j, body: body.index(n), axis: *axis * (1.0 / axis.norm()), ratio: *ratio }
+                })
+                .collect();
+            let mut s = vec![0.0; n * n];
+            for j in (0..n).filter(|&j| rotors.iter().all(|r| r.motor != j)) {
+                for i in 0..j {
+                    s[i * n + j] = coupling[i] - coupling[j];
+                }
+            }
+            let (q, other) = (case.states[0].q.clone(), case.states[1].dq.clone());
+            let theta = q.iter().zip(&torsion).map(|(q, t)| q + t).collect();
+            let signals = [q, case.states[0].dq.clone(), theta, other, tau[..n].to_vec()];
+            let robot = Robot::new(case.tree.clone(), drives, s, vec![], vec![], None).unwrap();
+            Driven { robot: robot.with_rotors(rotors).unwrap(), case, signals }
+        },
+    )
+}
+
+/// q̈ and θ̈.
+fn accelerations<T: Scalar>(robot: &Robot, [q, dq, theta, dtheta, tau]: &[Vec<T>; 5]) -> [Vec<T>; 2] {
+    let mut out = [(); 2].map(|()| vec![T::constant(f64::NAN); robot.len()]);
+    let [ddq, ddtheta] = &mut out;
+    ElasticDynamics::new(robot).accelerations_into(robot, ElasticState { q, dq, theta, dtheta }, tau, ddq, ddtheta);
+    out
+}
+
+/// Kinetic energy and the springs'; gravity's comes from the links as specified.
+fn energy<T: Scalar>(driven: &Driven, [q, dq, theta, dtheta]: [&[T]; 4]) -> T {
+    let Driven { case, robot, .. } = driven;
+    let n = q.len();
+    let state = State { q: q.to_vec(), dq: dq.to_vec(), ddq: vec![T::default(); n] };
+    let mut kernels = Kernels::new(&case.tree, &state);
+    let dot = |a: &[T], b: &[T]| a.iter().zip(b).fold(T::default(), |sum, (&a, &b)| sum + a * b);
+    let mut sum = dot(dq, &multiply(&kernels.mass(), dq)) * 0.5;
+    for (body, spec) in case.specs.iter().enumerate() {
+        let [centre, ..] = kernels.sensed(&case.frame_at(body, &Mat3::IDENTITY, &spec.com));
+        sum -= centre.dot(&Vec3::constant(&(case.gravity * spec.mass)));
+    }
+    for (j, drive) in robot.drives.iter().enumerate() {
+        let speed = if drive.elastic { dtheta[j] } else { dq[j] };
+        sum += match robot.rotors.iter().find(|r| r.motor == j) {
+            Some(rotor) => {
+                let [.., rate] = kernels.sensed(&case.frame_at(rotor.body, &Mat3::IDENTITY, &Vec3([0.0; 3])));
+                let spin = speed * rotor.ratio + rate.dot(&Vec3::constant(&rotor.axis));
+                spin * spin * (0.5 * drive.motor_inertia / rotor.ratio.powi(2))
+            }
+            None => {
+                let pull = (0..j).fold(T::default(), |sum, i| sum + dq[i] * robot.coupling[i * n + j]);
+                speed * speed * (0.5 * drive.motor_inertia) + pull * speed
+            }
+        };
+        if drive.elastic {
+            sum += spring_energy(drive, theta[j] - q[j]);
+        }
+    }
+    sum
+}
+
+fn spring_energy<T: Scalar>(drive: &Drive, torsion: T) -> T {
+    let (square, SoftWindup { stiffness, shape }) = (torsion * torsion, drive.soft_windup);
+    let windup = ((square * -shape).exp() + -1.0) * (0.5 * stiffness / shape);
+    square * (0.5 * drive.stiffness) + square * square * (0.25 * drive.cubic_stiffness) + windup
+}
+
+/// What goes into motors, less what friction and damping take.
+fn power(robot: &Robot, [_, dq, _, dtheta, tau]: &[Vec<f64>; 5]) -> f64 {
+    let joint = |(j, drive): (usize, &Drive)| {
+        let speed = if drive.elastic { dtheta[j] } else { dq[j] };
+        let slip = if drive.elastic { dtheta[j] - dq[j] } else { 0.0 };
+        let friction = drive.motor_friction(speed).0 * speed + drive.link_friction(dq[j]).0 * dq[j];
+        tau[j] * speed - friction - drive.damping * slip * slip
+    };
+    robot.drives.iter().enumerate().map(joint).sum()
+}
+
+proptest! {
+    #![proptest_config(config())]
+
+    /// Ė = power, for one velocity it is one equation; for a robot's every velocity it is all of them.
+    #[test]
+    fn energy_changes_by_the_power_of_motors_and_friction(driven in driven()) {
+        let [ddq, ddtheta] = accelerations(&driven.robot, &driven.signals);
+        let [q, dq, theta, dtheta, _] = &driven.signals;
+        let moving = |x: &[f64], rate: &[f64]| -> Vec<Dual<1>> {
+            x.iter().zip(rate).map(|(&value, &rate)| Dual { value, gradient: [rate] }).collect()
+        };
+        let state = [moving(q, dq), moving(dq, &ddq), moving(theta, dtheta), moving(dtheta, &ddtheta)];
+        let rate = energy(&driven, state.each_ref().map(|x| &x[..])).gradient[0];
+        check_close(&[rate], &[power(&driven.robot, &driven.signals)])?;
+    }
+
+    #[test]
+    fn derivatives_are_those_of_dual_numbers(driven in driven()) {
+        let n = driven.robot.len();
+        let mut block = 0;
+        let varied = driven.signals.clone().map(|signal| {
+            block += MOST;
+            signal.iter().enumerate().map(|(i, &x)| Dual::<DIRECTIONS>::variable(x, block - MOST + i)).collect()
+        });
+        let expected = accelerations(&driven.robot, &varied).concat();
+        let [q, dq, theta, dtheta, tau] = &driven.signals;
+        let state = ElasticState { q, dq, theta, dtheta };
+        let (mut ddq, mut ddtheta, mut jacobian) = (vec![0.0; n], vec![0.0; n], ElasticJacobian::new(n));
+        let mut dynamics = ElasticDynamics::new(&driven.robot);
+        dynamics.jacobian_into(&driven.robot, state, tau, &mut ddq, &mut ddtheta, &mut jacobian);
+        check_same_bits(&[ddq, ddtheta].concat(), &accelerations(&driven.robot, &driven.signals).concat())?;
+        let ElasticJacobian { by_q, by_dq, by_theta, by_dtheta, by_tau } = jacobian;
+        for (block, found) in [by_q, by_dq, by_theta, by_dtheta, by_tau].iter().enumerate() {
+            let gradients: Vec<_> =
+                expected.iter().flat_map(|a| a.gradient[block * MOST..][..n].to_vec()).collect();
+            check_close(found, &gradients)?;
+        }
+    }
+
+    #[test]
+    fn lanes_hold_the_bits_of_one_number(driven in driven()) {
+        let lanes = driven.signals.clone().map(|signal| signal.iter().map(|&x| Lanes([x, 0.5 * x])).collect());
+        let together = accelerations(&driven.robot, &lanes).concat();
+        let alone = accelerations(&driven.robot, &driven.signals).concat();
+        check_same_bits(&together.iter().map(|a| a.0[0]).collect::<Vec<_>>(), &alone)?;
+    }
+
+    /// A spring under the torque that makes the motor follow its link moves both as a rigid joint would.
+    #[test]
+    fn springs_that_hold_still_are_rigid_joints(driven in driven()) {
+        let Driven { robot, signals: [q, dq, _, _, tau], .. } = &driven;
+        let mut rigid = robot.clone();
+        rigid.drives.iter_mut().for_each(|d| d.elastic = false);
+        let [ddq, follows] = accelerations(&rigid, &[q.clone(), dq.clone(), q.clone(), dq.clone(), tau.clone()]);
+        check_same_bits(&ddq, &follows)?;
+        let theta: Vec<_> = (0..q.len()).map(|j| q[j] + held_torsion(&driven, &ddq, j)).collect();
+        let signals = [q.clone(), dq.clone(), theta, dq.clone(), tau.clone()];
+        for found in accelerations(robot, &signals) {
+            check_close(&found, &ddq)?;
+        }
+    }
+}
+
+/// The torsion of joint j at which its motor accelerates as its link does.
+fn held_torsion(driven: &Driven, ddq: &[f64], j: usize) -> f64 {
+    let Driven { robot, signals: [q, dq, _, _, tau], .. } = driven;
+    let (n, drive) = (q.len(), &robot.drives[j]);
+    if !drive.elastic {
+        return 0.0;
+    }
+    // The motor's row, with the rotor's momentum about its axis differentiated along the motion.
+    let inertial = match robot.rotors.iter().find(|r| r.motor == j) {
+        Some(rotor) => {
+            let state = State { q: q.clone(), dq: dq.clone(), ddq: ddq.to_vec() }.in_time();
+            let body = driven.case.frame_at(rotor.body, &Mat3::IDENTITY, &Vec3([0.0; 3]));
+            let [.., rate] = Kernels::new(&driven.case.tree, &state).sensed(&body);
+            let turning = rate.dot(&Vec3::constant(&rotor.axis)).gradient[0];
+            drive.motor_inertia * (ddq[j] + turning / rotor.ratio)
+        }
+        None => drive.motor_inertia * ddq[j] + (0..j).map(|i| robot.coupling[i * n + j] * ddq[i]).sum::<f64>(),
+    };
+    drive.torsion(tau[j] - drive.motor_friction(dq[j]).0 - inertial)
+}
+
+/// The arm of Ulrich and Sasiadek (2011): two slender rods of 4.5 m and 1.5075 kg, nonlinear joints, S₁₂ = 1 kg m².
+fn space_arm() -> Robot {
+    let (length, mass) = (4.5, 1.5075);
+    let spin = mass * length * length / 12.0;
+    let rod = |joint: usize| BodySpec {
+        parent: joint.checked_sub(1),
+        joint,
+        kind: JointKind::Revolute,
+        rotation: Mat3::IDENTITY,
+        translation: Vec3([if joint == 0 { 0.0 } else { length }, 0.0, 0.0]),
+        axis: Vec3([0.0, 0.0, 1.0]),
+        mass,
+        com: Vec3([0.5 * length, 0.0, 0.0]),
+        inertia: Mat3::from_rows([[0.0; 3], [0.0, spin, 0.0], [0.0, 0.0, spin]]),
+    };
+    let drive = Drive {
+        elastic: true,
+        stiffness: 500.0,
+        damping: 0.0,
+        motor_inertia: 1.0,
+        cubic_stiffness: 500.0,
+        soft_windup: SoftWindup { stiffness: 10.0, shape: 3000.0 },
+        motor_friction: MotorFriction::default(),
+        link_friction: [0.5, 150.0, 50.0, 2.0, 100.0, 0.5],
+    };
+    let tree = Tree::new(Vec3([0.0; 3]), &[rod(0), rod(1)]).unwrap();
+    Robot::new(tree, vec![drive; 2], vec![0.0, 1.0, 0.0, 0.0], vec![], vec![], None).unwrap()
+}
+
+/// q̈ and θ̈ of [`space_arm`] by its printed matrices (Ulrich and Sasiadek 2011, eqs. (1)–(16)).
+fn closed_form([q, dq, qm, _, tau]: &[Vec<f64>; 5]) -> Vec<f64> {
+    let (a, b, c) = (50.878125, 15.2634375, 10.175625);
+    let (sin, cos) = q[1].sin_cos();
+    let (m11, m12, m22) = (a + 2.0 * b * cos, c + b * cos, c);
+    let coriolis = [-b * sin * (2.0 * dq[0] * dq[1] + dq[1] * dq[1]), b * sin * dq[0] * dq[0]];
+    let spring = |i: usize| {
+        let d = qm[i] - q[i];
+        (500.0 * d * d + 500.0 - 10.0 * (-3000.0 * d * d).exp()) * d
+    };
+    let friction = |v: f64| 0.5 * ((150.0 * v).tanh() - (50.0 * v).tanh()) + 2.0 * (100.0 * v).tanh() + 0.5 * v;
+    let link = |i: usize| spring(i) - coriolis[i] - friction(dq[i]);
+    let (r1, r2, s) = (link(0) - (tau[1] - spring(1)), link(1), m11 - 1.0);
+    let determinant = s * m22 - m12 * m12;
+    let ddq = [(m22 * r1 - m12 * r2) / determinant, (s * r2 - m12 * r1) / determinant];
+    vec![ddq[0], ddq[1], tau[0] - spring(0), tau[1] - spring(1) - ddq[0]]
+}
+
+proptest! {
+    #![proptest_config(config())]
+
+    #[test]
+    fn the_space_arm_moves_by_its_printed_matrices(
+        q in prop::collection::vec(-3.0..3.0, 2), dq in prop::collection::vec(-1.0..1.0, 2),
+        torsion in prop::collection::vec(-0.1..0.1, 2), tau in prop::collection::vec(-30.0..30.0, 2),
+    ) {
+        let qm = q.iter().zip(&torsion).map(|(q, t): (&f64, &f64)| q + t).collect();
+        let signals = [q, dq.clone(), qm, dq, tau];
+        let (found, expected) = (accelerations(&space_arm(), &signals).concat(), closed_form(&signals));
+        let scale = expected.iter().fold(1.0_f64, |scale, e| scale.max(e.abs()));
+        for (f, e) in found.iter().zip(&expected) {
+            prop_assert!((f - e).abs() <= 1e-12 * scale, "{found:?} {expected:?}");
+        }
+    }
+}
+
+#[test]
+fn a_coupling_beyond_the_inertia_shows_in_the_least_pivot() {
+    let at = |coupling: f64| {
+        let mut robot = space_arm();
+        robot.coupling[1] = coupling;
+        let (mut ddq, mut ddtheta, x) = ([0.0; 2], [0.0; 2], [0.3, 1.0]);
+        let mut dynamics = ElasticDynamics::new(&robot);
+        let state = ElasticState { q: &x, dq: &x, theta: &x, dtheta: &x };
+        dynamics.accelerations_into(&robot, state, &x, &mut ddq, &mut ddtheta);
+        dynamics.least_pivot()
+    };
+    assert!(at(1.0) > 0.0 && at(40.0) < 0.0);
+}
+
+/// With its elbow at a right angle the arm would bear this coupling, stretched it does not.
+#[test]
+fn inertia_that_no_masses_have_is_refused() {
+    let check = |coupling: f64| {
+        let mut robot = space_arm();
+        robot.coupling[1] = coupling;
+        check_inertia(&robot)
+    };
+    assert_eq!(check(1.0), Ok(()));
+    let RobotError::Indefinite { posture } = check(5.0).unwrap_err() else { panic!() };
+    assert_eq!(posture.len(), 2);
+    assert!(check(40.0).unwrap_err().to_string().contains("not positive definite at q = ["));
+}
+
+#[test]
+fn rotors_are_refused_where_they_cannot_be() {
+    let rotor = Rotor { motor: 0, body: 1, axis: Vec3([0.0, 0.0, 1.0]), ratio: 9.0 };
+    let error = |rotors: Vec<Rotor>| match space_arm().with_rotors(rotors).unwrap_err() {
+        RobotError::Range { what, owner, .. } => (what, owner),
+        other => panic!("{other}"),
+    };
+    assert!(space_arm().with_rotors(vec![rotor.clone()]).is_ok());
+    let (first, second) = ("rotor 0".to_string(), "rotor 1".to_string());
+    assert_eq!(error(vec![Rotor { motor: 2, ..rotor.clone() }]), ("motor", first.clone()));
+    assert_eq!(error(vec![Rotor { body: 2, ..rotor.clone() }]), ("body", first.clone()));
+    assert_eq!(error(vec![Rotor { axis: Vec3([0.0; 3]), ..rotor.clone() }]), ("length of the axis", first.clone()));
+    assert_eq!(error(vec![Rotor { ratio: 0.0, ..rotor.clone() }]), ("ratio", first.clone()));
+    assert_eq!(error(vec![rotor.clone(), rotor.clone()]), ("motor", second));
+    assert_eq!(error(vec![Rotor { motor: 1, ..rotor }]), ("constant coupling of the motor", first));
+}
