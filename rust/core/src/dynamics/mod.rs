@@ -4,10 +4,12 @@
 //! Matrices are row-major slices. Nothing allocates after construction.
 
 mod batch;
+mod elastic;
 mod kinematics;
 mod loads;
 mod sensing;
 
 pub use batch::{Batch, States};
+pub use elastic::{ElasticDynamics, ElasticLayout};
 pub use kinematics::Kinematics;
 pub use loads::Loads;
