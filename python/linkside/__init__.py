@@ -8,7 +8,7 @@
 (2000, 6)
 """
 
-from . import demo, poles, sensors
+from . import controllers, demo, poles, sensors
 from .elastic import ElasticJointFilter, ElasticJointSmoother, ElasticNoise
 from .errors import ConfigError, EstimatorError, LinksideError, LogError, NumericalError, OutputError
 from .estimate import Estimate, EstimateWriter, Status
@@ -18,6 +18,7 @@ from .log import Log
 from .noise import Noise
 from .observers import AccelerationObserver
 from .robot import Robot
+from .simulate import Sensor, Simulation, simulate
 from .stretches import smooth_file
 
 __all__ = [
@@ -40,9 +41,13 @@ __all__ = [
     "OutputError",
     "RauchTungStriebelSmoother",
     "Robot",
+    "Sensor",
+    "Simulation",
     "Status",
+    "controllers",
     "demo",
     "poles",
     "sensors",
+    "simulate",
     "smooth_file",
 ]

@@ -1,6 +1,6 @@
 """Compiled kernels of linkside: float64 arrays in C order, joints in log order, SI units."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, final
 
 import numpy as np
@@ -16,6 +16,7 @@ __all__ = [
     "Robot",
     "StretchSmoother",
     "observer_gains",
+    "simulate",
 ]
 
 _Array = npt.NDArray[np.float64]
@@ -171,3 +172,10 @@ class StretchSmoother:
     ) -> dict[str, npt.NDArray[Any]]: ...
 
 def observer_gains(robot: Robot, joint: int, poles: Sequence[complex]) -> _Array: ...
+def simulate(
+    robot: Robot,
+    settings: Mapping[str, Any],
+    sensors: Sequence[Mapping[str, Any]],
+    told: bool | tuple[ElasticJointFilter, Sequence[int]],
+    law: Mapping[str, Any] | Callable[[float, _Array, _Array, _Array, _Array], _Signal],
+) -> dict[str, _Array]: ...

@@ -12,6 +12,7 @@
 //! From bottom to top: [`scalar`] numbers, [`spatial`] algebra, the [`robot`], its [`dynamics`], and what is
 //! [`estimate`]d with them. The crate knows nothing of Python, allocates nothing in a step and does not panic there.
 
+pub mod control;
 pub mod dynamics;
 pub mod error;
 pub mod estimate;
@@ -19,4 +20,5 @@ mod linear;
 pub mod robot;
 pub mod scalar;
 pub mod simd;
+pub mod simulate;
 pub mod spatial;

@@ -7,6 +7,7 @@ mod gil;
 mod kalman;
 mod observer;
 mod robot;
+mod simulate;
 
 use pyo3::prelude::*;
 
@@ -21,4 +22,6 @@ mod _core {
     use crate::observer::{AccelerationObserver, ObserverState, observer_gains};
     #[pymodule_export]
     use crate::robot::Robot;
+    #[pymodule_export]
+    use crate::simulate::simulate;
 }
