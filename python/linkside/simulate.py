@@ -63,7 +63,7 @@ class Simulation:
     log
         The recording: sensors, and motor torques, each held from its sample until the next.
     truth
-        Columns ``t`` (T,), ``q``, ``dq``, ``ddq``, ``theta``, ``dtheta`` (T, n), and ``tool`` (T, 3) of a robot with a tool.
+        Columns ``t`` (T,), ``q``, ``dq``, ``ddq``, ``theta``, ``dtheta`` (T, n), and ``tool`` (T, 3) if there is one.
         Accelerations are those just before the torque changes.
     told
         What the controller was told, (T, n) each.
