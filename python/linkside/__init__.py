@@ -8,7 +8,7 @@
 (2000, 6)
 """
 
-from . import control, demo, feedback, poles, sensors, trajectories
+from . import control, controllers, demo, feedback, poles, sensors, trajectories
 from .elastic import ElasticJointFilter, ElasticJointSmoother, ElasticNoise
 from .errors import ConfigError, EstimatorError, LinksideError, LogError, NumericalError, OutputError
 from .estimate import Estimate, EstimateWriter, Status
@@ -19,6 +19,7 @@ from .noise import Noise
 from .observers import AccelerationObserver
 from .particle import MarginalizedParticleFilter, ParticleEstimate, ParticleFilter
 from .robot import Robot
+from .simulate import Sensor, Simulation, simulate
 from .stretches import smooth_file
 from .velocity import HybridGain, NicosiaTomeiObserver, ReducedOrderObserver, VelocityEstimate
 
@@ -48,13 +49,17 @@ __all__ = [
     "RauchTungStriebelSmoother",
     "ReducedOrderObserver",
     "Robot",
+    "Sensor",
+    "Simulation",
     "Status",
     "VelocityEstimate",
     "control",
+    "controllers",
     "demo",
     "feedback",
     "poles",
     "sensors",
+    "simulate",
     "smooth_file",
     "trajectories",
 ]

@@ -1,6 +1,6 @@
 """Compiled kernels of linkside: float64 arrays in C order, joints in log order, SI units."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, final
 
 import numpy as np
@@ -21,6 +21,7 @@ __all__ = [
     "derivative_order",
     "feedforward",
     "observer_gains",
+    "simulate",
 ]
 
 _Array = npt.NDArray[np.float64]
@@ -279,3 +280,10 @@ class VelocityState:
 def observer_gains(robot: Robot, joint: int, poles: Sequence[complex]) -> _Array: ...
 def derivative_order(robot: Robot) -> int: ...
 def feedforward(robot: Robot, t: _Array, derivatives: _Array) -> dict[str, _Array]: ...
+def simulate(
+    robot: Robot,
+    settings: Mapping[str, Any],
+    sensors: Sequence[Mapping[str, Any]],
+    told: bool | tuple[ElasticJointFilter, Sequence[int]],
+    law: Mapping[str, Any] | Callable[[float, _Array, _Array, _Array, _Array], _Signal],
+) -> dict[str, _Array]: ...

@@ -282,6 +282,10 @@ class ElasticJointFilter:
         """Covariance of the state after the last `step`, (states, states)."""
         return (self._live or self._start()).covariance
 
+    def fresh(self) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
+        """Build a filter of the core that has taken no sample, as `step` uses it, and the kinds of its channels."""
+        return self._core(self._live_kinds), self._live_kinds
+
     def reset(self) -> None:
         """Forget the state: the next `step` starts anew, from rest."""
         self._live = None

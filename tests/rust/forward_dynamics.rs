@@ -3,7 +3,7 @@
 #[allow(dead_code, unused_imports)]
 mod support;
 
-use linkside_core::dynamics::{ElasticDynamics, ElasticJacobian, ElasticState, check_inertia};
+use linkside_core::dynamics::{ElasticJacobian, ElasticState, ForwardDynamics, check_inertia};
 use linkside_core::error::RobotError;
 use linkside_core::robot::{BodySpec, Drive, JointKind, MotorFriction, Robot, Rotor, SoftWindup, Tree};
 use linkside_core::scalar::{Dual, Lanes, Scalar};
@@ -84,7 +84,7 @@ fn driven() -> impl Strategy<Value = Driven> {
 fn accelerations<T: Scalar>(robot: &Robot, [q, dq, theta, dtheta, tau]: &[Vec<T>; 5]) -> [Vec<T>; 2] {
     let mut out = [(); 2].map(|()| vec![T::constant(f64::NAN); robot.len()]);
     let [ddq, ddtheta] = &mut out;
-    ElasticDynamics::new(robot).accelerations_into(robot, ElasticState { q, dq, theta, dtheta }, tau, ddq, ddtheta);
+    ForwardDynamics::new(robot).accelerations_into(robot, ElasticState { q, dq, theta, dtheta }, tau, ddq, ddtheta);
     out
 }
 
@@ -165,7 +165,7 @@ proptest! {
         let [q, dq, theta, dtheta, tau] = &driven.signals;
         let state = ElasticState { q, dq, theta, dtheta };
         let (mut ddq, mut ddtheta, mut jacobian) = (vec![0.0; n], vec![0.0; n], ElasticJacobian::new(n));
-        let mut dynamics = ElasticDynamics::new(&driven.robot);
+        let mut dynamics = ForwardDynamics::new(&driven.robot);
         dynamics.jacobian_into(&driven.robot, state, tau, &mut ddq, &mut ddtheta, &mut jacobian);
         check_same_bits(&[ddq, ddtheta].concat(), &accelerations(&driven.robot, &driven.signals).concat())?;
         let ElasticJacobian { by_q, by_dq, by_theta, by_dtheta, by_tau } = jacobian;
@@ -292,7 +292,7 @@ fn a_coupling_beyond_the_inertia_shows_in_the_least_pivot() {
         let mut robot = space_arm();
         robot.coupling[1] = coupling;
         let (mut ddq, mut ddtheta, x) = ([0.0; 2], [0.0; 2], [0.3, 1.0]);
-        let mut dynamics = ElasticDynamics::new(&robot);
+        let mut dynamics = ForwardDynamics::new(&robot);
         let state = ElasticState { q: &x, dq: &x, theta: &x, dtheta: &x };
         dynamics.accelerations_into(&robot, state, &x, &mut ddq, &mut ddtheta);
         dynamics.least_pivot()

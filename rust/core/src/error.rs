@@ -226,3 +226,48 @@ pub enum RunError {
         sample: usize,
     },
 }
+
+/// A simulation that cannot go on.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum SimulationError {
+    /// Settings or arrays that cannot be used.
+    #[error(transparent)]
+    Design(#[from] DesignError),
+    /// Coupling of motors that leaves no inertia.
+    #[error("the inertia is not positive definite at the start: the coupling is too strong for the motor inertias")]
+    Singular,
+    /// A step that the stiffness makes unstable.
+    #[error(
+        "a step of {step:.3e} s is unstable for this stiffness: the largest stable one is {limit:.3e} s, so take at least {substeps} substeps a period"
+    )]
+    Step {
+        /// Step of integration [s].
+        step: f64,
+        /// The largest stable one [s].
+        limit: f64,
+        /// Steps a period that are stable.
+        substeps: f64,
+    },
+    /// A state that is no longer a number.
+    #[error("the motion is not finite at t = {time:.9} s: the loop, or the step of integration, is unstable")]
+    NotFinite {
+        /// When [s].
+        time: f64,
+    },
+    /// A torque that is no number.
+    #[error("the controller's torque of joint {joint} is {value} at t = {time:.9} s, expected a number")]
+    Torque {
+        /// The joint.
+        joint: usize,
+        /// The torque.
+        value: f64,
+        /// When [s].
+        time: f64,
+    },
+    /// A controller that gives no torque.
+    #[error("the controller gave no torque at t = {time:.9} s")]
+    Refused {
+        /// When [s].
+        time: f64,
+    },
+}

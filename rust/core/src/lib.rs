@@ -20,4 +20,5 @@ mod linear;
 pub mod robot;
 pub mod scalar;
 pub mod simd;
+pub mod simulate;
 pub mod spatial;

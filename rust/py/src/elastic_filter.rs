@@ -40,7 +40,7 @@ impl From<Noise> for ElasticNoise {
 #[pyclass(module = "linkside._core")]
 #[derive(Clone)]
 pub(crate) struct ElasticJointFilter {
-    filter: ExtendedKalmanFilter<ElasticModel>,
+    pub(crate) filter: ExtendedKalmanFilter<ElasticModel>,
     tool: bool,
 }
 

@@ -1,6 +1,6 @@
 //! Core errors as the package's own exceptions.
 
-use linkside_core::error::{DesignError, RobotError, RunError};
+use linkside_core::error::{DesignError, RobotError, RunError, SimulationError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -32,6 +32,17 @@ impl IntoPyErr for RunError {
             Self::NotFinite { .. } | Self::Impossible { .. } | Self::SingularInertia { .. } => {
                 NumericalError::new_err(self.to_string())
             }
+        }
+    }
+}
+
+impl IntoPyErr for SimulationError {
+    fn into_py_err(self) -> PyErr {
+        match self {
+            Self::Design(design) => design.into_py_err(),
+            Self::Singular => ConfigError::new_err(self.to_string()),
+            Self::NotFinite { .. } => NumericalError::new_err(self.to_string()),
+            Self::Step { .. } | Self::Torque { .. } | Self::Refused { .. } => EstimatorError::new_err(self.to_string()),
         }
     }
 }

@@ -10,6 +10,7 @@ mod likelihood;
 mod observer;
 mod particle;
 mod robot;
+mod simulate;
 mod velocity;
 
 use pyo3::prelude::*;
@@ -31,6 +32,8 @@ mod _core {
     use crate::particle::ParticleFilter;
     #[pymodule_export]
     use crate::robot::Robot;
+    #[pymodule_export]
+    use crate::simulate::simulate;
     #[pymodule_export]
     use crate::velocity::{VelocityObserver, VelocityState};
 }

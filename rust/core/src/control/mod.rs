@@ -1,4 +1,45 @@
 //! Torques that make a robot with elastic joints do what is wanted.
 
 pub mod feedforward;
+mod joint_pd;
+mod reference;
+mod simple_adaptive;
 mod transmission;
+
+pub use joint_pd::JointPd;
+pub use reference::Reference;
+pub use simple_adaptive::{AdaptiveGains, SimpleAdaptive};
+
+/// What a controller is told of the robot, n numbers each.
+#[derive(Clone, Debug, Default)]
+pub struct State {
+    /// q [rad].
+    pub q: Vec<f64>,
+    /// q̇ [rad/s].
+    pub dq: Vec<f64>,
+    /// θ [rad]; q where the joint is rigid.
+    pub theta: Vec<f64>,
+    /// θ̇ [rad/s]; q̇ where the joint is rigid.
+    pub dtheta: Vec<f64>,
+}
+
+impl State {
+    /// At rest at zero.
+    pub fn new(joints: usize) -> Self {
+        let [q, dq, theta, dtheta] = core::array::from_fn(|_| vec![0.0; joints]);
+        Self { q, dq, theta, dtheta }
+    }
+}
+
+/// The controller will give no torque; it knows why itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Refused;
+
+/// Anything that turns a state into motor torques.
+pub trait Controller {
+    /// Motor torques `out` (n) [N m] from time `t` [s] until the next sample, asked for once a sample, in order.
+    ///
+    /// # Errors
+    /// [`Refused`] ends the run.
+    fn torque(&mut self, t: f64, state: &State, out: &mut [f64]) -> Result<(), Refused>;
+}

@@ -1,6 +1,6 @@
 //! Whole arrays at once: one row a sample, `count` rows, row-major.
 
-use super::{ElasticDynamics, ElasticState, Kinematics, Loads};
+use super::{ElasticState, ForwardDynamics, Kinematics, Loads};
 use crate::robot::{Robot, Sensor};
 use crate::spatial::Vec3;
 
@@ -75,7 +75,7 @@ impl<'a> Batch<'a> {
     /// q̈ and θ̈ one after the other: 2 n a sample.
     pub fn forward_dynamics(&mut self, s: DrivenStates<'_>, out: &mut [f64]) {
         let n = self.robot.len();
-        let mut dynamics = ElasticDynamics::new(self.robot);
+        let mut dynamics = ForwardDynamics::new(self.robot);
         for (i, out) in out.chunks_exact_mut(2 * n).enumerate() {
             let [q, dq, theta, dtheta, tau] = [s.q, s.dq, s.theta, s.dtheta, s.tau].map(|x| &x[i * n..][..n]);
             let (ddq, ddtheta) = out.split_at_mut(n);

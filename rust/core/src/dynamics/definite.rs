@@ -1,6 +1,6 @@
 //! Whether a robot's inertia is one that masses can have.
 
-use super::{ElasticDynamics, ElasticState};
+use super::{ElasticState, ForwardDynamics};
 use crate::error::RobotError;
 use crate::robot::Robot;
 use core::f64::consts::TAU;
@@ -20,7 +20,7 @@ pub fn check_inertia(robot: &Robot) -> Result<(), RobotError> {
         return Ok(());
     }
     let n = robot.len();
-    let mut dynamics = ElasticDynamics::<f64>::new(robot);
+    let mut dynamics = ForwardDynamics::<f64>::new(robot);
     let (zero, mut q, mut ddq, mut ddtheta) = (vec![0.0; n], vec![0.0; n], vec![0.0; n], vec![0.0; n]);
     let root = generalised_golden_ratio(n);
     for i in 0..POSTURES {

@@ -61,7 +61,7 @@ impl<T: Scalar> ElasticJacobian<T> {
 /// Motors that are [`Rotor`](crate::robot::Rotor)s on links are bodies of an extended tree, whence S(q), its velocity
 /// terms and their derivatives. Both rows are solved at once. Nothing allocates after construction.
 #[derive(Clone, Debug)]
-pub struct ElasticDynamics<T> {
+pub struct ForwardDynamics<T> {
     tree: Tree,
     /// Links, then rotors: the coordinate that each follows, how many times as fast.
     followed: Vec<(usize, f64)>,
@@ -84,7 +84,7 @@ pub struct ElasticDynamics<T> {
     columns: Vec<T>,
 }
 
-impl<T: Scalar> ElasticDynamics<T> {
+impl<T: Scalar> ForwardDynamics<T> {
     /// Scratch for `robot`.
     pub fn new(robot: &Robot) -> Self {
         let (n, tree) = (robot.len(), robot.tree.with_rotors(&robot.rotors, &robot.drives));

@@ -5,6 +5,7 @@
 
 mod batch;
 mod definite;
+mod elastic;
 mod forward;
 mod kinematics;
 mod loads;
@@ -12,7 +13,8 @@ mod sensing;
 
 pub use batch::{Batch, DrivenStates, States};
 pub use definite::check_inertia;
-pub use forward::{ElasticDynamics, ElasticJacobian, ElasticState};
+pub use elastic::{ElasticDynamics, ElasticLayout};
+pub use forward::{ElasticJacobian, ElasticState, ForwardDynamics};
 pub use kinematics::Kinematics;
 pub use loads::Loads;
 pub(crate) use sensing::Placed;

@@ -1,13 +1,13 @@
 //! The elastic-joint model: links and motors moved by motor torques, everything that is recorded as a measurement.
 
 use super::channels::{Channel, scatter};
-use super::field::Layout;
 use super::gaussian::{Gaussian, Symmetric};
 use super::jerk::Further;
 use super::model::{Linearised, Model};
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample, check_deviations, check_readings, expect_length};
 use super::transition::Transition;
+use crate::dynamics::ElasticLayout;
 use crate::error::DesignError;
 use crate::estimate::observer::link_position_at_rest;
 use crate::linear;
@@ -85,7 +85,7 @@ impl ElasticModel {
         let mut channels = settings.further.channels(&robot);
         channels.retain(|c| settings.accelerations || !matches!(c, Channel::Acceleration { .. }));
         expect_length("biased", settings.biased.len(), channels.len())?;
-        let layout = Layout::new(&robot, settings.disturbances);
+        let layout = ElasticLayout::new(&robot, settings.disturbances);
         let (n, m, d) = (robot.len(), channels.len(), layout.dense);
         check(&noise, n, m)?;
         let mut states = d;
@@ -163,15 +163,15 @@ impl ElasticModel {
     #[inline(always)]
     fn acceleration(&mut self, row: usize, sensor: usize) -> usize {
         let Self { robot, transition, prediction, jacobian, .. } = self;
-        let (field, d, n) = (&transition.field, transition.layout.dense, robot.len());
+        let (dynamics, d, n) = (&transition.dynamics, transition.layout.dense, robot.len());
         let sensor = &robot.accelerometers[sensor];
-        scatter(sensor, &field.kinematics.specific_force(&sensor.frame), &mut prediction[row..]);
-        field.kinematics.specific_force_derivatives(&robot.tree, &sensor.frame, |joint, [by_q, by_dq, by_ddq]| {
+        scatter(sensor, &dynamics.kinematics.specific_force(&sensor.frame), &mut prediction[row..]);
+        dynamics.kinematics.specific_force_derivatives(&robot.tree, &sensor.frame, |joint, [by_q, by_dq, by_ddq]| {
             for (r, &axis) in sensor.axes.iter().enumerate() {
                 let out = &mut jacobian[(row + r) * d..][..d];
                 out[joint] += by_q.0[axis];
                 out[n + joint] += by_dq.0[axis];
-                linear::add_scaled(out, by_ddq.0[axis], &field.ddq_by[joint * d..][..d]);
+                linear::add_scaled(out, by_ddq.0[axis], &dynamics.ddq_by[joint * d..][..d]);
             }
         });
         sensor.axes.len()
@@ -180,10 +180,10 @@ impl ElasticModel {
     #[inline(always)]
     fn rate(&mut self, row: usize, sensor: usize) -> usize {
         let Self { robot, transition, prediction, jacobian, .. } = self;
-        let (field, d, n) = (&transition.field, transition.layout.dense, robot.len());
+        let (dynamics, d, n) = (&transition.dynamics, transition.layout.dense, robot.len());
         let sensor = &robot.gyroscopes[sensor];
-        scatter(sensor, &field.kinematics.angular_rate(&sensor.frame), &mut prediction[row..]);
-        field.kinematics.angular_rate_derivatives(&robot.tree, &sensor.frame, |joint, [by_q, by_dq]| {
+        scatter(sensor, &dynamics.kinematics.angular_rate(&sensor.frame), &mut prediction[row..]);
+        dynamics.kinematics.angular_rate_derivatives(&robot.tree, &sensor.frame, |joint, [by_q, by_dq]| {
             for (r, &axis) in sensor.axes.iter().enumerate() {
                 let out = &mut jacobian[(row + r) * d..][..d];
                 out[joint] = by_q.0[axis];
@@ -197,10 +197,10 @@ impl ElasticModel {
     #[inline(always)]
     fn torque(&mut self, row: usize, j: usize, x: &[f64]) -> usize {
         let Self { robot, transition, prediction, jacobian, .. } = self;
-        let Transition { layout, field, .. } = transition;
+        let Transition { layout, dynamics, .. } = transition;
         let (drive, n) = (&robot.drives[j], robot.len());
         let out = &mut jacobian[row * layout.dense..][..layout.dense];
-        prediction[row] = field.spring[j];
+        prediction[row] = dynamics.spring[j];
         if drive.elastic {
             let kappa = drive.tangent_stiffness(x[layout.theta[j]] - x[j]);
             out[layout.theta[j]] = kappa;
@@ -210,12 +210,12 @@ impl ElasticModel {
             return 1;
         }
         let slip = drive.motor_friction.viscous + drive.dry_friction_slope(x[n + j]);
-        prediction[row] -= drive.motor_inertia * field.ddq[j];
+        prediction[row] -= drive.motor_inertia * dynamics.ddq[j];
         out[n + j] = -slip;
         if let Some(first) = layout.disturbance {
             out[first + j] = 1.0;
         }
-        linear::add_scaled(out, -drive.motor_inertia, &field.ddq_by[j * layout.dense..][..layout.dense]);
+        linear::add_scaled(out, -drive.motor_inertia, &dynamics.ddq_by[j * layout.dense..][..layout.dense]);
         1
     }
 
@@ -275,13 +275,13 @@ impl Model for ElasticModel {
     #[inline(always)]
     fn linearise(&mut self, reference: &[f64]) {
         let Self { robot, transition, tau, jacobian, .. } = self;
-        let Transition { field, layout, .. } = transition;
-        field.accelerate(robot, layout, reference, tau);
-        field.differentiate(robot, layout, reference);
+        let Transition { dynamics, layout, .. } = transition;
+        dynamics.accelerate(robot, layout, reference, tau);
+        dynamics.differentiate(robot, layout, reference);
         jacobian.fill(0.0);
         let mut i = 0;
         while i < self.channels.len() {
-            let Layout { theta, dtheta, .. } = &self.transition.layout;
+            let ElasticLayout { theta, dtheta, .. } = &self.transition.layout;
             i += match self.channels[i] {
                 Channel::Motor(j) => self.state(i, theta[j], reference),
                 Channel::MotorVelocity(j) => self.state(i, dtheta[j], reference),
@@ -323,12 +323,12 @@ impl Model for ElasticModel {
     #[inline(always)]
     fn report(&mut self, memory: &[f64], state: &[f64], i: usize, out: &mut FilterOutput) {
         let n = self.robot.len();
-        let Transition { layout, field, .. } = &mut self.transition;
-        field.accelerate(&self.robot, layout, &state[..layout.dense], &memory[memory.len() - n..]);
+        let Transition { layout, dynamics, .. } = &mut self.transition;
+        dynamics.accelerate(&self.robot, layout, &state[..layout.dense], &memory[memory.len() - n..]);
         let row = i * n..(i + 1) * n;
         out.q[row.clone()].copy_from_slice(&state[..n]);
         out.dq[row.clone()].copy_from_slice(&state[n..2 * n]);
-        out.ddq[row].copy_from_slice(&field.ddq);
+        out.ddq[row].copy_from_slice(&dynamics.ddq);
         for j in 0..n {
             out.theta[i * n + j] = state[layout.theta[j]];
             out.dtheta[i * n + j] = state[layout.dtheta[j]];

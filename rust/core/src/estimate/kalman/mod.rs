@@ -3,7 +3,6 @@
 mod channels;
 mod correction;
 mod elastic;
-mod field;
 mod filter;
 mod gaussian;
 mod jerk;

@@ -1,8 +1,8 @@
 //! A step of time of the elastic-joint model: the mean by Runge and Kutta, the covariance by a matrix exponential.
 
 use super::elastic::Discretization;
-use super::field::{Field, Layout};
 use super::gaussian::{Gaussian, Symmetric};
+use crate::dynamics::{ElasticDynamics, ElasticLayout};
 use crate::linear;
 use crate::robot::Robot;
 
@@ -16,8 +16,8 @@ const MOST: f64 = 12.0;
 /// Scratch of a step of time.
 #[derive(Clone, Debug)]
 pub(super) struct Transition {
-    pub(super) layout: Layout,
-    pub(super) field: Field,
+    pub(super) layout: ElasticLayout,
+    pub(super) dynamics: ElasticDynamics,
     discretization: Discretization,
     /// Upper bound of the fastest mode [rad/s], where the model was last linearised.
     fastest: f64,
@@ -39,12 +39,12 @@ pub(super) struct Transition {
 pub(super) type Torques<'a> = (&'a [f64], &'a [f64]);
 
 impl Transition {
-    pub(super) fn new(robot: &Robot, layout: Layout, discretization: Discretization, states: usize) -> Self {
+    pub(super) fn new(robot: &Robot, layout: ElasticLayout, discretization: Discretization, states: usize) -> Self {
         let d = layout.dense;
         let stride = d.next_multiple_of(linear::LANES);
         let matrix = || vec![0.0; d * stride];
         Self {
-            field: Field::new(robot, &layout),
+            dynamics: ElasticDynamics::new(robot, &layout),
             discretization,
             fastest: 0.0,
             stride,
@@ -108,18 +108,18 @@ impl Transition {
     /// A at the probe under the present torques, and how fast its modes can be at most.
     #[inline(always)]
     fn linearise(&mut self, robot: &Robot) {
-        let Self { layout, field, probe, tau, .. } = self;
-        field.accelerate(robot, layout, probe, tau);
-        field.differentiate(robot, layout, probe);
+        let Self { layout, dynamics, probe, tau, .. } = self;
+        dynamics.accelerate(robot, layout, probe, tau);
+        dynamics.differentiate(robot, layout, probe);
         self.fastest = self.bound();
     }
 
     /// Of ẍ = −P x − V ẋ, |λ|² ≤ ‖P‖ + ‖V‖ |λ| in the norm of absolute row sums.
     #[inline(always)]
     fn bound(&self) -> f64 {
-        let Self { layout: Layout { joints: n, theta, dtheta, dense: d, .. }, field, .. } = self;
+        let Self { layout: ElasticLayout { joints: n, theta, dtheta, dense: d, .. }, dynamics, .. } = self;
         let (mut stiff, mut damped) = (0.0_f64, 0.0_f64);
-        for row in field.ddq_by.chunks_exact(*d).chain(field.ddtheta_by.chunks_exact(*d)) {
+        for row in dynamics.ddq_by.chunks_exact(*d).chain(dynamics.ddtheta_by.chunks_exact(*d)) {
             let sum = |first: usize, motors: &[usize]| -> f64 {
                 let links: f64 = row[first..first + n].iter().map(|x| x.abs()).sum();
                 links + motors.iter().filter(|&&k| k >= 2 * n).map(|&k| row[k].abs()).sum::<f64>()
@@ -139,9 +139,9 @@ impl Transition {
                 linear::add_scaled(&mut self.probe, carry, &self.slopes[stage - 1]);
             }
             self.interpolate(torques, part + node * length);
-            let Self { layout, field, probe, tau, slopes, .. } = self;
-            field.accelerate(robot, layout, probe, tau);
-            rate(layout, field, probe, &mut slopes[stage]);
+            let Self { layout, dynamics, probe, tau, slopes, .. } = self;
+            dynamics.accelerate(robot, layout, probe, tau);
+            dynamics.rate_into(layout, probe, &mut slopes[stage]);
         }
         for (stage, weight) in [1.0, 2.0, 2.0, 1.0].into_iter().enumerate() {
             linear::add_scaled(x, weight * h / 6.0, &self.slopes[stage]);
@@ -151,7 +151,7 @@ impl Transition {
     /// Φ = Σ (A h)ᵏ/k!, k up to `terms`.
     #[inline(always)]
     fn expand(&mut self, h: f64, terms: usize) {
-        let Self { layout: Layout { dense: d, .. }, stride, phi, term, product, .. } = self;
+        let Self { layout: ElasticLayout { dense: d, .. }, stride, phi, term, product, .. } = self;
         for matrix in [&mut *phi, &mut *term] {
             matrix.fill(0.0);
             for i in 0..*d {
@@ -159,7 +159,7 @@ impl Transition {
             }
         }
         for k in 1..=terms {
-            apply(&self.layout, &self.field, term, *stride, product);
+            apply(&self.layout, &self.dynamics, term, *stride, product);
             for (term, value) in term.iter_mut().zip(product.iter()) {
                 *term = value * (h / k as f64);
             }
@@ -179,7 +179,7 @@ impl Transition {
     /// P ← Φ P Φᵀ, or Φᵀ P Φ where `transposed`, Φ being the identity beyond its own rows.
     #[inline(always)]
     fn congruence(&mut self, p: &mut Symmetric, transposed: bool) {
-        let Self { layout: Layout { dense: d, .. }, stride, phi, term, product, wide, .. } = self;
+        let Self { layout: ElasticLayout { dense: d, .. }, stride, phi, term, product, wide, .. } = self;
         transpose(phi, *d, *stride, term);
         let (left, right) = if transposed { (&*term, &*phi) } else { (&*phi, &*term) };
         let rows = *d * p.stride;
@@ -220,15 +220,15 @@ impl Transition {
     pub(super) fn add_torque_noise(&mut self, robot: &Robot, p: &mut Symmetric, torque: &[f64], dt: f64) {
         let n = self.layout.joints;
         for (j, std) in torque.iter().enumerate() {
-            let Self { layout, field, probe, .. } = self;
+            let Self { layout, dynamics, probe, .. } = self;
             probe.fill(0.0);
             for i in 0..n {
-                let link = field.ddq_by_tau[i * n + j];
+                let link = dynamics.ddq_by_tau[i * n + j];
                 probe[i] = 0.5 * dt * dt * std * link;
                 probe[n + i] = dt * std * link;
             }
             for i in (0..n).filter(|&i| robot.drives[i].elastic) {
-                let pull: f64 = (0..i).map(|k| robot.coupling[k * n + i] * field.ddq_by_tau[k * n + j]).sum();
+                let pull: f64 = (0..i).map(|k| robot.coupling[k * n + i] * dynamics.ddq_by_tau[k * n + j]).sum();
                 let motor = (f64::from(i == j) - pull) / robot.drives[i].motor_inertia;
                 probe[layout.theta[i]] = 0.5 * dt * dt * std * motor;
                 probe[layout.dtheta[i]] = dt * std * motor;
@@ -240,31 +240,16 @@ impl Transition {
     }
 }
 
-/// ẋ from the accelerations.
-#[inline(always)]
-fn rate(layout: &Layout, field: &Field, x: &[f64], out: &mut [f64]) {
-    let n = layout.joints;
-    out.fill(0.0);
-    for j in 0..n {
-        out[j] = x[n + j];
-        out[n + j] = field.ddq[j];
-        if layout.theta[j] >= 2 * n {
-            out[layout.theta[j]] = x[layout.dtheta[j]];
-            out[layout.dtheta[j]] = field.ddtheta[j];
-        }
-    }
-}
-
 /// A · `right`: velocities are copied, accelerations multiplied, the rest stays as it is.
 #[inline(always)]
-fn apply(layout: &Layout, field: &Field, right: &[f64], stride: usize, out: &mut [f64]) {
+fn apply(layout: &ElasticLayout, dynamics: &ElasticDynamics, right: &[f64], stride: usize, out: &mut [f64]) {
     let (n, d) = (layout.joints, layout.dense);
     out.fill(0.0);
-    linear::product(&field.ddq_by, d, right, stride, &mut out[n * stride..]);
+    linear::product(&dynamics.ddq_by, d, right, stride, &mut out[n * stride..]);
     out[..n * stride].copy_from_slice(&right[n * stride..2 * n * stride]);
     for j in (0..n).filter(|&j| layout.theta[j] >= 2 * n) {
         let (theta, dtheta) = (layout.theta[j] * stride, layout.dtheta[j] * stride);
-        linear::product(&field.ddtheta_by[j * d..][..d], d, right, stride, &mut out[dtheta..]);
+        linear::product(&dynamics.ddtheta_by[j * d..][..d], d, right, stride, &mut out[dtheta..]);
         out[theta..theta + stride].copy_from_slice(&right[dtheta..dtheta + stride]);
     }
 }

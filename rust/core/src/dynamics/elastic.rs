@@ -1,25 +1,27 @@
-//! How the state of an elastic-joint robot moves, and the derivatives of that.
+//! Forward dynamics of a robot with elastic and rigid joints, and their derivatives.
 
-use crate::dynamics::{Kinematics, Loads};
+use super::{Kinematics, Loads};
 use crate::linear;
 use crate::robot::Robot;
 
 /// Where in the state each joint's numbers are: (q, q̇, θ, θ̇ of the elastic joints, disturbance torques).
 #[derive(Clone, Debug)]
-pub(super) struct Layout {
-    pub(super) joints: usize,
+pub struct ElasticLayout {
+    /// Number of joints.
+    pub joints: usize,
     /// θ of each joint; q where the joint is rigid.
-    pub(super) theta: Vec<usize>,
+    pub theta: Vec<usize>,
     /// θ̇ of each joint; q̇ where the joint is rigid.
-    pub(super) dtheta: Vec<usize>,
+    pub dtheta: Vec<usize>,
     /// The first disturbance torque.
-    pub(super) disturbance: Option<usize>,
+    pub disturbance: Option<usize>,
     /// Length of the whole.
-    pub(super) dense: usize,
+    pub dense: usize,
 }
 
-impl Layout {
-    pub(super) fn new(robot: &Robot, disturbances: bool) -> Self {
+impl ElasticLayout {
+    /// That of `robot`; with a disturbance torque of every motor if `disturbances`.
+    pub fn new(robot: &Robot, disturbances: bool) -> Self {
         let n = robot.len();
         let elastic = robot.drives.iter().filter(|d| d.elastic).count();
         let mut next = 2 * n;
@@ -48,18 +50,20 @@ impl Layout {
 /// diagonal: (M − S B⁻¹ Sᵀ) q̈ = τ_e − C q̇ − g − d − S B⁻¹ (τ − τ_e). A rigid joint's motor moves with its link: its
 /// row and column of S and its B join M. Derivatives: those of M q̈ + C q̇ + g are of the inverse dynamics at q̈.
 #[derive(Clone, Debug)]
-pub(super) struct Field {
-    /// q̈ (n).
-    pub(super) ddq: Vec<f64>,
-    /// θ̈ (n).
-    pub(super) ddtheta: Vec<f64>,
+pub struct ElasticDynamics {
+    /// q̈ (n) [rad/s²].
+    pub ddq: Vec<f64>,
+    /// θ̈ (n) [rad/s²]; q̈ where the joint is rigid.
+    pub ddtheta: Vec<f64>,
     /// ∂q̈/∂x, n × dense.
-    pub(super) ddq_by: Vec<f64>,
+    pub ddq_by: Vec<f64>,
     /// ∂θ̈/∂x, n × dense.
-    pub(super) ddtheta_by: Vec<f64>,
+    pub ddtheta_by: Vec<f64>,
     /// ∂q̈/∂τ, n × n.
-    pub(super) ddq_by_tau: Vec<f64>,
-    pub(super) kinematics: Kinematics<f64>,
+    pub ddq_by_tau: Vec<f64>,
+    /// Of the tree: at the state of [`accelerate`](Self::accelerate), after [`differentiate`](Self::differentiate)
+    /// with the accelerations.
+    pub kinematics: Kinematics<f64>,
     loads: Loads<f64>,
     zero: Vec<f64>,
     load: Vec<f64>,
@@ -67,14 +71,15 @@ pub(super) struct Field {
     by_q: Vec<f64>,
     by_dq: Vec<f64>,
     ignored: Vec<f64>,
-    /// τ_e; behind a rigid drive its motor's torque less friction.
-    pub(super) spring: Vec<f64>,
+    /// τ_e (n) [N m]; behind a rigid drive its motor's torque less friction.
+    pub spring: Vec<f64>,
     /// Motor torque less friction.
     drive: Vec<f64>,
 }
 
-impl Field {
-    pub(super) fn new(robot: &Robot, layout: &Layout) -> Self {
+impl ElasticDynamics {
+    /// Room for `robot`.
+    pub fn new(robot: &Robot, layout: &ElasticLayout) -> Self {
         let (tree, n, d) = (&robot.tree, robot.len(), layout.dense);
         let [zero, ddq, ddtheta, load, spring, drive] = core::array::from_fn(|_| vec![0.0; n]);
         let [mass, by_q, by_dq, ignored, ddq_by_tau] = core::array::from_fn(|_| vec![0.0; n * n]);
@@ -99,9 +104,9 @@ impl Field {
         }
     }
 
-    /// Accelerations at state `x` under motor torques `tau`; NaN when the inertia is not positive definite.
+    /// Accelerations at state `x` (dense) under motor torques `tau` (n) [N m]; NaN when the inertia is not positive definite.
     #[inline(always)]
-    pub(super) fn accelerate(&mut self, robot: &Robot, layout: &Layout, x: &[f64], tau: &[f64]) {
+    pub fn accelerate(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[f64], tau: &[f64]) {
         let n = layout.joints;
         let (q, dq) = (&x[..n], &x[n..2 * n]);
         let Self { kinematics, loads, load, mass, .. } = self;
@@ -136,6 +141,34 @@ impl Field {
         }
     }
 
+    /// ẋ, after [`accelerate`](Self::accelerate) at state `x`: `out` (dense) is overwritten; disturbances stay.
+    #[inline(always)]
+    pub fn rate_into(&self, layout: &ElasticLayout, x: &[f64], out: &mut [f64]) {
+        let n = layout.joints;
+        out.fill(0.0);
+        for j in 0..n {
+            out[layout.theta[j]] = x[layout.dtheta[j]];
+            out[layout.dtheta[j]] = self.ddtheta[j];
+            out[j] = x[n + j];
+            out[n + j] = self.ddq[j];
+        }
+    }
+
+    /// ẋ = A x near `x` under `tau`: A, row-major dense × dense. Allocates.
+    pub fn linearise(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[f64], tau: &[f64]) -> Vec<f64> {
+        let (n, d) = (layout.joints, layout.dense);
+        self.accelerate(robot, layout, x, tau);
+        self.differentiate(robot, layout, x);
+        let mut a = vec![0.0; d * d];
+        for j in 0..n {
+            a[layout.theta[j] * d + layout.dtheta[j]] = 1.0;
+            a[layout.dtheta[j] * d..][..d].copy_from_slice(&self.ddtheta_by[j * d..][..d]);
+            a[j * d + n + j] = 1.0;
+            a[(n + j) * d..][..d].copy_from_slice(&self.ddq_by[j * d..][..d]);
+        }
+        a
+    }
+
     /// What motors add to the links' inertia and torque.
     #[inline(always)]
     fn couple(&mut self, robot: &Robot) {
@@ -162,7 +195,7 @@ impl Field {
 
     /// Derivatives of the accelerations, after [`accelerate`](Self::accelerate) at the same state.
     #[inline(always)]
-    pub(super) fn differentiate(&mut self, robot: &Robot, layout: &Layout, x: &[f64]) {
+    pub fn differentiate(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[f64]) {
         let (n, d) = (layout.joints, layout.dense);
         let (q, dq) = (&x[..n], &x[n..2 * n]);
         let Self { kinematics, loads, by_q, by_dq, ignored, load, .. } = self;
@@ -200,7 +233,7 @@ impl Field {
 
     /// What motor j's spring, friction, torque and disturbance do to the torques on links and on itself.
     #[inline(always)]
-    fn differentiate_motor(&mut self, robot: &Robot, layout: &Layout, x: &[f64], j: usize) {
+    fn differentiate_motor(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[f64], j: usize) {
         let (n, d, drive) = (layout.joints, layout.dense, &robot.drives[j]);
         let (theta, dtheta) = (layout.theta[j], layout.dtheta[j]);
         let slip = drive.motor_friction.viscous + drive.dry_friction_slope(x[dtheta]);
@@ -281,15 +314,15 @@ mod tests {
     #[test]
     fn derivatives_are_those_of_differences() {
         let robot = robot();
-        let layout = Layout::new(&robot, true);
+        let layout = ElasticLayout::new(&robot, true);
         let d = layout.dense;
         assert_eq!((d, &layout.theta[..], &layout.dtheta[..]), (18, &[8, 9, 2, 10][..], &[11, 12, 6, 13][..]));
         let x: Vec<f64> = (0..d).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
         let tau = [5.0, -3.0, 2.0, 1.0];
-        let mut field = Field::new(&robot, &layout);
-        field.accelerate(&robot, &layout, &x, &tau);
-        field.differentiate(&robot, &layout, &x);
-        let mut probe = Field::new(&robot, &layout);
+        let mut dynamics = ElasticDynamics::new(&robot, &layout);
+        dynamics.accelerate(&robot, &layout, &x, &tau);
+        dynamics.differentiate(&robot, &layout, &x);
+        let mut probe = ElasticDynamics::new(&robot, &layout);
         let mut at = |x: &[f64], tau: &[f64]| {
             probe.accelerate(&robot, &layout, x, tau);
             [probe.ddq.clone(), probe.ddtheta.clone()].concat()
@@ -304,7 +337,7 @@ mod tests {
         for k in 0..d {
             let (mut above, mut below) = (x.clone(), x.clone());
             (above[k], below[k]) = (above[k] + h, below[k] - h);
-            let ours = |i: usize| if i < n { field.ddq_by[i * d + k] } else { field.ddtheta_by[(i - n) * d + k] };
+            let ours = |i: usize| if i < n { dynamics.ddq_by[i * d + k] } else { dynamics.ddtheta_by[(i - n) * d + k] };
             check(at(&above, &tau), at(&below, &tau), &ours);
         }
         for k in 0..n {
@@ -313,7 +346,7 @@ mod tests {
             let [above, below] = [above, below].map(|tau| at(&x, &tau)[..n].to_vec());
             for i in 0..n {
                 let slope = (above[i] - below[i]) / (2.0 * h);
-                assert!((field.ddq_by_tau[i * n + k] - slope).abs() < 1e-6 * (1.0 + slope.abs()));
+                assert!((dynamics.ddq_by_tau[i * n + k] - slope).abs() < 1e-6 * (1.0 + slope.abs()));
             }
         }
     }
@@ -321,26 +354,26 @@ mod tests {
     #[test]
     fn both_rows_of_the_model_balance() {
         let robot = robot();
-        let layout = Layout::new(&robot, false);
+        let layout = ElasticLayout::new(&robot, false);
         let x: Vec<f64> = (0..layout.dense).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
         let (n, tau) = (4, [5.0, -3.0, 2.0, 1.0]);
-        let mut field = Field::new(&robot, &layout);
-        field.accelerate(&robot, &layout, &x, &tau);
+        let mut dynamics = ElasticDynamics::new(&robot, &layout);
+        dynamics.accelerate(&robot, &layout, &x, &tau);
         let (mut kinematics, mut loads) = (Kinematics::new(&robot.tree), Loads::new(&robot.tree));
-        kinematics.set(&robot.tree, &x[..n], &x[n..2 * n], &field.ddq);
+        kinematics.set(&robot.tree, &x[..n], &x[n..2 * n], &dynamics.ddq);
         let mut load = vec![0.0; n];
         loads.inverse_dynamics_into(&robot.tree, &kinematics, &mut load);
         for (j, drive) in robot.drives.iter().enumerate() {
             let (theta, dtheta) = (x[layout.theta[j]], x[layout.dtheta[j]]);
             let spring = drive.spring_torque(theta - x[j]) + drive.damping * (dtheta - x[n + j]);
-            let pull: f64 = (0..n).map(|i| robot.coupling[i * n + j] * field.ddq[i]).sum();
-            let push: f64 = (0..n).map(|i| robot.coupling[j * n + i] * field.ddtheta[i]).sum();
+            let pull: f64 = (0..n).map(|i| robot.coupling[i * n + j] * dynamics.ddq[i]).sum();
+            let push: f64 = (0..n).map(|i| robot.coupling[j * n + i] * dynamics.ddtheta[i]).sum();
             let motor = tau[j] - drive.motor_friction.viscous * dtheta - drive.dry_friction(dtheta);
-            let torque = if drive.elastic { spring } else { motor - drive.motor_inertia * field.ddq[j] - pull };
+            let torque = if drive.elastic { spring } else { motor - drive.motor_inertia * dynamics.ddq[j] - pull };
             let link = load[j] + drive.link_friction(x[n + j]).0 + push - torque;
             assert!(link.abs() < 1e-12, "{j}: {link}");
             if drive.elastic {
-                let row = drive.motor_inertia * field.ddtheta[j] + pull + spring - motor;
+                let row = drive.motor_inertia * dynamics.ddtheta[j] + pull + spring - motor;
                 assert!(row.abs() < 1e-12, "{j}: {row}");
             }
         }

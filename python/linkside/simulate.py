@@ -1,0 +1,247 @@
+"""Simulate a robot with its sensors and a controller in the loop: a design can be studied before it is built."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from . import _core
+from .controllers import Controller, State, law_of
+from .elastic import ElasticJointFilter
+from .errors import EstimatorError, OutputError
+from .log import Log
+from .noise import sensor_noise
+from .robot import Robot
+
+FloatArray: TypeAlias = npt.NDArray[np.float64]
+Truth: TypeAlias = dict[str, FloatArray]
+Feedback: TypeAlias = Literal["truth", "sensors"] | ElasticJointFilter
+
+KINDS = ("theta", "acceleration", "dtheta", "rate", "q")
+"""What sensors measure, in the core's order."""
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What a sensor makes of the truth: low-pass, then delay, bias, white noise, steps.
+
+    Attributes
+    ----------
+    noise, bias, resolution
+        In the unit of the reading; a resolution of 0 is none.
+    delay
+        Age of what is read [s].
+    corner_frequency
+        Of a low-pass of first order [Hz].
+    every
+        One reading in so many samples; the others are NaN.
+    """
+
+    noise: float = 0.0
+    bias: float = 0.0
+    resolution: float = 0.0
+    delay: float = 0.0
+    corner_frequency: float = np.inf
+    every: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """A run: what was recorded, and what was so.
+
+    Attributes
+    ----------
+    log
+        The recording: sensors, and motor torques, each held from its sample until the next.
+    truth
+        Columns ``t`` (T,), ``q``, ``dq``, ``ddq``, ``theta``, ``dtheta`` (T, n), and ``tool`` (T, 3) if there is one.
+        Accelerations are those just before the torque changes.
+    told
+        What the controller was told, (T, n) each.
+    """
+
+    robot: Robot
+    log: Log
+    truth: Truth
+    told: State
+    _table: dict[str, FloatArray]
+
+    def write(self, folder: str | PathLike[str]) -> None:
+        """Write ``log.parquet`` and ``truth.parquet``, as `Log.read` and ``linkside consistency`` read them."""
+        columns = {"t": self.truth["t"]}
+        for signal in ("q", "dq", "ddq", "theta", "dtheta"):
+            columns |= {f"{signal}_{name}": self.truth[signal][:, j] for j, name in enumerate(self.robot.names)}
+        if "tool" in self.truth:
+            columns |= {f"tool_{axis}": self.truth["tool"][:, i] for i, axis in enumerate("xyz")}
+        try:
+            Path(folder).mkdir(parents=True, exist_ok=True)
+            pq.write_table(pa.table(self._table), Path(folder) / "log.parquet")
+            pq.write_table(pa.table(columns), Path(folder) / "truth.parquet")
+        except OSError as error:
+            raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
+
+
+def simulate(
+    robot: Robot,
+    controller: Controller,
+    duration: float,
+    rate: float,
+    *,
+    q: npt.ArrayLike | None = None,
+    dq: npt.ArrayLike | None = None,
+    theta: npt.ArrayLike | None = None,
+    dtheta: npt.ArrayLike | None = None,
+    tau: npt.ArrayLike | None = None,
+    feedback: Feedback = "truth",
+    sensors: Mapping[str, Sensor] | None = None,
+    substeps: int = 1,
+    keep_every: int = 1,
+    seed: int = 0,
+) -> Simulation:
+    """Move a robot under a controller, from rest unless told otherwise.
+
+    Both equations of the elastic-joint model are integrated by the fourth-order method of Runge and Kutta, torques
+    held between samples: springs and frictions as in robot.yaml, coupling included.
+
+    Parameters
+    ----------
+    robot
+        The robot.
+    controller
+        `controllers.JointPD`, `controllers.SimpleAdaptive`, or a function ``(t, state) -> tau``, with ``tau`` (n,).
+    duration
+        [s].
+    rate
+        Of sensors and controller [Hz].
+    q, dq, theta, dtheta, tau : (n,)
+        State and motor torques at the start. Not given: links at zero and at rest; motors where the springs hold
+        gravity, as fast as their links; the torques that hold gravity.
+    feedback
+        What the controller is told: ``"truth"``, ``"sensors"`` (motors as measured, links taken to be there too), or
+        an `ElasticJointFilter`, whose estimate it is; it starts anew.
+    sensors
+        A `Sensor` of each kind: ``theta``, ``dtheta``, ``acceleration``, ``rate``, ``q``. A kind not given is as
+        robot.yaml has it, or exact; link positions are in the log only if given.
+    substeps
+        Steps of integration between samples.
+    keep_every
+        One sample in so many is kept.
+    seed
+        Of the noise: the same seed gives the same bits.
+
+    Raises
+    ------
+    EstimatorError
+        A setting out of range, a step too large for the stiffness (with the largest stable one), or a controller
+        that raises, or gives something that is not n finite numbers.
+    NumericalError
+        The motion is no longer finite; names the time.
+    """
+    models = _models(sensors or {}, robot)
+    start = {"q": q, "dq": dq, "theta": theta, "dtheta": dtheta, "tau": tau}
+    settings = {
+        "count": _count(duration, rate),
+        "period": 1.0 / rate,
+        "substeps": _whole("substeps", substeps),
+        "keep_every": _whole("keep_every", keep_every),
+        "seed": _whole("seed", seed, least=0),
+        **{name: None if value is None else _sized(name, value, robot.n).tolist() for name, value in start.items()},
+    }
+    channels = [dataclasses.asdict(channel) for kind in KINDS for channel in models[kind]]
+    told = _told(feedback, robot)
+    result = _core.simulate(robot.core, settings, channels, told, law_of(controller, robot))
+    return _assemble(robot, result, link_encoders="q" in (sensors or {}))
+
+
+def _assemble(robot: Robot, result: Truth, *, link_encoders: bool) -> Simulation:
+    widths = [_width(robot, kind) for kind in KINDS]
+    readings = np.split(result.pop("readings"), np.cumsum(widths)[:-1], axis=1)
+    signals = dict(zip(KINDS, readings, strict=True)) | {"tau": result.pop("tau")}
+    if not link_encoders:
+        del signals["q"]
+    if robot.columns.motor_side:
+        ratio = robot.gear_ratio
+        signals |= {
+            "theta": signals["theta"] * ratio,
+            "dtheta": signals["dtheta"] * ratio,
+            "tau": signals["tau"] / ratio,
+        }
+    table = {"t": result["t"]}
+    for signal, values in signals.items():
+        table |= dict(zip(_columns(robot, signal), values.T, strict=True))
+    table = {robot.columns.name_in_log(name): np.ascontiguousarray(values) for name, values in table.items()}
+    told = State(*np.split(result.pop("told"), 4, axis=1))
+    return Simulation(robot, Log.from_table(table, robot, "simulation"), result, told, table)
+
+
+def _columns(robot: Robot, signal: str) -> tuple[str, ...]:
+    if signal in ("acceleration", "rate"):
+        return robot.acceleration_channels if signal == "acceleration" else robot.gyroscope_channels
+    return tuple(f"{signal}_{name}" for name in robot.names)
+
+
+def _width(robot: Robot, kind: str) -> int:
+    return len(_columns(robot, kind))
+
+
+def _models(sensors: Mapping[str, Sensor], robot: Robot) -> dict[str, list[Sensor]]:
+    """One model a channel, by kind."""
+    if unknown := set(sensors) - set(KINDS):
+        raise EstimatorError(f"sensors: {min(unknown)!r} is not one of {', '.join(map(repr, KINDS))}")
+    accelerometers = [
+        Sensor(noise=s.noise_std, delay=s.delay, corner_frequency=s.corner_frequency or np.inf)
+        for s in robot.accelerometers
+        for _ in s.axes
+    ]
+    models = {
+        "theta": [Sensor(resolution=robot.config.encoder.resolution)] * robot.n,
+        "acceleration": accelerometers,
+        "dtheta": [Sensor()] * robot.n,
+        "rate": [Sensor(noise=noise) for noise in sensor_noise(robot.gyroscopes)],
+        "q": [Sensor()] * robot.n,
+    }
+    return models | {kind: [model] * _width(robot, kind) for kind, model in sensors.items()}
+
+
+def _told(feedback: Feedback, robot: Robot) -> bool | tuple[_core.ElasticJointFilter, list[int]]:
+    if not isinstance(feedback, ElasticJointFilter):
+        if feedback not in ("truth", "sensors"):
+            raise EstimatorError(f"feedback is {feedback!r}, expected 'truth', 'sensors' or an ElasticJointFilter")
+        return feedback == "truth"
+    core, kinds = feedback.fresh()
+    if "torque" in kinds:
+        raise EstimatorError("feedback: joint torque sensors are not simulated; set torque=False")
+    if feedback.robot.n != robot.n:
+        raise EstimatorError(f"feedback is of {feedback.robot.n} joints, expected {robot.n}")
+    names = [kind for kind in KINDS for _ in range(_width(robot, kind))]
+    wanted = {"theta" if kind == "motor" else kind for kind in kinds}
+    return core, [index for index, kind in enumerate(names) if kind in wanted]
+
+
+def _count(duration: float, rate: float) -> int:
+    for name, value in (("duration", duration), ("rate", rate)):
+        if not 0 < value < np.inf:
+            raise EstimatorError(f"{name} is {value!r}, expected a finite number greater than 0")
+    return round(duration * rate) + 1
+
+
+def _whole(name: str, value: int, least: int = 1) -> int:
+    if not isinstance(value, int) or value < least:
+        raise EstimatorError(f"{name} is {value!r}, expected a whole number of at least {least}")
+    return value
+
+
+def _sized(name: str, value: npt.ArrayLike, n: int) -> FloatArray:
+    array = np.asarray(value, dtype=np.float64)
+    if array.shape != (n,):
+        raise EstimatorError(f"{name} has shape {array.shape}, expected ({n},)")
+    return array

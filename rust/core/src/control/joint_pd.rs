@@ -1,0 +1,49 @@
+//! Proportional and derivative control of each motor.
+
+use super::{Controller, Reference, Refused, State};
+use crate::error::DesignError;
+
+/// τ = τ₀ + K_p (θ_ref − θ) + K_d (θ̇_ref − θ̇), joint by joint: the yardstick of everything cleverer.
+#[derive(Clone, Debug)]
+pub struct JointPd {
+    reference: Reference,
+    proportional: Vec<f64>,
+    derivative: Vec<f64>,
+    constant: Vec<f64>,
+}
+
+impl JointPd {
+    /// Gains K_p [N m/rad] and K_d [N m s/rad] and τ₀ [N m], n each, such as gravity's torque where the robot is.
+    ///
+    /// # Errors
+    /// Numbers that are not finite, not one a joint.
+    pub fn new(
+        reference: Reference,
+        proportional: Vec<f64>,
+        derivative: Vec<f64>,
+        constant: Vec<f64>,
+    ) -> Result<Self, DesignError> {
+        let expected = reference.width();
+        for (what, values) in [("kp", &proportional), ("kd", &derivative), ("tau", &constant)] {
+            if values.len() != expected {
+                return Err(DesignError::Length { what, found: values.len(), expected });
+            }
+            if let Some(&value) = values.iter().find(|value| !value.is_finite()) {
+                return Err(DesignError::Range { what, value, expected: "a finite number" });
+            }
+        }
+        Ok(Self { reference, proportional, derivative, constant })
+    }
+}
+
+impl Controller for JointPd {
+    #[inline(always)]
+    fn torque(&mut self, t: f64, state: &State, out: &mut [f64]) -> Result<(), Refused> {
+        let Self { reference, proportional, derivative, constant } = self;
+        reference.at(t, |j, position, velocity| {
+            let (off, slow) = (position - state.theta[j], velocity - state.dtheta[j]);
+            out[j] = constant[j] + proportional[j] * off + derivative[j] * slow;
+        });
+        Ok(())
+    }
+}

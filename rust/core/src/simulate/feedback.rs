@@ -1,0 +1,110 @@
+//! How a controller comes to know the robot's state.
+
+use super::sensors::Motion;
+use crate::control::State;
+use crate::dynamics::ElasticLayout;
+use crate::error::DesignError;
+use crate::estimate::kalman::{ElasticModel, ExtendedKalmanFilter, Inputs, KalmanSample};
+
+/// What is known at a sample.
+#[derive(Clone, Copy, Debug)]
+pub struct Known<'a> {
+    /// The truth.
+    pub truth: Motion<'a>,
+    /// Readings of all sensors, in the order of [`Kind::ALL`](super::Kind::ALL).
+    pub readings: &'a [f64],
+    /// Motor torques until now (n) [N m].
+    pub tau: &'a [f64],
+    /// Time since the sample before [s].
+    pub dt: f64,
+}
+
+/// Turns what is known into what the controller is told.
+pub trait Feedback {
+    /// Writes the state at a sample, asked for once a sample, in order.
+    ///
+    /// # Errors
+    /// Readings that an estimator cannot start from.
+    fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError>;
+}
+
+/// The truth.
+#[derive(Clone, Copy, Debug)]
+pub struct TrueState;
+
+impl Feedback for TrueState {
+    #[inline(always)]
+    fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError> {
+        out.q.copy_from_slice(known.truth.q);
+        out.dq.copy_from_slice(known.truth.dq);
+        out.theta.copy_from_slice(known.truth.theta);
+        out.dtheta.copy_from_slice(known.truth.dtheta);
+        Ok(())
+    }
+}
+
+/// Readings of motor positions and velocities, the last ones where missing; links taken to be where their motors are.
+#[derive(Clone, Copy, Debug)]
+pub struct SensorFeedback {
+    /// Where motor velocities begin among the readings.
+    pub velocities: usize,
+}
+
+impl Feedback for SensorFeedback {
+    #[inline(always)]
+    fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError> {
+        let State { q, dq, theta, dtheta } = out;
+        for (from, motor, link) in [(0, theta, q), (self.velocities, dtheta, dq)] {
+            for (value, reading) in motor.iter_mut().zip(&known.readings[from..]).filter(|(_, r)| r.is_finite()) {
+                *value = *reading;
+            }
+            link.copy_from_slice(motor);
+        }
+        Ok(())
+    }
+}
+
+/// The elastic-joint filter's estimate from some of the readings.
+#[derive(Clone)]
+pub struct FilterFeedback {
+    filter: ExtendedKalmanFilter<ElasticModel>,
+    layout: ElasticLayout,
+    /// Which readings it takes, in its own order.
+    channels: Vec<usize>,
+    readings: Vec<f64>,
+}
+
+impl FilterFeedback {
+    /// A filter that takes the readings of index `channels`.
+    ///
+    /// # Errors
+    /// Not as many as the filter has channels.
+    pub fn new(filter: ExtendedKalmanFilter<ElasticModel>, channels: Vec<usize>) -> Result<Self, DesignError> {
+        use crate::estimate::kalman::Model;
+        let (found, expected) = (channels.len(), filter.model().channels());
+        if found != expected {
+            return Err(DesignError::Length { what: "channels of the filter", found, expected });
+        }
+        let layout = ElasticLayout::new(filter.model().robot(), false);
+        Ok(Self { filter, layout, readings: vec![0.0; found], channels })
+    }
+}
+
+impl Feedback for FilterFeedback {
+    #[inline(always)]
+    fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError> {
+        for (reading, &channel) in self.readings.iter_mut().zip(&self.channels) {
+            *reading = known.readings[channel];
+        }
+        let inputs = Inputs { tau: known.tau, ..Inputs::default() };
+        self.filter.step(KalmanSample { dt: known.dt, readings: &self.readings, inputs })?;
+        let (n, mean) = (self.layout.joints, &self.filter.belief().mean);
+        out.q.copy_from_slice(&mean[..n]);
+        out.dq.copy_from_slice(&mean[n..2 * n]);
+        for j in 0..n {
+            out.theta[j] = mean[self.layout.theta[j]];
+            out.dtheta[j] = mean[self.layout.dtheta[j]];
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,58 @@
+//! The classical fourth-order method of Runge and Kutta, torque held over a step.
+
+use crate::dynamics::{ElasticDynamics, ElasticLayout};
+use crate::robot::Robot;
+use nalgebra::DMatrix;
+
+/// The method is stable for |λ h| below this, wherever in the left half plane λ is (on the real axis at −2.785).
+const RADIUS: f64 = 2.78;
+
+/// A robot's state, moved in fixed steps.
+#[derive(Clone, Debug)]
+pub struct RungeKutta {
+    pub(super) layout: ElasticLayout,
+    pub(super) dynamics: ElasticDynamics,
+    probe: Vec<f64>,
+    slope: Vec<f64>,
+    sum: Vec<f64>,
+}
+
+impl RungeKutta {
+    /// Room for `robot`.
+    pub fn new(robot: &Robot) -> Self {
+        let layout = ElasticLayout::new(robot, false);
+        let [probe, slope, sum] = core::array::from_fn(|_| vec![0.0; layout.dense]);
+        Self { dynamics: ElasticDynamics::new(robot, &layout), layout, probe, slope, sum }
+    }
+
+    /// Moves `x` by `h` [s] under motor torques `tau` (n) [N m].
+    #[inline(always)]
+    pub fn step(&mut self, robot: &Robot, x: &mut [f64], tau: &[f64], h: f64) {
+        let Self { layout, dynamics, probe, slope, sum } = self;
+        sum.copy_from_slice(x);
+        slope.fill(0.0);
+        for (reach, weight) in [(0.0, h / 6.0), (0.5 * h, h / 3.0), (0.5 * h, h / 3.0), (h, h / 6.0)] {
+            for ((probe, x), slope) in probe.iter_mut().zip(&*x).zip(&*slope) {
+                *probe = x + reach * slope;
+            }
+            dynamics.accelerate(robot, layout, probe, tau);
+            dynamics.rate_into(layout, probe, slope);
+            for (sum, slope) in sum.iter_mut().zip(&*slope) {
+                *sum += weight * slope;
+            }
+        }
+        x.copy_from_slice(sum);
+    }
+}
+
+/// The largest step [s] that keeps the method stable near state `x` under `tau`: bounded by the fastest eigenvalue of
+/// the linearised robot; infinite when nothing moves by itself, NaN when the inertia is not positive definite.
+pub fn largest_stable_step(robot: &Robot, x: &[f64], tau: &[f64]) -> f64 {
+    let layout = ElasticLayout::new(robot, false);
+    let a = ElasticDynamics::new(robot, &layout).linearise(robot, &layout, x, tau);
+    if a.iter().any(|value| !value.is_finite()) {
+        return f64::NAN;
+    }
+    let modes = DMatrix::from_row_slice(layout.dense, layout.dense, &a).complex_eigenvalues();
+    RADIUS / modes.iter().map(|mode| mode.norm()).fold(0.0, f64::max)
+}

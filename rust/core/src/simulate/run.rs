@@ -1,0 +1,182 @@
+//! The loop: sense, tell, control, move.
+
+use super::feedback::{Feedback, Known};
+use super::integrator::{RungeKutta, largest_stable_step};
+use super::recording::Recording;
+use super::sensors::{Motion, Suite};
+use super::start::Start;
+use crate::control::{Controller, State};
+use crate::error::{DesignError, SimulationError};
+use crate::robot::Robot;
+use crate::simd;
+
+/// How long and how finely.
+#[derive(Clone, Copy, Debug)]
+pub struct Plan {
+    /// Of sensors and controller [s].
+    pub period: f64,
+    /// Samples.
+    pub count: usize,
+    /// Steps of integration in a period.
+    pub substeps: usize,
+    /// One sample of so many is kept.
+    pub keep_every: usize,
+}
+
+impl Plan {
+    fn check(&self) -> Result<(), DesignError> {
+        let (what, expected) = ("period", "a finite number greater than 0");
+        if !(self.period > 0.0 && self.period.is_finite()) {
+            return Err(DesignError::Range { what, value: self.period, expected });
+        }
+        for (what, value) in [("samples", self.count), ("substeps", self.substeps), ("keep_every", self.keep_every)] {
+            if value == 0 {
+                return Err(DesignError::Range { what, value: 0.0, expected: "at least 1" });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Moves `robot` under `controller`; sensors and controller act every period, the torque is held in between.
+///
+/// # Errors
+/// A plan or a start that cannot be used, a step too large for the stiffness, a controller that refuses or gives no
+/// number, a state that is no longer finite.
+pub fn simulate(
+    robot: &Robot,
+    start: Start,
+    plan: Plan,
+    suite: Suite,
+    feedback: &mut impl Feedback,
+    controller: &mut impl Controller,
+) -> Result<Recording, SimulationError> {
+    plan.check()?;
+    let world = World::new(robot, start)?;
+    let (step, limit) = (plan.period / plan.substeps as f64, largest_stable_step(robot, &world.x, &world.tau));
+    if limit.is_nan() {
+        return Err(SimulationError::Singular);
+    }
+    if step > limit {
+        let substeps = (plan.period / limit).ceil();
+        return Err(SimulationError::Step { step, limit, substeps });
+    }
+    simd::dispatch(simd::level(), Run { robot, plan, world, suite, feedback, controller })
+}
+
+/// The robot and what it left behind.
+struct World {
+    x: Vec<f64>,
+    tau: Vec<f64>,
+    mover: RungeKutta,
+    told: State,
+    theta: Vec<f64>,
+    dtheta: Vec<f64>,
+    out: Recording,
+}
+
+impl World {
+    fn new(robot: &Robot, start: Start) -> Result<Self, DesignError> {
+        let n = robot.len();
+        let (State { q, dq, theta, dtheta }, tau) = start.complete(robot)?;
+        let mover = RungeKutta::new(robot);
+        let mut x = vec![0.0; mover.layout.dense];
+        for j in 0..n {
+            (x[mover.layout.theta[j]], x[mover.layout.dtheta[j]]) = (theta[j], dtheta[j]);
+        }
+        x[..n].copy_from_slice(&q);
+        x[n..2 * n].copy_from_slice(&dq);
+        let told = State::new(n);
+        Ok(Self { x, tau, mover, told, theta: vec![0.0; n], dtheta: vec![0.0; n], out: Recording::default() })
+    }
+
+    /// Accelerations, motor positions and the kinematics at the present state.
+    #[inline(always)]
+    fn look(&mut self, robot: &Robot) {
+        let RungeKutta { layout, dynamics, .. } = &mut self.mover;
+        let (n, x) = (layout.joints, &self.x);
+        dynamics.accelerate(robot, layout, x, &self.tau);
+        dynamics.kinematics.set(&robot.tree, &x[..n], &x[n..2 * n], &dynamics.ddq);
+        for j in 0..n {
+            (self.theta[j], self.dtheta[j]) = (x[layout.theta[j]], x[layout.dtheta[j]]);
+        }
+    }
+
+    #[inline(always)]
+    fn motion(&self) -> Motion<'_> {
+        let n = self.theta.len();
+        Motion { q: &self.x[..n], dq: &self.x[n..2 * n], theta: &self.theta, dtheta: &self.dtheta }
+    }
+
+    fn keep(&mut self, robot: &Robot, t: f64, readings: &[f64]) {
+        let n = robot.len();
+        let Self { x, tau, mover, told, theta, dtheta, out, .. } = self;
+        out.t.push(t);
+        let told = [&told.q, &told.dq, &told.theta, &told.dtheta];
+        told.into_iter().for_each(|values| out.told.extend_from_slice(values));
+        for (all, values) in [
+            (&mut out.readings, readings),
+            (&mut out.tau, tau),
+            (&mut out.q, &x[..n]),
+            (&mut out.dq, &x[n..2 * n]),
+            (&mut out.ddq, &mover.dynamics.ddq),
+            (&mut out.theta, theta),
+            (&mut out.dtheta, dtheta),
+        ] {
+            all.extend_from_slice(values);
+        }
+        if let Some(tool) = &robot.tool {
+            out.tool.extend_from_slice(&mover.dynamics.kinematics.position(tool).0);
+        }
+    }
+}
+
+struct Run<'a, F, C> {
+    robot: &'a Robot,
+    plan: Plan,
+    world: World,
+    suite: Suite,
+    feedback: &'a mut F,
+    controller: &'a mut C,
+}
+
+impl<F: Feedback, C: Controller> simd::Kernel for Run<'_, F, C> {
+    type Output = Result<Recording, SimulationError>;
+
+    #[inline(always)]
+    fn run(mut self) -> Self::Output {
+        for sample in 0..self.plan.count {
+            self.sample(sample)?;
+        }
+        Ok(self.world.out)
+    }
+}
+
+impl<F: Feedback, C: Controller> Run<'_, F, C> {
+    #[inline(always)]
+    fn sample(&mut self, sample: usize) -> Result<(), SimulationError> {
+        let Self { robot, plan, world, suite, feedback, controller } = self;
+        let (dt, t) = (plan.period, sample as f64 * plan.period);
+        world.look(robot);
+        if !world.mover.dynamics.ddq.iter().chain(&world.x).all(|value| value.is_finite()) {
+            return Err(SimulationError::NotFinite { time: t });
+        }
+        suite.read(robot, world.motion(), &world.mover.dynamics.kinematics, sample);
+        let mut told = core::mem::take(&mut world.told);
+        let known = Known { truth: world.motion(), readings: &suite.readings, tau: &world.tau, dt };
+        feedback.state_into(known, &mut told)?;
+        world.told = told;
+        controller.torque(t, &world.told, &mut world.tau).map_err(|_| SimulationError::Refused { time: t })?;
+        if let Some(joint) = world.tau.iter().position(|value| !value.is_finite()) {
+            return Err(SimulationError::Torque { joint, value: world.tau[joint], time: t });
+        }
+        if sample.is_multiple_of(plan.keep_every) {
+            world.keep(robot, t, &suite.readings);
+        }
+        let h = dt / plan.substeps as f64;
+        for _ in 0..plan.substeps {
+            world.mover.step(robot, &mut world.x, &world.tau, h);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,58 @@
+//! Where a run begins.
+
+use crate::control::State;
+use crate::dynamics::{Kinematics, Loads};
+use crate::error::DesignError;
+use crate::robot::Robot;
+
+/// State and motor torques at the start, n numbers each; what is None holds the robot at rest where its links are.
+#[derive(Clone, Debug, Default)]
+pub struct Start {
+    /// Link positions [rad]; else zero.
+    pub q: Option<Vec<f64>>,
+    /// Link velocities [rad/s]; else zero.
+    pub dq: Option<Vec<f64>>,
+    /// Motor positions [rad], not looked at where rigid; else where the springs hold gravity.
+    pub theta: Option<Vec<f64>>,
+    /// Motor velocities [rad/s], not looked at where rigid; else those of the links.
+    pub dtheta: Option<Vec<f64>>,
+    /// Motor torques before the first sample [N m]; else gravity's.
+    pub tau: Option<Vec<f64>>,
+}
+
+impl Start {
+    /// The whole state and the torques.
+    ///
+    /// # Errors
+    /// Not n finite numbers.
+    pub(super) fn complete(self, robot: &Robot) -> Result<(State, Vec<f64>), DesignError> {
+        let n = robot.len();
+        let given = [("q", &self.q), ("dq", &self.dq), ("theta", &self.theta), ("dtheta", &self.dtheta)];
+        for (what, values) in given.into_iter().chain([("tau", &self.tau)]) {
+            let Some(values) = values else { continue };
+            if values.len() != n {
+                return Err(DesignError::Length { what, found: values.len(), expected: n });
+            }
+            if let Some(&value) = values.iter().find(|value| !value.is_finite()) {
+                return Err(DesignError::Range { what, value, expected: "finite numbers" });
+            }
+        }
+        let q = self.q.unwrap_or_else(|| vec![0.0; n]);
+        let dq = self.dq.unwrap_or_else(|| vec![0.0; n]);
+        let gravity = gravity(robot, &q);
+        let hold =
+            |(j, q): (usize, &f64)| if robot.drives[j].elastic { q + robot.drives[j].torsion(gravity[j]) } else { *q };
+        let theta = self.theta.unwrap_or_else(|| q.iter().enumerate().map(hold).collect());
+        let dtheta = self.dtheta.unwrap_or_else(|| dq.clone());
+        let tau = self.tau.unwrap_or(gravity);
+        Ok((State { q, dq, theta, dtheta }, tau))
+    }
+}
+
+fn gravity(robot: &Robot, q: &[f64]) -> Vec<f64> {
+    let (mut kinematics, zero) = (Kinematics::new(&robot.tree), vec![0.0; q.len()]);
+    let mut out = zero.clone();
+    kinematics.set(&robot.tree, q, &zero, &zero);
+    Loads::new(&robot.tree).inverse_dynamics_into(&robot.tree, &kinematics, &mut out);
+    out
+}
