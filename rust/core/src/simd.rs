@@ -55,19 +55,29 @@ fn widest() -> Level {
     Level::Baseline
 }
 
-/// Runs `kernel` with the instructions of `level`, or of what the machine has of them.
+/// Runs `kernel` with the instructions of `level`, AVX2 at most, or of what the machine has of them.
+///
+/// Kernels on single numbers gain nothing from wider registers, and each level is compiled on its own.
 #[inline]
 pub fn dispatch<K: Kernel>(level: Level, kernel: K) -> K::Output {
     match level.min(widest()) {
         Level::Baseline => kernel.run(),
         // SAFETY: `widest` has asked the processor.
         #[cfg(target_arch = "x86_64")]
-        Level::Avx2 => unsafe { avx2(kernel) },
+        Level::Avx2 | Level::Avx512 => unsafe { avx2(kernel) },
+        #[cfg(not(target_arch = "x86_64"))]
+        Level::Avx2 | Level::Avx512 => kernel.run(),
+    }
+}
+
+/// As [`dispatch`], with AVX-512 where there is, for kernels on eight [lanes](crate::scalar::Lanes).
+#[inline]
+pub fn dispatch_lanes<K: Kernel>(level: Level, kernel: K) -> K::Output {
+    match level.min(widest()) {
         // SAFETY: `widest` has asked the processor.
         #[cfg(target_arch = "x86_64")]
         Level::Avx512 => unsafe { avx512(kernel) },
-        #[cfg(not(target_arch = "x86_64"))]
-        Level::Avx2 | Level::Avx512 => kernel.run(),
+        narrower => dispatch(narrower, kernel),
     }
 }
 

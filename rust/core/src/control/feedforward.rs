@@ -11,7 +11,7 @@ use crate::dynamics::{Kinematics, Loads};
 use crate::error::DesignError;
 use crate::robot::Robot;
 use crate::scalar::Series;
-use crate::simd::{self, Kernel};
+use crate::simd::Kernel;
 
 /// The highest derivative of the links' motion that can be asked for.
 pub const HIGHEST: usize = 17;
@@ -66,12 +66,10 @@ pub fn derivative_order(robot: &Robot) -> usize {
 /// would need derivatives beyond [`HIGHEST`].
 pub fn inverse_dynamics(robot: &Robot, path: Path<'_>) -> Result<Desired, DesignError> {
     let further = check(robot, path)?;
-    let level = simd::level();
+    // A motion is designed once: it does not pay to compile series of every length for every instruction set.
     Ok(match derivative_order(robot) + further {
-        ..5 => simd::dispatch(level, Run::<5>::new(robot, path, further)),
-        5..8 => simd::dispatch(level, Run::<8>::new(robot, path, further)),
-        8..12 => simd::dispatch(level, Run::<12>::new(robot, path, further)),
-        _ => simd::dispatch(level, Run::<{ HIGHEST + 1 }>::new(robot, path, further)),
+        ..8 => Run::<8>::new(robot, path, further).run(),
+        _ => Run::<{ HIGHEST + 1 }>::new(robot, path, further).run(),
     })
 }
 

@@ -212,7 +212,7 @@ impl ParticleFilter {
     fn advance(&mut self) {
         let Self { model, sample, cloud, threads, .. } = self;
         let (model, sample, level) = (model.jerk_model(), &*sample, simd::level());
-        cloud.each(*threads, |block| simd::dispatch(level, Advance { model, sample, block }));
+        cloud.each(*threads, |block| simd::dispatch_lanes(level, Advance { model, sample, block }));
     }
 
     /// Mean, spread, likelihood and effective number; false when no particle has a weight.
