@@ -12,6 +12,7 @@ __all__ = [
     "AccelerationObserver",
     "ElasticJointFilter",
     "ExtendedKalmanFilter",
+    "Likelihood",
     "ObserverState",
     "ParticleFilter",
     "Robot",

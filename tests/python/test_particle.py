@@ -8,7 +8,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from robots import DATA
 
 from linkside import (
     Estimate,
@@ -22,6 +21,8 @@ from linkside import (
     Robot,
     Status,
 )
+
+from .robots import DATA
 
 SLIDE = """<robot name="slide"><link name="base"/>
   <link name="cart"><inertial><mass value="3"/>
