@@ -5,6 +5,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,8 +23,7 @@ from linkside import (
     Status,
 )
 
-from .robots import DATA
-
+DATA = Path(__file__).parents[1] / "data"
 SLIDE = """<robot name="slide"><link name="base"/>
   <link name="cart"><inertial><mass value="3"/>
     <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>
