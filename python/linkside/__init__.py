@@ -12,8 +12,9 @@ from . import control, controllers, demo, feedback, poles, sensors, trajectories
 from .elastic import ElasticJointFilter, ElasticJointSmoother, ElasticNoise
 from .errors import ConfigError, EstimatorError, LinksideError, LogError, NumericalError, OutputError
 from .estimate import Estimate, EstimateWriter, Status
+from .filtering import KalmanEstimate
 from .fixed_lag import FixedLagSmoother
-from .kalman import ExtendedKalmanFilter, KalmanEstimate, RauchTungStriebelSmoother
+from .kalman import ExtendedKalmanFilter, RauchTungStriebelSmoother
 from .log import Log
 from .noise import Noise
 from .observers import AccelerationObserver

@@ -12,7 +12,7 @@ from scipy import stats
 
 from .errors import EstimatorError
 from .estimate import Estimate, _counterparts
-from .kalman import KalmanEstimate
+from .filtering import KalmanEstimate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from os import PathLike
-from typing import Any, Literal, overload
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +13,7 @@ from pydantic import BaseModel, ConfigDict
 from . import _core
 from .errors import EstimatorError, NumericalError
 from .estimate import result_of
-from .kalman import KalmanEstimate
+from .filtering import KalmanEstimate, KalmanFilter, Signal, sized
 from .log import Log
 from .noise import PositiveStd, Std, motor_noise, per_joint, sensor_noise
 from .robot import Robot
@@ -22,11 +21,7 @@ from .sensing import is_late
 from .source import Source
 
 FloatArray = npt.NDArray[np.float64]
-Signal = FloatArray | Sequence[float]
 Arrays = tuple[FloatArray, FloatArray, FloatArray]
-
-BIASED = ("motor", "acceleration", "rate")
-"""Kinds of channels that may have a bias."""
 
 
 class ElasticNoise(BaseModel):
@@ -109,7 +104,7 @@ class ElasticNoise(BaseModel):
         return {name: values.tolist() for name, values in arrays.items()}
 
 
-class ElasticJointFilter:
+class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
     """EKF on the full elastic-joint dynamics, driven by the motor torques of the log.
 
     Ulrich and Sasiadek, "Extended Kalman filtering for flexible joint space robot control", ACC 2011, who measure motor
@@ -150,8 +145,6 @@ class ElasticJointFilter:
     Kutta, in as many substeps as the robot's fastest mode needs.
     """
 
-    _smooth = False
-
     def __init__(
         self,
         robot: Robot,
@@ -168,51 +161,12 @@ class ElasticJointFilter:
         gate: float | None = None,
         iterations: int = 1,
     ) -> None:
-        unknown = sorted(set(biases) - set(BIASED))
-        if unknown:
-            raise EstimatorError(f"biases: {unknown[0]!r} is not one of {', '.join(map(repr, BIASED))}")
+        wanted = {"acceleration": accelerations, "dtheta": dtheta, "rate": rate, "q": q, "torque": torque}
+        super().__init__(robot, wanted, biases, gate, iterations)
         if transition not in ("exact", "first-order"):
             raise EstimatorError(f"transition is {transition!r}, expected 'exact' or 'first-order'")
-        if not isinstance(iterations, int) or iterations < 1:
-            raise EstimatorError(f"iterations is {iterations!r}, expected a whole number of at least 1")
-        self.robot, self.noise = robot, noise or ElasticNoise()
-        self._wanted = {"acceleration": accelerations, "dtheta": dtheta, "rate": rate, "q": q, "torque": torque}
-        self._biases, self._disturbances, self._transition = tuple(biases), disturbances, transition
-        self._gate, self._iterations = gate, iterations
-        self.status = 0
-        self._live: _core.ElasticJointFilter | None = None
-
-    @overload
-    def run(self, log: Log, *, covariance: bool = False, innovations: bool = False) -> KalmanEstimate: ...
-    @overload
-    def run(
-        self, log: Sequence[Log], *, covariance: bool = False, innovations: bool = False
-    ) -> list[KalmanEstimate]: ...
-    def run(
-        self, log: Log | Sequence[Log], *, covariance: bool = False, innovations: bool = False
-    ) -> KalmanEstimate | list[KalmanEstimate]:
-        """Estimate a recording, or several on all cores; each starts from rest at its first sample.
-
-        Parameters
-        ----------
-        log
-            The recording, with motor positions and motor torques of all joints.
-        covariance
-            Keep the whole state and its covariance.
-        innovations
-            Keep the innovations and their standard deviations.
-
-        Raises
-        ------
-        LogError
-            A column is missing, or a motor position or torque at the first sample.
-        NumericalError
-            The estimate is no longer finite; names the sample.
-        """
-        if isinstance(log, Log):
-            return self._run(log, covariance, innovations)
-        with ThreadPoolExecutor() as pool:
-            return list(pool.map(lambda one: self._run(one, covariance, innovations), log))
+        self.noise = noise or ElasticNoise()
+        self._disturbances, self._transition = disturbances, transition
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
         """Estimate a recording that comes piece by piece, in bounded memory; the same bits as `run`."""
@@ -265,30 +219,18 @@ class ElasticJointFilter:
             Link positions (n) and velocities (n), motor positions and velocities of the elastic joints, disturbance
             torques, biases. ``covariance`` and ``status`` tell the rest.
         """
-        live = self._live or self._start()
-        parts: list[tuple[str, Signal | None, int]] = [("theta", theta, self.robot.n)]
-        if "acceleration" in self._live_kinds:
-            parts.append(("acceleration", acceleration, len(self.robot.acceleration_channels)))
-        if "dtheta" in self._live_kinds:
-            parts.append(("dtheta", dtheta, self.robot.n))
-        parts.append(("further", further, sum(self._width(kind) for kind in self._live_kinds if kind in FURTHER)))
-        readings = np.concatenate([_sized(*part) for part in parts])
+        live, kinds = self._live, self._live_kinds
+        given = {"motor": theta, "acceleration": acceleration, "dtheta": dtheta}
+        names = {"motor": "theta"}
+        parts = [sized(names.get(kind, kind), given[kind], self._width(kind)) for kind in kinds if kind in given]
+        parts.append(sized("further", further, sum(self._width(kind) for kind in kinds if kind not in given)))
         out = np.empty(live.states) if out is None else out
-        self.status = live.step(dt, readings, tau, out)
+        self.status = live.step(dt, np.concatenate(parts), tau, out)
         return out
-
-    @property
-    def covariance(self) -> FloatArray:
-        """Covariance of the state after the last `step`, (states, states)."""
-        return (self._live or self._start()).covariance
 
     def fresh(self) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
         """Build a filter of the core that has taken no sample, as `step` uses it, and the kinds of its channels."""
         return self._core(self._live_kinds), self._live_kinds
-
-    def reset(self) -> None:
-        """Forget the state: the next `step` starts anew, from rest."""
-        self._live = None
 
     @property
     def _live_kinds(self) -> tuple[str, ...]:
@@ -297,8 +239,7 @@ class ElasticJointFilter:
         return ("motor", *(kind for kind, use in wanted.items() if use))
 
     def _start(self) -> _core.ElasticJointFilter:
-        self._live = self._core(self._live_kinds)
-        return self._live
+        return self._core(self._live_kinds)
 
     def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
         kinds = self._kinds(log)
@@ -306,26 +247,12 @@ class ElasticJointFilter:
         (outcome,) = core.run_all([self._arrays(log, kinds)], self._smooth, covariance, innovations)
         return self._estimate(log, kinds, result_of(log.source, outcome))
 
-    def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> KalmanEstimate:
-        channels = tuple(name for kind in kinds for name in log.columns("theta" if kind == "motor" else kind))
-        return KalmanEstimate(t=log.t, names=self.robot.names, channels=channels, **result)
-
     def _kinds(self, log: Log) -> tuple[str, ...]:
         """Kinds of channels to use, in the filter's order."""
         purpose = "the elastic-joint filter"
         log.require("theta", purpose=purpose)
         log.require("tau", purpose=purpose)
-        kinds = ["motor"]
-        for kind, wanted in self._wanted.items():
-            if wanted:
-                log.require(kind, purpose=purpose)
-            if wanted or (wanted is None and getattr(log, kind) is not None):
-                kinds.append(kind)
-        return tuple(kinds)
-
-    def _width(self, kind: str) -> int:
-        sensors = {"acceleration": self.robot.acceleration_channels, "rate": self.robot.gyroscope_channels}
-        return len(sensors[kind]) if kind in sensors else self.robot.n
+        return self._with_wanted(("motor",), log, purpose)
 
     def _core(self, kinds: tuple[str, ...]) -> _core.ElasticJointFilter:
         refuse_rotors(self.robot, "the elastic-joint filter")
@@ -337,12 +264,8 @@ class ElasticJointFilter:
         return _core.ElasticJointFilter(
             self.robot.core,
             accelerations="acceleration" in kinds,
-            motor_velocities="dtheta" in kinds,
-            rates="rate" in kinds,
-            links="q" in kinds,
-            torques="torque" in kinds,
+            **self._channels(kinds),
             disturbances=self._disturbances,
-            biased=[kind in self._biases for kind in kinds for _ in range(self._width(kind))],
             first_order=self._transition == "first-order",
             noise=self.noise.arrays(self.robot, kinds),
             gate=self._gate,
@@ -374,10 +297,6 @@ def refuse_rotors(robot: Robot, what: str) -> None:
         raise EstimatorError(f"{what} takes a constant coupling, and robot.yaml has rotors; give `coupling` instead")
 
 
-FURTHER = ("rate", "q", "torque")
-"""Kinds of channels that `step` takes as further readings."""
-
-
 def _torques(log: Log, before: FloatArray | None) -> FloatArray:
     """Motor torques (T, n); a missing one is the one before it, at first that of the row ``before``."""
     assert log.tau is not None  # `_kinds` has asked for it
@@ -387,12 +306,3 @@ def _torques(log: Log, before: FloatArray | None) -> FloatArray:
     tau = log.tau if before is None else np.vstack([before, log.tau])
     rows = np.arange(len(tau))[:, None] * ~np.isnan(tau)
     return np.ascontiguousarray(np.take_along_axis(tau, np.maximum.accumulate(rows, axis=0), axis=0)[-len(log) :])
-
-
-def _sized(name: str, signal: Signal | None, size: int) -> FloatArray:
-    if signal is None:
-        return np.full(size, np.nan)
-    array = np.asarray(signal, np.float64)
-    if array.shape != (size,):
-        raise EstimatorError(f"{name} has shape {array.shape}, expected ({size},)")
-    return array

@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from . import _core
 from .errors import EstimatorError
-from .kalman import Arrays, ExtendedKalmanFilter, KalmanEstimate, Signal
+from .filtering import KalmanEstimate, Signal, sized
+from .kalman import Arrays, ExtendedKalmanFilter
 from .noise import Noise
 from .robot import Robot
 
@@ -42,7 +43,7 @@ class FixedLagSmoother:
         self.robot, self.lag = robot, lag
         self._filter = ExtendedKalmanFilter(robot, noise, **settings)
         self._filter._refuse_late("a fixed-lag smoother")
-        self._kinds = ("motor", "acceleration", *self._filter._order)
+        self._kinds = self._filter._live_kinds
         self._before = self._filter._core(self._kinds, self._filter.noise)
         self.reset()
 
@@ -88,28 +89,25 @@ class FixedLagSmoother:
         return estimate
 
     def _reading(self, theta: Signal, acceleration: Signal | None, further: Signal | None) -> FloatArray:
-        motors = _sized("theta", theta, self.robot.n)
+        motors = sized("theta", theta, self.robot.n)
         if not self._begun and np.isnan(motors).any():
             joint = self.robot.names[int(np.argmax(np.isnan(motors)))]
             raise EstimatorError(
                 f"the first sample of theta of joint {joint} is missing; a filter cannot start without"
             )
         self._begun = True
-        channels = len(self.robot.acceleration_channels)
-        n = self.robot.n
-        widths = {"dtheta": n, "rate": len(self.robot.gyroscope_channels), "q": n, "torque": n}
-        others = sum(widths[kind] for kind in self._filter._order)
-        rest = (_sized("acceleration", acceleration, channels), _sized("further", further, others))
+        channels, *others = (self._filter._width(kind) for kind in self._kinds[1:])
+        rest = (sized("acceleration", acceleration, channels), sized("further", further, sum(others)))
         return np.concatenate((motors, *rest))
 
     def _moved(self, dt: float, dtheta: Signal | None, ddqref: Signal | None) -> tuple[FloatArray, FloatArray]:
         """Motor velocities, and the commanded jerk since the sample before."""
-        now = None if ddqref is None else _sized("ddqref", ddqref, self.robot.n)
+        now = None if ddqref is None else sized("ddqref", ddqref, self.robot.n)
         jerk = np.zeros(self.robot.n)
         if now is not None and self._ddqref is not None:
             jerk = np.nan_to_num((now - self._ddqref) / dt)
         self._ddqref = now
-        return _sized("dtheta", dtheta, self.robot.n), jerk
+        return sized("dtheta", dtheta, self.robot.n), jerk
 
     def _back(self, rows: int) -> KalmanEstimate:
         """The window's first rows, smoothed."""
@@ -129,12 +127,3 @@ class FixedLagSmoother:
         rows = [self._window[index] for index in range(count)]
         dt, readings, dtheta, jerk = (np.array(column) for column in zip(*rows, strict=True))
         return dt, readings, dtheta, jerk
-
-
-def _sized(name: str, signal: Signal | None, size: int) -> FloatArray:
-    if signal is None:
-        return np.full(size, np.nan)
-    array = np.array(signal, np.float64)
-    if array.shape != (size,):
-        raise EstimatorError(f"{name} has shape {array.shape}, expected ({size},)")
-    return array

@@ -3,59 +3,92 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from typing import Any, overload
+from dataclasses import replace
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from . import _core
 from .errors import EstimatorError, NumericalError
-from .estimate import Estimate, result_of
+from .estimate import result_of
+from .filtering import CoreFilter, KalmanEstimate, KalmanFilter, LiveFilter, Signal
 from .log import Log
 from .noise import Noise
 from .robot import Robot
 from .sensing import Schedule, is_late, unfiltered
 
 FloatArray = npt.NDArray[np.float64]
-Signal = FloatArray | Sequence[float]
 Arrays = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
-BIASED = ("motor", "acceleration", "rate")
-"""Kinds of channels that may have a bias."""
+
+class JerkDrivenCore(CoreFilter, Protocol):
+    """A filter of the core on the acceleration-driven model."""
+
+    def step(
+        self,
+        dt: float,
+        theta: Signal,
+        acceleration: Signal | None,
+        dtheta: Signal | None,
+        ddqref: Signal | None,
+        further: Signal | None,
+        out: FloatArray,
+    ) -> int:
+        """Take one sample, write the state's mean into ``out``, and give the status."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class KalmanEstimate(Estimate):
-    """An estimate with what tells whether to believe it.
-
-    Attributes
-    ----------
-    nis : (T,)
-        Normalised innovation squared; its mean should be that of ``used``.
-    used : (T,)
-        Readings used at each sample.
-    log_likelihood : (T,)
-        Logarithm of the probability density of the sample's readings, given those before.
-    state : (T, k), optional
-        The filter's whole state: q, dq, ddq, then the biases of the channels that have one. ``covariance`` is its.
-    innovation, innovation_std : (T, m), optional
-        Readings less their predictions, and the standard deviations of these differences.
-    channels : tuple of str
-        The m columns of the log that were read.
-    """
-
-    nis: FloatArray | None = None
-    used: npt.NDArray[np.uint32] | None = None
-    log_likelihood: FloatArray | None = None
-    state: FloatArray | None = None
-    innovation: FloatArray | None = None
-    innovation_std: FloatArray | None = None
-    channels: tuple[str, ...] = ()
+Core = TypeVar("Core", bound=JerkDrivenCore)
 
 
-class ExtendedKalmanFilter:
+class JerkDrivenFilter(LiveFilter[Core]):
+    """A filter on the acceleration-driven model, sample by sample."""
+
+    def step(
+        self,
+        *,
+        dt: float,
+        theta: Signal,
+        acceleration: Signal | None = None,
+        dtheta: Signal | None = None,
+        ddqref: Signal | None = None,
+        further: Signal | None = None,
+        out: FloatArray | None = None,
+    ) -> FloatArray:
+        """Take one sample and give the mean of the state at its time; the first sample starts from rest.
+
+        Parameters
+        ----------
+        dt
+            Time since the sample before [s].
+        theta : (n,)
+            Motor positions, link side [rad]; NaN where missing, as in all signals.
+        acceleration : (m,)
+            Accelerometer channels in the order of ``robot.acceleration_channels`` [m/s²].
+        dtheta, ddqref : (n,)
+            Motor velocities [rad/s] and commanded link accelerations [rad/s²], where there are any.
+        further : (k,)
+            Readings of the kinds asked for, one after the other: ``dtheta``, ``rate``, ``q``, ``torque``.
+        out : (states,)
+            Array to write the result into.
+
+        Returns
+        -------
+        (states,)
+            Link positions, velocities, accelerations, then biases. ``covariance`` and ``status`` tell the rest.
+
+        Raises
+        ------
+        NumericalError
+            Of a particle filter: no particle explains the sample.
+        """
+        live = self._live
+        out = np.empty(live.states) if out is None else out
+        self.status = live.step(dt, theta, acceleration, dtheta, ddqref, further, out)
+        return out
+
+
+class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanFilter[_core.ExtendedKalmanFilter]):
     """EKF on the acceleration-driven model: jerk moves the links, motor and sensors measure.
 
     Axelsson, Karlsson and Norrlöf, "Tool position estimation of a flexible industrial robot using recursive Bayesian
@@ -98,8 +131,6 @@ class ExtendedKalmanFilter:
     own: leave NaN where a sensor has no sample.
     """
 
-    _smooth = False
-
     def __init__(
         self,
         robot: Robot,
@@ -114,98 +145,10 @@ class ExtendedKalmanFilter:
         gate: float | None = None,
         iterations: int = 1,
     ) -> None:
-        unknown = sorted(set(biases) - set(BIASED))
-        if unknown:
-            raise EstimatorError(f"biases: {unknown[0]!r} is not one of {', '.join(map(repr, BIASED))}")
-        if not isinstance(iterations, int) or iterations < 1:
-            raise EstimatorError(f"iterations is {iterations!r}, expected a whole number of at least 1")
-        self.robot = robot
+        wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque}
+        super().__init__(robot, wanted, biases, gate, iterations)
         self.noise = noise or Noise()
-        self._biases, self._damping = tuple(biases), damping
-        self._wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque}
-        self._gate, self._iterations = gate, iterations
-        self.status = 0
-        self._live: _core.ExtendedKalmanFilter | None = None
-        self._order = tuple(kind for kind, wanted in self._wanted.items() if wanted)
-
-    @overload
-    def run(self, log: Log, *, covariance: bool = False, innovations: bool = False) -> KalmanEstimate: ...
-    @overload
-    def run(
-        self, log: Sequence[Log], *, covariance: bool = False, innovations: bool = False
-    ) -> list[KalmanEstimate]: ...
-    def run(
-        self, log: Log | Sequence[Log], *, covariance: bool = False, innovations: bool = False
-    ) -> KalmanEstimate | list[KalmanEstimate]:
-        """Estimate a recording, or several on all cores; each starts from rest at its first sample.
-
-        Parameters
-        ----------
-        log
-            The recording, with motor positions of all joints.
-        covariance
-            Keep the whole state and its covariance.
-        innovations
-            Keep the innovations and their standard deviations.
-
-        Raises
-        ------
-        LogError
-            A column is missing, or a motor position at the first sample.
-        NumericalError
-            The estimate is no longer finite; names the sample.
-        """
-        if isinstance(log, Log):
-            return self._run(log, covariance, innovations)
-        with ThreadPoolExecutor() as pool:
-            return list(pool.map(lambda one: self._run(one, covariance, innovations), log))
-
-    def step(
-        self,
-        *,
-        dt: float,
-        theta: Signal,
-        acceleration: Signal | None = None,
-        dtheta: Signal | None = None,
-        ddqref: Signal | None = None,
-        further: Signal | None = None,
-        out: FloatArray | None = None,
-    ) -> FloatArray:
-        """Take one sample and give the mean of the state at its time; the first sample starts from rest.
-
-        Parameters
-        ----------
-        dt
-            Time since the sample before [s].
-        theta : (n,)
-            Motor positions, link side [rad]; NaN where missing, as in all signals.
-        acceleration : (m,)
-            Accelerometer channels in the order of ``robot.acceleration_channels`` [m/s²].
-        dtheta, ddqref : (n,)
-            Motor velocities [rad/s] and commanded link accelerations [rad/s²], where there are any.
-        further : (k,)
-            Readings of the kinds asked for, one after the other: ``dtheta``, ``rate``, ``q``, ``torque``.
-        out : (states,)
-            Array to write the result into.
-
-        Returns
-        -------
-        (states,)
-            Link positions, velocities, accelerations, then biases. ``covariance`` and ``status`` tell the rest.
-        """
-        live = self._live or self._start()
-        out = np.empty(live.states) if out is None else out
-        self.status = live.step(dt, theta, acceleration, dtheta, ddqref, further, out)
-        return out
-
-    @property
-    def covariance(self) -> FloatArray:
-        """Covariance of the state after the last `step`, (states, states)."""
-        return (self._live or self._start()).covariance
-
-    def reset(self) -> None:
-        """Forget the state: the next `step` starts anew, from rest."""
-        self._live = None
+        self._damping = damping
 
     def _refuse_late(self, what: str) -> None:
         if is_late(self.robot):
@@ -217,12 +160,11 @@ class ExtendedKalmanFilter:
     @property
     def _live_kinds(self) -> tuple[str, ...]:
         """Kinds of channels that `step` takes."""
-        return ("motor", "acceleration", *self._order)
+        return ("motor", "acceleration", *(kind for kind, wanted in self._wanted.items() if wanted))
 
     def _start(self) -> _core.ExtendedKalmanFilter:
         self._refuse_late("step")
-        self._live = self._core(self._live_kinds, self.noise)
-        return self._live
+        return self._core(self._live_kinds, self.noise)
 
     def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
         kinds = self._kinds(log)
@@ -234,14 +176,6 @@ class ExtendedKalmanFilter:
             (outcome,) = core.run_all([self._arrays(log, kinds)], self._smooth, covariance, innovations)
             result = result_of(log.source, outcome)
         return self._estimate(log, kinds, result)
-
-    def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> KalmanEstimate:
-        return KalmanEstimate(t=log.t, names=self.robot.names, channels=self._columns(log, kinds), **result)
-
-    def _columns(self, log: Log, kinds: tuple[str, ...]) -> tuple[str, ...]:
-        """Columns of a log that channels of these kinds read."""
-        columns = {"motor": "theta"}
-        return tuple(name for kind in kinds for name in log.columns(columns.get(kind, kind)))
 
     def _run_late(
         self, log: Log, kinds: tuple[str, ...], noise: Noise, covariance: bool, innovations: bool
@@ -283,13 +217,7 @@ class ExtendedKalmanFilter:
         log.require("theta", purpose="the Kalman filter")
         if self.robot.acceleration_channels:
             log.require("acceleration", purpose="the Kalman filter")
-        kinds = ["motor", "acceleration"]
-        for kind, wanted in self._wanted.items():
-            if wanted:
-                log.require(kind, purpose="the Kalman filter")
-            if wanted or (wanted is None and getattr(log, kind) is not None):
-                kinds.append(kind)
-        return tuple(kinds)
+        return self._with_wanted(("motor", "acceleration"), log, "the Kalman filter")
 
     def _core(
         self, kinds: tuple[str, ...], noise: Noise, factor: FloatArray | float = 1.0
@@ -298,26 +226,13 @@ class ExtendedKalmanFilter:
             self.robot.core, **self._settings(kinds, noise, factor), gate=self._gate, iterations=self._iterations
         )
 
-    def _width(self, kind: str) -> int:
-        """Channels of a kind."""
-        widths = {"acceleration": len(self.robot.acceleration_channels), "rate": len(self.robot.gyroscope_channels)}
-        return widths.get(kind, self.robot.n)
-
     def _settings(self, kinds: tuple[str, ...], noise: Noise, factor: FloatArray | float = 1.0) -> dict[str, Any]:
         """Settings of the model: its channels, which of them have a bias, noise, damping."""
         arrays = noise.arrays(self.robot, kinds)
         sensors = slice(self.robot.n, self.robot.n + self._width("acceleration"))
         factors = np.broadcast_to(factor, self._width("acceleration"))
         arrays["reading"][sensors] = list(arrays["reading"][sensors] * factors)
-        return {
-            "motor_velocities": "dtheta" in kinds,
-            "rates": "rate" in kinds,
-            "links": "q" in kinds,
-            "torques": "torque" in kinds,
-            "biased": [kind in self._biases for kind in kinds for _ in range(self._width(kind))],
-            "noise": arrays,
-            "damping": self._damping,
-        }
+        return self._channels(kinds) | {"noise": arrays, "damping": self._damping}
 
     def _arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:
         """Steps of time, readings, motor velocities and commanded jerk, one row a sample."""

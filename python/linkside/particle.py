@@ -12,7 +12,7 @@ import numpy.typing as npt
 from . import _core
 from .errors import EstimatorError, NumericalError
 from .estimate import Estimate, result_of
-from .kalman import ExtendedKalmanFilter, Signal
+from .kalman import ExtendedKalmanFilter, JerkDrivenFilter
 from .log import Log
 from .noise import Noise
 from .robot import Robot
@@ -54,7 +54,7 @@ class ParticleEstimate(Estimate):
     channels: tuple[str, ...] = ()
 
 
-class ParticleFilter:
+class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
     """Particle filter on the acceleration-driven model, with the same noise as `ExtendedKalmanFilter`.
 
     Axelsson, Karlsson and Norrlöf, "Tool position estimation of a flexible industrial robot using recursive Bayesian
@@ -134,6 +134,7 @@ class ParticleFilter:
         q: bool | None = None,
         torque: bool | None = None,
     ) -> None:
+        super().__init__()
         if collapse not in ("raise", "recover"):
             raise EstimatorError(f"collapse is {collapse!r}, expected 'raise' or 'recover'")
         self.robot = robot
@@ -154,8 +155,6 @@ class ParticleFilter:
             "recover": collapse == "recover",
             "quantiles": list(quantiles),
         }
-        self.status = 0
-        self._live: _core.ParticleFilter | None = None
         self._core(self._front._live_kinds, self.noise)  # settings are checked at once
 
     def run(self, log: Log, *, covariance: bool = False) -> ParticleEstimate:
@@ -197,57 +196,13 @@ class ParticleFilter:
             before = piece[-1:]
             yield self._estimate(piece, kinds, result)
 
-    def step(
-        self,
-        *,
-        dt: float,
-        theta: Signal,
-        acceleration: Signal | None = None,
-        dtheta: Signal | None = None,
-        ddqref: Signal | None = None,
-        further: Signal | None = None,
-        out: FloatArray | None = None,
-    ) -> FloatArray:
-        """Take one sample and give the mean of the state at its time; the first sample starts from rest.
-
-        Parameters
-        ----------
-        dt, theta, acceleration, dtheta, ddqref, further, out
-            As of `ExtendedKalmanFilter.step`.
-
-        Returns
-        -------
-        (states,)
-            Link positions, velocities, accelerations, then biases. ``covariance``, ``effective`` and ``status`` tell
-            the rest.
-
-        Raises
-        ------
-        NumericalError
-            No particle explains the sample.
-        """
-        live = self._live or self._start()
-        out = np.empty(live.states) if out is None else out
-        self.status = live.step(dt, theta, acceleration, dtheta, ddqref, further, out)
-        return out
-
-    @property
-    def covariance(self) -> FloatArray:
-        """Covariance of the state after the last `step`, (states, states)."""
-        return (self._live or self._start()).covariance
-
     @property
     def effective(self) -> float:
         """Effective number of particles after the last `step`."""
-        return (self._live or self._start()).effective
-
-    def reset(self) -> None:
-        """Forget the state: the next `step` starts anew, from rest."""
-        self._live = None
+        return self._live.effective
 
     def _start(self) -> _core.ParticleFilter:
-        self._live = self._core(self._front._live_kinds, self.noise)
-        return self._live
+        return self._core(self._front._live_kinds, self.noise)
 
     def _prepared(self, log: Log) -> tuple[_core.ParticleFilter, tuple[str, ...]]:
         kinds = self._front._kinds(log)

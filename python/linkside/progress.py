@@ -19,7 +19,7 @@ from rich.text import Text
 
 from linkside.check import LIMIT, NEVER, CheckReport, prismatic
 from linkside.estimate import Estimate, EstimateError
-from linkside.kalman import KalmanEstimate
+from linkside.filtering import KalmanEstimate
 from linkside.robot import Robot
 
 if TYPE_CHECKING:

@@ -18,6 +18,7 @@ from . import _core
 from .controllers import Controller, State, law_of
 from .elastic import ElasticJointFilter
 from .errors import EstimatorError, OutputError
+from .filtering import sized
 from .log import Log
 from .noise import sensor_noise
 from .robot import Robot
@@ -154,7 +155,7 @@ def simulate(
         "substeps": _whole("substeps", substeps),
         "keep_every": _whole("keep_every", keep_every),
         "seed": _whole("seed", seed, least=0),
-        **{name: None if value is None else _sized(name, value, robot.n).tolist() for name, value in start.items()},
+        **{name: None if value is None else sized(name, value, robot.n).tolist() for name, value in start.items()},
     }
     channels = [dataclasses.asdict(channel) for kind in KINDS for channel in models[kind]]
     told = _told(feedback, robot)
@@ -238,10 +239,3 @@ def _whole(name: str, value: int, least: int = 1) -> int:
     if not isinstance(value, int) or value < least:
         raise EstimatorError(f"{name} is {value!r}, expected a whole number of at least {least}")
     return value
-
-
-def _sized(name: str, value: npt.ArrayLike, n: int) -> FloatArray:
-    array = np.asarray(value, dtype=np.float64)
-    if array.shape != (n,):
-        raise EstimatorError(f"{name} has shape {array.shape}, expected ({n},)")
-    return array

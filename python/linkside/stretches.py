@@ -20,7 +20,8 @@ from pyarrow import feather
 from . import _core
 from .errors import EstimatorError, NumericalError, OutputError
 from .estimate import EstimateWriter, check_writable
-from .kalman import Arrays, KalmanEstimate, RauchTungStriebelSmoother
+from .filtering import KalmanEstimate
+from .kalman import Arrays, RauchTungStriebelSmoother
 from .log import Log
 from .robot import Robot
 

@@ -12,7 +12,8 @@ import scipy.optimize
 
 from .consistency import long_run_variance
 from .errors import EstimatorError, LogError, NumericalError
-from .kalman import ExtendedKalmanFilter, KalmanEstimate
+from .filtering import KalmanEstimate
+from .kalman import ExtendedKalmanFilter
 from .log import Log
 from .noise import Noise, jerk_scale, per_joint
 from .robot import Robot
