@@ -15,7 +15,7 @@ from .errors import EstimatorError, NumericalError
 from .estimate import result_of
 from .filtering import KalmanEstimate, KalmanFilter, Signal, sized
 from .log import Log
-from .noise import PositiveStd, Std, motor_noise, per_joint, sensor_noise
+from .noise import PositiveStd, Std, channel_arrays, motor_noise, per_joint
 from .robot import Robot
 from .sensing import is_late
 from .source import Source
@@ -75,31 +75,15 @@ class ElasticNoise(BaseModel):
     def arrays(self, robot: Robot, kinds: tuple[str, ...]) -> dict[str, list[float]]:
         """Arrays for the filter: one number a joint or channel, the channels being those of ``kinds`` in order."""
         n = robot.n
-        per_kind = {
-            "motor": (motor_noise(robot, self.transmission), self.motor_bias, self.motor_bias_walk),
-            "acceleration": (
-                self.acceleration * sensor_noise(robot.accelerometers),
-                self.acceleration_bias,
-                self.acceleration_bias_walk,
-            ),
-            "dtheta": (np.full(n, self.motor_velocity), 0.0, 0.0),
-            "rate": (self.rate * sensor_noise(robot.gyroscopes), self.rate_bias, self.rate_bias_walk),
-            "q": (np.full(n, self.link), 0.0, 0.0),
-            "torque": (np.full(n, self.joint_torque), 0.0, 0.0),
-        }
-        chosen = [per_kind[kind] for kind in kinds]
-        spread = [np.repeat([bias, walk], len(noise)).reshape(2, -1) for noise, bias, walk in chosen]
         drag = np.array([d.motor_friction.viscous + d.motor_friction.coulomb or 1.0 for d in robot.drives])
         initial = [np.repeat([self.position, self.velocity], n), self.disturbance * drag]
-        arrays = {
+        channels = channel_arrays(self, motor_noise(robot, self.transmission), robot, kinds)
+        arrays = channels | {
             "link": per_joint("link_acceleration", self.link_acceleration, n),
             "motor": per_joint("motor_acceleration", self.motor_acceleration, n),
             "torque": np.full(n, self.torque * robot.config.torque.noise_std),
             "disturbance_walk": self.disturbance_walk * drag,
-            "reading": np.concatenate([noise for noise, _, _ in chosen]),
-            "bias_walk": np.concatenate([s[1] for s in spread]),
             "initial": np.concatenate(initial),
-            "initial_bias": np.concatenate([s[0] for s in spread]),
         }
         return {name: values.tolist() for name, values in arrays.items()}
 

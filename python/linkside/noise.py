@@ -104,35 +104,44 @@ class Noise(BaseModel):
 
     def arrays(self, robot: Robot, kinds: tuple[str, ...]) -> dict[str, Any]:
         """Arrays for the filter: one number a joint or channel, the channels being those of ``kinds`` in order."""
-        n = robot.n
-        per_kind = {
-            "motor": (self._motor(robot), self.motor_bias, self.motor_bias_walk),
-            "acceleration": (
-                self.acceleration * sensor_noise(robot.accelerometers),
-                self.acceleration_bias,
-                self.acceleration_bias_walk,
-            ),
-            "dtheta": (np.full(n, self.motor_velocity), 0.0, 0.0),
-            "rate": (self.rate * sensor_noise(robot.gyroscopes), self.rate_bias, self.rate_bias_walk),
-            "q": (np.full(n, self.link), 0.0, 0.0),
-            "torque": (np.full(n, self.joint_torque), 0.0, 0.0),
-        }
-        chosen = [per_kind[kind] for kind in kinds]
-        spread = [np.repeat([bias, walk], len(noise)).reshape(2, -1) for noise, bias, walk in chosen]
-        initial = np.repeat([self.position, self.velocity, self.initial_acceleration], n)
-        return {
-            "jerk": per_joint("jerk", LEAST_JERK if self.jerk is None else self.jerk, n).tolist(),
-            "reading": np.concatenate([noise for noise, _, _ in chosen]).tolist(),
+        channels = channel_arrays(self, self._motor(robot), robot, kinds)
+        initial = np.repeat([self.position, self.velocity, self.initial_acceleration], robot.n)
+        return {name: values.tolist() for name, values in channels.items()} | {
+            "jerk": per_joint("jerk", LEAST_JERK if self.jerk is None else self.jerk, robot.n).tolist(),
             "torsion": self.torsion,
-            "bias_walk": np.concatenate([s[1] for s in spread]).tolist(),
             "initial": initial.tolist(),
-            "initial_bias": np.concatenate([s[0] for s in spread]).tolist(),
         }
 
     def _motor(self, robot: Robot) -> FloatArray:
         """Encoder steps, the transmission's error, and what the damping torque's velocity adds, D/K of its noise."""
         lag = np.array([d.damping / d.stiffness if d.elastic and d.stiffness else 0.0 for d in robot.drives])
         return np.asarray(np.hypot(motor_noise(robot, self.transmission), lag * self.motor_velocity))
+
+
+def channel_arrays(noise: Any, motor: FloatArray, robot: Robot, kinds: tuple[str, ...]) -> dict[str, FloatArray]:
+    """Noise and biases of the channels of ``kinds`` in order: one number a channel.
+
+    ``noise`` has the attributes of `Noise` that describe readings; ``motor`` is that of motor positions (n,) [rad].
+    """
+    n = robot.n
+    per_kind = {
+        "motor": (motor, noise.motor_bias, noise.motor_bias_walk),
+        "acceleration": (
+            noise.acceleration * sensor_noise(robot.accelerometers),
+            noise.acceleration_bias,
+            noise.acceleration_bias_walk,
+        ),
+        "dtheta": (np.full(n, noise.motor_velocity), 0.0, 0.0),
+        "rate": (noise.rate * sensor_noise(robot.gyroscopes), noise.rate_bias, noise.rate_bias_walk),
+        "q": (np.full(n, noise.link), 0.0, 0.0),
+        "torque": (np.full(n, noise.joint_torque), 0.0, 0.0),
+    }
+    chosen = [per_kind[kind] for kind in kinds]
+    return {
+        "reading": np.concatenate([own for own, _, _ in chosen]),
+        "bias_walk": np.concatenate([np.full(len(own), walk) for own, _, walk in chosen]),
+        "initial_bias": np.concatenate([np.full(len(own), bias) for own, bias, _ in chosen]),
+    }
 
 
 def motor_noise(robot: Robot, transmission: float | tuple[float, ...]) -> FloatArray:
