@@ -165,55 +165,6 @@ pub(crate) fn subtract_pair(y: &mut [f64], p: f64, u: &[f64], q: f64, v: &[f64])
     }
 }
 
-/// L of A = L Lᵀ over A's lower triangle, row-major n × n; false when A is not positive definite.
-#[inline(always)]
-pub(crate) fn cholesky(a: &mut [f64], n: usize) -> bool {
-    for i in 0..n {
-        for j in 0..=i {
-            let mut sum = a[i * n + j];
-            for k in 0..j {
-                sum -= a[i * n + k] * a[j * n + k];
-            }
-            if i > j {
-                a[i * n + j] = sum / a[j * n + j];
-            } else if sum > 0.0 {
-                a[i * n + i] = sum.sqrt();
-            } else {
-                return false;
-            }
-        }
-    }
-    true
-}
-
-/// X of L Lᵀ X = B, in place: B has n rows of `width`.
-#[inline(always)]
-pub(crate) fn solve(l: &[f64], n: usize, b: &mut [f64], width: usize) {
-    for i in 0..n {
-        let (done, rest) = b.split_at_mut(i * width);
-        let own = &mut rest[..width];
-        for (k, row) in done.chunks_exact(width).enumerate() {
-            add_scaled(own, -l[i * n + k], row);
-        }
-        scale(own, 1.0 / l[i * n + i]);
-    }
-    for i in (0..n).rev() {
-        let (rest, done) = b.split_at_mut((i + 1) * width);
-        let own = &mut rest[i * width..];
-        for (k, row) in done.chunks_exact(width).enumerate() {
-            add_scaled(own, -l[(i + 1 + k) * n + i], row);
-        }
-        scale(own, 1.0 / l[i * n + i]);
-    }
-}
-
-#[inline(always)]
-fn scale(row: &mut [f64], factor: f64) {
-    for x in row {
-        *x *= factor;
-    }
-}
-
 /// L and D of A = L D Lᵀ over A's lower triangle and diagonal, row-major n × n. Without square roots, for any scalar.
 #[inline(always)]
 pub(crate) fn factorise<T: Scalar>(a: &mut [T], n: usize) {
@@ -235,9 +186,27 @@ pub(crate) fn factorise<T: Scalar>(a: &mut [T], n: usize) {
     }
 }
 
+/// Whether the matrix that was [factorised](factorise) is positive definite.
+#[inline(always)]
+pub(crate) fn is_definite(a: &[f64], n: usize) -> bool {
+    a.iter().step_by(n + 1).all(|&pivot| pivot > 0.0)
+}
+
+/// L √D over L and D of [`factorise`], the factor of Cholesky.
+#[inline(always)]
+pub(crate) fn root<T: Scalar>(a: &mut [T], n: usize) {
+    for j in 0..n {
+        let pivot = a[j * n + j].sqrt();
+        for i in j + 1..n {
+            a[i * n + j] = a[i * n + j] * pivot;
+        }
+        a[j * n + j] = pivot;
+    }
+}
+
 /// X of L D Lᵀ X = B, in place, after [`factorise`]: B has n rows of `width`.
 #[inline(always)]
-pub(crate) fn solve_factorised<T: Scalar>(a: &[T], n: usize, b: &mut [T], width: usize) {
+pub(crate) fn solve<T: Scalar>(a: &[T], n: usize, b: &mut [T], width: usize) {
     let subtract = |own: &mut [T], row: &[T], factor: T| {
         for (x, y) in own.iter_mut().zip(row) {
             *x -= *y * factor;

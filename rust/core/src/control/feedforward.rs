@@ -213,7 +213,7 @@ impl<'a, const P: usize> Run<'a, P> {
         let (n, drive) = (self.robot.len(), &self.robot.drives[joint]);
         let coupled: f64 = (0..joint).map(|i| self.robot.coupling[i * n + joint] * self.link[2][i].value()).sum();
         let speed = self.theta[joint].0[1];
-        let friction = drive.motor_friction.viscous * speed + drive.dry_friction(speed);
+        let friction = drive.motor_friction(speed).0;
         drive.motor_inertia * 2.0 * self.theta[joint].0[2] + coupled + self.load[joint].value() + friction
     }
 }

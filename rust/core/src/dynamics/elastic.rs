@@ -115,7 +115,7 @@ impl ElasticDynamics {
         loads.mass_matrix_into(&robot.tree, kinematics, mass);
         for (j, drive) in robot.drives.iter().enumerate() {
             let (speed, extra) = (x[layout.dtheta[j]], layout.disturbance.map_or(0.0, |first| x[first + j]));
-            let friction = drive.motor_friction.viscous * speed + drive.dry_friction(speed);
+            let friction = drive.motor_friction(speed).0;
             self.drive[j] = tau[j] + extra - friction;
             self.spring[j] = if drive.elastic {
                 drive.spring_torque(x[layout.theta[j]] - q[j]) + drive.damping * (speed - dq[j])
@@ -125,7 +125,8 @@ impl ElasticDynamics {
             self.ddq[j] = self.spring[j] - load[j] - drive.link_friction(dq[j]).0;
         }
         self.couple(robot);
-        if !linear::cholesky(&mut self.mass, n) {
+        linear::factorise(&mut self.mass, n);
+        if !linear::is_definite(&self.mass, n) {
             self.ddq.fill(f64::NAN);
             self.ddtheta.fill(f64::NAN);
             return;
@@ -236,7 +237,7 @@ impl ElasticDynamics {
     fn differentiate_motor(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[f64], j: usize) {
         let (n, d, drive) = (layout.joints, layout.dense, &robot.drives[j]);
         let (theta, dtheta) = (layout.theta[j], layout.dtheta[j]);
-        let slip = drive.motor_friction.viscous + drive.dry_friction_slope(x[dtheta]);
+        let slip = drive.motor_friction(x[dtheta]).1;
         let disturbance = layout.disturbance.map(|first| first + j);
         if !drive.elastic {
             self.ddq_by[j * d + dtheta] -= slip;

@@ -8,7 +8,7 @@
 //! Arrays always have one entry a joint. Of a rigid joint θ and θ̇ are not read, derivatives by them are zero, θ̈ is q̈.
 
 use super::{Kinematics, Loads};
-use crate::linear::{factorise, solve_factorised};
+use crate::linear::{factorise, solve};
 use crate::robot::{Robot, Tree};
 use crate::scalar::Scalar;
 
@@ -142,7 +142,7 @@ impl<T: Scalar> ForwardDynamics<T> {
         self.gather_inertia();
         self.gather_torques(robot, state, tau);
         factorise(&mut self.inertia, self.coordinates);
-        solve_factorised(&self.inertia, self.coordinates, &mut self.solution, 1);
+        solve(&self.inertia, self.coordinates, &mut self.solution, 1);
         for (j, &motor) in self.motor.iter().enumerate() {
             ddq[j] = self.solution[j];
             ddtheta[j] = self.solution[motor];
@@ -172,7 +172,7 @@ impl<T: Scalar> ForwardDynamics<T> {
         self.columns.fill(T::default());
         self.differentiate_loads(robot);
         self.differentiate_drives(robot, state);
-        solve_factorised(&self.inertia, self.coordinates, &mut self.columns, 5 * n);
+        solve(&self.inertia, self.coordinates, &mut self.columns, 5 * n);
         self.scatter(jacobian, n);
     }
 

@@ -209,7 +209,7 @@ impl ElasticModel {
             out[n + j] = -drive.damping;
             return 1;
         }
-        let slip = drive.motor_friction.viscous + drive.dry_friction_slope(x[n + j]);
+        let slip = drive.motor_friction(x[n + j]).1;
         prediction[row] -= drive.motor_inertia * dynamics.ddq[j];
         out[n + j] = -slip;
         if let Some(first) = layout.disturbance {

@@ -6,6 +6,7 @@ use super::logarithm::ln;
 use super::random::{Purpose, Stream};
 use super::settings::Proposal;
 use crate::estimate::kalman::JerkModel;
+use crate::linear;
 use crate::scalar::{Lanes, Scalar};
 use crate::simd::Kernel;
 
@@ -170,15 +171,17 @@ impl Scratch {
         iterations: usize,
         tail: Option<u32>,
     ) -> Wide {
+        let n = self.mode.len();
         self.mode.fill(Wide::default());
         for iteration in 0..iterations {
             self.noise.copy_from_slice(&self.mode);
             self.apply_noise(sample);
             self.sensed.linearise(model, &self.after, &sample.dtheta, reach(sample.dt));
             self.gather_information(sample, iteration > 0);
-            factorise(&mut self.factor, self.mode.len());
-            solve(&self.factor, &mut self.mode);
+            linear::factorise(&mut self.factor, n);
+            linear::solve(&self.factor, n, &mut self.mode, 1);
         }
+        linear::root(&mut self.factor, n);
         let stretch = tail.map(|dof| stretch(sample, items, dof));
         self.draw_around_mode(stretch.zip(tail))
     }
@@ -328,40 +331,6 @@ pub(super) fn log_gamma(x: f64) -> f64 {
     let z = 1.0 / (y * y);
     let series = (1.0 / 12.0 - z * (1.0 / 360.0 - z * (1.0 / 1260.0 - z / 1680.0))) / y;
     (y - 0.5) * ln(y) - y + 0.5 * ln(core::f64::consts::TAU) + series - ln(product)
-}
-
-/// Lower factor L of a positive definite matrix, over its lower triangle.
-#[inline(always)]
-fn factorise(a: &mut [Wide], n: usize) {
-    for j in 0..n {
-        for i in j..n {
-            let mut sum = a[i * n + j];
-            for k in 0..j {
-                sum -= a[i * n + k] * a[j * n + k];
-            }
-            a[i * n + j] = if i == j { sum.sqrt() } else { sum / a[j * n + j] };
-        }
-    }
-}
-
-/// x ← (L Lᵀ)⁻¹ x.
-#[inline(always)]
-fn solve(l: &[Wide], x: &mut [Wide]) {
-    let n = x.len();
-    for i in 0..n {
-        let mut sum = x[i];
-        for k in 0..i {
-            sum -= l[i * n + k] * x[k];
-        }
-        x[i] = sum / l[i * n + i];
-    }
-    for i in (0..n).rev() {
-        let mut sum = x[i];
-        for k in i + 1..n {
-            sum -= l[k * n + i] * x[k];
-        }
-        x[i] = sum / l[i * n + i];
-    }
 }
 
 impl Reading {

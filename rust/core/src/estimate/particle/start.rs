@@ -5,6 +5,7 @@ use super::logarithm::ln;
 use super::proposal::{Sample, draw};
 use super::random::{Purpose, Stream};
 use crate::estimate::kalman::{Gaussian, Linearised};
+use crate::linear;
 use crate::scalar::{Lanes, Scalar};
 
 /// Where the first particles come from: N(mode, (Λ⁻¹)) in units of the first belief's standard deviations.
@@ -41,27 +42,10 @@ impl<'a> Start<'a> {
                 }
             }
         }
-        start.solve();
+        linear::factorise(&mut start.factor, entries);
+        linear::solve(&start.factor, entries, &mut start.mode, 1);
+        linear::root(&mut start.factor, entries);
         start
-    }
-
-    /// Λ to its factor, AᵀS⁻¹ε to the mode.
-    fn solve(&mut self) {
-        let (n, l) = (self.mode.len(), &mut self.factor);
-        for j in 0..n {
-            for i in j..n {
-                let sum = l[i * n + j] - (0..j).map(|k| l[i * n + k] * l[j * n + k]).sum::<f64>();
-                l[i * n + j] = if i == j { sum.sqrt() } else { sum / l[j * n + j] };
-            }
-        }
-        for i in 0..n {
-            let sum: f64 = (0..i).map(|k| l[i * n + k] * self.mode[k]).sum();
-            self.mode[i] = (self.mode[i] - sum) / l[i * n + i];
-        }
-        for i in (0..n).rev() {
-            let sum: f64 = (i + 1..n).map(|k| l[k * n + i] * self.mode[k]).sum();
-            self.mode[i] = (self.mode[i] - sum) / l[i * n + i];
-        }
     }
 
     /// Draws the cloud, with weights as if it came from the belief; the mean of its positions is `origins`' where there

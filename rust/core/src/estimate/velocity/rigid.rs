@@ -1,7 +1,7 @@
 //! Accelerations of a robot whose joints are taken to be rigid.
 
 use crate::dynamics::{Kinematics, Loads};
-use crate::linear::{cholesky, solve};
+use crate::linear::{factorise, is_definite, solve};
 use crate::robot::Robot;
 use crate::spatial::Vec3;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ pub(super) struct RigidDynamics {
     loads: Loads<f64>,
     /// What the motors add to M, n × n.
     added: Vec<f64>,
-    /// Cholesky factor of the inertia at the position that was set last.
+    /// The factorised inertia at the position that was set last.
     factor: Vec<f64>,
     zero: Vec<f64>,
 }
@@ -55,7 +55,8 @@ impl RigidDynamics {
                 self.factor[j * n + j] += 0.5 * self.period * drive.dry_friction_slope(v[j]);
             }
         }
-        cholesky(&mut self.factor, n)
+        factorise(&mut self.factor, n);
+        is_definite(&self.factor, n)
     }
 
     /// Acceleration at velocity `v` under `torque`, at the position that was set.
@@ -66,7 +67,7 @@ impl RigidDynamics {
         self.kinematics.set_acceleration(tree, v, &self.zero);
         self.loads.inverse_dynamics_into(tree, &self.kinematics, out);
         for (j, drive) in self.robot.drives.iter().enumerate() {
-            let motor = if self.motors { drive.motor_friction.viscous * v[j] + drive.dry_friction(v[j]) } else { 0.0 };
+            let motor = if self.motors { drive.motor_friction(v[j]).0 } else { 0.0 };
             out[j] = torque[j] - out[j] - motor - drive.link_friction(v[j]).0;
         }
         self.solve(out);
