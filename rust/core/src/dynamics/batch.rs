@@ -158,11 +158,8 @@ impl<'a> Batch<'a> {
 
 /// The recorded axes of `sensors`, one after the other.
 fn read(sensors: &[Sensor], out: &mut [f64], sense: impl Fn(&Sensor) -> Vec3<f64>) {
-    let values = sensors.iter().flat_map(|s| {
-        let value = sense(s);
-        s.axes.iter().map(move |&axis| value.0[axis])
-    });
-    for (out, value) in out.iter_mut().zip(values) {
-        *out = value;
+    let mut from = 0;
+    for sensor in sensors {
+        from += sensor.record(&sense(sensor), &mut out[from..]);
     }
 }

@@ -9,6 +9,8 @@ pub use rotor::Rotor;
 pub use tree::{Body, BodySpec, Frame, JointKind, Tree};
 
 use crate::error::RobotError;
+use crate::scalar::Scalar;
+use crate::spatial::Vec3;
 
 /// A three-axis sensor fixed to a body.
 #[derive(Clone, Debug)]
@@ -22,6 +24,15 @@ pub struct Sensor {
 }
 
 impl Sensor {
+    /// Writes the recorded axes of `value` into `out`; returns how many.
+    #[inline(always)]
+    pub(crate) fn record<T: Scalar>(&self, value: &Vec3<T>, out: &mut [T]) -> usize {
+        for (slot, &axis) in out.iter_mut().zip(&self.axes) {
+            *slot = value.0[axis];
+        }
+        self.axes.len()
+    }
+
     fn check(&self, owner: &str) -> Result<(), RobotError> {
         let (std, owner) = (self.noise_std, || owner.to_string());
         expect(std > 0.0 && std.is_finite(), "noise_std", owner, std, "greater than 0")?;

@@ -138,7 +138,7 @@ impl<T: Scalar> Evaluation<T> {
     fn acceleration(&mut self, robot: &Robot, row: usize, sensor: &Sensor) -> usize {
         let Self { kinematics, prediction, jacobian, .. } = self;
         let n = robot.len();
-        scatter(sensor, &kinematics.specific_force(&sensor.frame), &mut prediction[row..]);
+        sensor.record(&kinematics.specific_force(&sensor.frame), &mut prediction[row..]);
         kinematics.specific_force_derivatives(&robot.tree, &sensor.frame, |joint, columns| {
             put(sensor, row, n, joint, &columns, jacobian);
         });
@@ -149,19 +149,11 @@ impl<T: Scalar> Evaluation<T> {
     fn rate(&mut self, robot: &Robot, row: usize, sensor: &Sensor) -> usize {
         let Self { kinematics, prediction, jacobian, .. } = self;
         let n = robot.len();
-        scatter(sensor, &kinematics.angular_rate(&sensor.frame), &mut prediction[row..]);
+        sensor.record(&kinematics.angular_rate(&sensor.frame), &mut prediction[row..]);
         kinematics.angular_rate_derivatives(&robot.tree, &sensor.frame, |joint, columns| {
             put(sensor, row, n, joint, &columns, jacobian);
         });
         sensor.axes.len()
-    }
-}
-
-/// The recorded axes of `value`.
-#[inline(always)]
-pub(super) fn scatter<T: Scalar>(sensor: &Sensor, value: &Vec3<T>, out: &mut [T]) {
-    for (slot, &axis) in out.iter_mut().zip(&sensor.axes) {
-        *slot = value.0[axis];
     }
 }
 

@@ -1,6 +1,6 @@
 //! The elastic-joint model: links and motors moved by motor torques, everything that is recorded as a measurement.
 
-use super::channels::{Channel, scatter};
+use super::channels::Channel;
 use super::gaussian::{Gaussian, Symmetric};
 use super::jerk::Further;
 use super::model::{Linearised, Model};
@@ -165,7 +165,7 @@ impl ElasticModel {
         let Self { robot, transition, prediction, jacobian, .. } = self;
         let (dynamics, d, n) = (&transition.dynamics, transition.layout.dense, robot.len());
         let sensor = &robot.accelerometers[sensor];
-        scatter(sensor, &dynamics.kinematics.specific_force(&sensor.frame), &mut prediction[row..]);
+        sensor.record(&dynamics.kinematics.specific_force(&sensor.frame), &mut prediction[row..]);
         dynamics.kinematics.specific_force_derivatives(&robot.tree, &sensor.frame, |joint, [by_q, by_dq, by_ddq]| {
             for (r, &axis) in sensor.axes.iter().enumerate() {
                 let out = &mut jacobian[(row + r) * d..][..d];
@@ -182,7 +182,7 @@ impl ElasticModel {
         let Self { robot, transition, prediction, jacobian, .. } = self;
         let (dynamics, d, n) = (&transition.dynamics, transition.layout.dense, robot.len());
         let sensor = &robot.gyroscopes[sensor];
-        scatter(sensor, &dynamics.kinematics.angular_rate(&sensor.frame), &mut prediction[row..]);
+        sensor.record(&dynamics.kinematics.angular_rate(&sensor.frame), &mut prediction[row..]);
         dynamics.kinematics.angular_rate_derivatives(&robot.tree, &sensor.frame, |joint, [by_q, by_dq]| {
             for (r, &axis) in sensor.axes.iter().enumerate() {
                 let out = &mut jacobian[(row + r) * d..][..d];

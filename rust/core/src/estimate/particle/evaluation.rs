@@ -64,12 +64,12 @@ impl<T: Scalar> Sensed<T> {
             Channel::Acceleration { sensor, .. } => {
                 let sensor = &robot.accelerometers[sensor];
                 let force = self.kinematics.specific_force(&sensor.frame);
-                return scatter(sensor, &force, &mut self.prediction[row..]);
+                return sensor.record(&force, &mut self.prediction[row..]);
             }
             Channel::Rate { sensor, .. } => {
                 let sensor = &robot.gyroscopes[sensor];
                 let rate = self.kinematics.angular_rate(&sensor.frame);
-                return scatter(sensor, &rate, &mut self.prediction[row..]);
+                return sensor.record(&rate, &mut self.prediction[row..]);
             }
         };
         1
@@ -155,7 +155,7 @@ impl<T: Scalar> Sensed<T> {
     #[inline(always)]
     fn acceleration(&mut self, model: &JerkModel, row: usize, sensor: &Sensor, reach: Reach) -> usize {
         let Self { kinematics, prediction, by_increment, .. } = self;
-        let count = scatter(sensor, &kinematics.specific_force(&sensor.frame), &mut prediction[row..]);
+        let count = sensor.record(&kinematics.specific_force(&sensor.frame), &mut prediction[row..]);
         kinematics.specific_force_derivatives(&model.robot.tree, &sensor.frame, |joint, [q, dq, ddq]| {
             let change = q * reach[0] + dq * reach[1] + ddq;
             put(sensor, row, model.joints(), joint, &change, by_increment);
@@ -166,21 +166,13 @@ impl<T: Scalar> Sensed<T> {
     #[inline(always)]
     fn rate(&mut self, model: &JerkModel, row: usize, sensor: &Sensor, reach: Reach) -> usize {
         let Self { kinematics, prediction, by_increment, .. } = self;
-        let count = scatter(sensor, &kinematics.angular_rate(&sensor.frame), &mut prediction[row..]);
+        let count = sensor.record(&kinematics.angular_rate(&sensor.frame), &mut prediction[row..]);
         kinematics.angular_rate_derivatives(&model.robot.tree, &sensor.frame, |joint, [q, dq]| {
             let change = q * reach[0] + dq * reach[1];
             put(sensor, row, model.joints(), joint, &change, by_increment);
         });
         count
     }
-}
-
-#[inline(always)]
-fn scatter<T: Scalar>(sensor: &Sensor, value: &Vec3<T>, out: &mut [T]) -> usize {
-    for (slot, &axis) in out.iter_mut().zip(&sensor.axes) {
-        *slot = value.0[axis];
-    }
-    sensor.axes.len()
 }
 
 /// Writes one joint's column of a sensor's rows.
