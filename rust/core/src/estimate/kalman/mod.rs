@@ -2,6 +2,7 @@
 
 mod channels;
 mod correction;
+mod driven;
 mod elastic;
 mod filter;
 mod gaussian;
@@ -14,10 +15,11 @@ mod smoother;
 mod transition;
 
 pub use channels::{Channel, Evaluation};
+pub use driven::JerkDriven;
 pub use elastic::{Discretization, ElasticModel, ElasticNoise, ElasticSettings};
 pub use filter::{ExtendedKalmanFilter, FilterSettings};
 pub use gaussian::{Gaussian, Row, Symmetric};
-pub use jerk::{Further, JerkDriven, JerkModel, Noise};
+pub use jerk::{Further, JerkModel, Noise};
 pub use model::{Linearised, Model};
 pub(crate) use output::Tool;
 pub use output::{FilterOutput, Keep};

@@ -1,0 +1,247 @@
+//! The acceleration-driven model as a filter runs it.
+
+use super::channels::{Channel, Evaluation};
+use super::gaussian::{Gaussian, Symmetric};
+use super::jerk::{JerkModel, Noise};
+use super::model::{Linearised, Model};
+use super::output::FilterOutput;
+use super::recording::{KalmanRecording, KalmanSample};
+use super::slope::Slope;
+use crate::error::DesignError;
+use crate::estimate::observer::link_position_at_rest;
+use crate::robot::Robot;
+use crate::scalar::Dual;
+
+/// The acceleration-driven model with its noise, as a filter runs it.
+#[derive(Clone, Debug)]
+pub struct JerkDriven {
+    model: JerkModel,
+    noise: Noise,
+    /// Whether the damping torque D(θ̇ − q̇) is predicted.
+    damping: bool,
+    evaluation: Evaluation<f64>,
+    /// Motor positions and how they change in time; there when motor velocities are measured.
+    motors: Option<Motors>,
+    /// Where the channels are linearised.
+    reference: Vec<f64>,
+    /// Motor velocities for the damping torque.
+    dtheta: Vec<f64>,
+    slope: Slope,
+    jerk: Vec<f64>,
+    dt: f64,
+}
+
+impl JerkDriven {
+    /// `model` with `noise`; `damping` says whether the damping torque D(θ̇ − q̇), which the paper drops, is predicted.
+    ///
+    /// # Errors
+    /// Noise that does not fit the model.
+    pub fn new(model: JerkModel, noise: Noise, damping: bool) -> Result<Self, DesignError> {
+        model.check(&noise)?;
+        let (n, m) = (model.joints(), model.channels());
+        Ok(Self {
+            evaluation: Evaluation::new(&model.robot, m),
+            motors: model.channels.contains(&Channel::MotorVelocity(0)).then(|| Motors::new(&model.robot)),
+            reference: vec![0.0; 3 * n],
+            dtheta: vec![f64::NAN; n],
+            slope: Slope::new(n),
+            jerk: vec![0.0; n],
+            dt: 0.0,
+            model,
+            noise,
+            damping,
+        })
+    }
+
+    /// Number of accelerometer channels.
+    pub fn acceleration_channels(&self) -> usize {
+        self.model.acceleration_channels()
+    }
+
+    /// The model without its noise.
+    pub(crate) fn jerk_model(&self) -> &JerkModel {
+        &self.model
+    }
+
+    /// The noise.
+    pub(crate) fn noise(&self) -> &Noise {
+        &self.noise
+    }
+
+    /// Motor velocities for the damping torque, and jerk, of the sample last predicted to.
+    pub(crate) fn inputs(&self) -> (&[f64], &[f64]) {
+        (&self.dtheta, &self.jerk)
+    }
+
+    #[inline(always)]
+    fn take(&mut self, sample: &KalmanSample<'_>) {
+        self.dt = sample.dt;
+        self.jerk.copy_from_slice(sample.inputs.jerk);
+        if self.damping {
+            self.dtheta.copy_from_slice(sample.inputs.dtheta);
+            self.slope.push(sample.dt, &sample.readings[..self.jerk.len()]);
+            self.slope.fill(&mut self.dtheta);
+        }
+    }
+}
+
+impl Model for JerkDriven {
+    fn robot(&self) -> &Robot {
+        &self.model.robot
+    }
+
+    #[inline(always)]
+    fn states(&self) -> usize {
+        self.model.states()
+    }
+
+    #[inline(always)]
+    fn dense(&self) -> usize {
+        self.reference.len()
+    }
+
+    #[inline(always)]
+    fn biases(&self) -> &[Option<usize>] {
+        &self.model.biases
+    }
+
+    fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError> {
+        let needed = [("dtheta", recording.inputs.dtheta), ("jerk", recording.inputs.jerk)];
+        recording.expect(self.model.channels(), self.model.joints(), &needed)
+    }
+
+    fn start(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) -> Result<(), DesignError> {
+        let theta = &sample.readings[..self.model.joints()];
+        if let Some(joint) = theta.iter().position(|x| x.is_nan()) {
+            return Err(DesignError::NoStart { joint });
+        }
+        let q = link_position_at_rest(&self.model.robot, theta)?;
+        *belief = self.model.initial(&q, &self.noise);
+        self.slope.reset();
+        self.take(sample);
+        Ok(())
+    }
+
+    #[inline(always)]
+    fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
+        self.model.predict(belief, &self.noise, sample.dt, sample.inputs.jerk);
+        self.take(sample);
+    }
+
+    #[inline(always)]
+    fn linearise(&mut self, reference: &[f64]) {
+        self.reference.copy_from_slice(reference);
+        let Self { model, evaluation, dtheta, jerk, motors, .. } = self;
+        evaluation.evaluate(&model.robot, &model.channels, reference, dtheta);
+        if let Some(motors) = motors {
+            motors.evaluate(&model.robot, reference, dtheta, jerk);
+            motors.write(&model.channels, evaluation);
+        }
+    }
+
+    #[inline(always)]
+    fn linearised(&self) -> Linearised<'_> {
+        Linearised { prediction: &self.evaluation.prediction, jacobian: &self.evaluation.jacobian }
+    }
+
+    /// A motor position's has a part that grows with its predicted torsion; a motor velocity's, what the jerk that is not
+    /// known does to the torsion's rate: with acceleration a random walk, that rate has no variance but over a step.
+    #[inline(always)]
+    fn variance(&self, i: usize) -> f64 {
+        let square = |x: f64| x * x;
+        let own = square(self.noise.reading[i]);
+        match self.model.channels[i] {
+            Channel::Motor(j) => own + square(self.noise.torsion * (self.evaluation.prediction[i] - self.reference[j])),
+            Channel::MotorVelocity(j) => {
+                let n = self.model.joints();
+                let by_ddq = &self.evaluation.jacobian[j * 3 * n + 2 * n..][..n];
+                let jolts: f64 = by_ddq.iter().zip(&self.noise.jerk).map(|(h, jerk)| square(h * jerk)).sum();
+                own + jolts / self.dt
+            }
+            _ => own,
+        }
+    }
+
+    fn memory(&self) -> usize {
+        let n = self.model.joints();
+        n * (3 * n + 5)
+    }
+
+    /// Where the motors' channels were linearised, and what came of it.
+    #[inline(always)]
+    fn remember(&self, memory: &mut Vec<f64>) {
+        let n = self.model.joints();
+        memory.extend_from_slice(&self.evaluation.jacobian[..n * 3 * n]);
+        memory.extend_from_slice(&self.evaluation.prediction[..n]);
+        memory.extend_from_slice(&self.reference);
+        memory.extend_from_slice(&self.jerk);
+    }
+
+    #[inline(always)]
+    fn retreat(&mut self, _: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric) {
+        self.model.retreat(lambda, big, dt);
+    }
+
+    /// The first n channels are the motors': their positions by the linearisation, their velocities by its rate.
+    #[inline(always)]
+    fn report(&mut self, memory: &[f64], state: &[f64], i: usize, out: &mut FilterOutput) {
+        let n = self.model.joints();
+        let (jacobian, rest) = memory.split_at(n * 3 * n);
+        let (prediction, rest) = rest.split_at(n);
+        let (reference, jerk) = rest.split_at(3 * n);
+        for (signal, values) in [&mut out.q, &mut out.dq, &mut out.ddq].into_iter().zip(state.chunks_exact(n)) {
+            signal[i * n..][..n].copy_from_slice(values);
+        }
+        for (j, row) in jacobian.chunks_exact(3 * n).enumerate() {
+            let (mut theta, mut dtheta) = (prediction[j], 0.0);
+            for k in 0..3 * n {
+                theta += row[k] * (state[k] - reference[k]);
+                dtheta += row[k] * if k < 2 * n { state[n + k] } else { jerk[k - 2 * n] };
+            }
+            (out.theta[i * n + j], out.dtheta[i * n + j]) = (theta, dtheta);
+        }
+    }
+}
+
+/// Motor positions with their rates: numbers that carry the derivative along time.
+#[derive(Clone, Debug)]
+struct Motors {
+    channels: Vec<Channel>,
+    evaluation: Evaluation<Dual<1>>,
+    state: Vec<Dual<1>>,
+}
+
+impl Motors {
+    fn new(robot: &Robot) -> Self {
+        let n = robot.len();
+        Self {
+            channels: (0..n).map(Channel::Motor).collect(),
+            evaluation: Evaluation::new(robot, n),
+            state: vec![Dual::default(); 3 * n],
+        }
+    }
+
+    /// At a state that moves with `jerk`; the damping torque's `dtheta` is taken to stay.
+    #[inline(always)]
+    fn evaluate(&mut self, robot: &Robot, state: &[f64], dtheta: &[f64], jerk: &[f64]) {
+        let rates = state[jerk.len()..].iter().chain(jerk);
+        for ((x, &value), &rate) in self.state.iter_mut().zip(state).zip(rates) {
+            *x = Dual { value, gradient: [rate] };
+        }
+        self.evaluation.evaluate(robot, &self.channels, &self.state, dtheta);
+    }
+
+    /// θ̇ = H ẋ and ∂θ̇/∂x = Ḣ + H ∂ẋ/∂x into the rows of the motor velocities.
+    #[inline(always)]
+    fn write(&self, channels: &[Channel], out: &mut Evaluation<f64>) {
+        let n = self.channels.len();
+        for (i, channel) in channels.iter().enumerate() {
+            let Channel::MotorVelocity(j) = *channel else { continue };
+            out.prediction[i] = self.evaluation.prediction[j].gradient[0];
+            let row = &self.evaluation.jacobian[j * 3 * n..][..3 * n];
+            for (k, out) in out.jacobian[i * 3 * n..][..3 * n].iter_mut().enumerate() {
+                *out = row[k].gradient[0] + if k < n { 0.0 } else { row[k - n].value };
+            }
+        }
+    }
+}
