@@ -3,7 +3,7 @@
 use core::f64::consts::LOG2_E;
 
 /// ln 2 in a part of 33 significant bits and a rest: `n · part` is exact (Cody and Waite 1980).
-const LN_2: [f64; 2] = [0.693_147_180_369_123_8, 1.908_214_929_270_587_7e-10];
+pub(super) const LN_2: [f64; 2] = [0.693_147_180_369_123_8, 1.908_214_929_270_587_7e-10];
 /// Adding and subtracting 1.5·2⁵² rounds to the nearest integer, and leaves it in the low bits.
 const ROUND: f64 = 6_755_399_441_055_744.0;
 /// Beyond these e^x is 0 or infinite, or no longer of full precision.

@@ -1,8 +1,8 @@
 //! Natural logarithm that vectorises: straight-line code, the same bits in a lane as alone and on every platform.
 
+use super::exponential::LN_2;
 use core::f64::consts::SQRT_2;
 
-const LN_2: [f64; 2] = [0.693_147_180_369_123_8, 1.908_214_929_270_587_7e-10];
 /// Odd coefficients of the Remez series of ln((1 + s)/(1 − s)) − 2s, as in FreeBSD's e_log.c.
 const SERIES: [f64; 7] = [
     6.666_666_666_666_735e-1,
@@ -19,7 +19,7 @@ const MANTISSA: u64 = (1 << 52) - 1;
 
 /// ln x for a positive, finite, normal x, to within 1 ulp or so.
 #[inline(always)]
-pub(super) fn ln(x: f64) -> f64 {
+pub(crate) fn ln(x: f64) -> f64 {
     let shifted = x.to_bits().wrapping_add(ONE - HALF_ROOT);
     // An integer below 2⁵² in the low bits of 2⁵² is that number added to it.
     let k = f64::from_bits((shifted >> 52) | (1075 << 52)) - (4_503_599_627_370_496.0 + 1023.0);

@@ -4,11 +4,13 @@
 mod dual;
 mod exponential;
 mod lanes;
+mod logarithm;
 mod series;
 mod trig;
 
 pub use dual::Dual;
 pub use lanes::Lanes;
+pub(crate) use logarithm::ln;
 pub use series::Series;
 
 use core::fmt::Debug;

@@ -1,7 +1,6 @@
 //! The particle filter: one step, and whole recordings.
 
 use super::cloud::{BLOCK, Cloud, Deviations};
-use super::logarithm::ln;
 use super::moves::{Moments, Spread};
 use super::output::{ParticleOutput, Summary};
 use super::proposal::{Advance, Reading, Sample, Walk};
@@ -12,6 +11,7 @@ use super::start::Start;
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
 use crate::estimate::kalman::{FilterOutput, Gaussian, JerkDriven, KalmanRecording, KalmanSample, Keep, Model, Tool};
+use crate::scalar::ln;
 use crate::simd;
 use rayon::prelude::*;
 

@@ -3,7 +3,6 @@
 mod cloud;
 mod evaluation;
 mod filter;
-mod logarithm;
 mod moves;
 mod output;
 mod proposal;

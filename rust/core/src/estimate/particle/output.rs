@@ -2,8 +2,8 @@
 
 use super::cloud::{BLOCK, Cloud};
 use super::filter::ParticleFilter;
-use super::logarithm::ln;
 use crate::estimate::kalman::{FilterOutput, JerkModel, Keep, Model};
+use crate::scalar::ln;
 
 /// The cloud after a sample, in a few numbers.
 #[derive(Clone, Debug)]

@@ -2,11 +2,11 @@
 
 use super::cloud::{BLOCK, Block, Scratch, WIDE, Wide};
 use super::evaluation::Reach;
-use super::logarithm::ln;
 use super::random::{Purpose, Stream};
 use super::settings::Proposal;
 use crate::estimate::kalman::JerkModel;
 use crate::linear;
+use crate::scalar::ln;
 use crate::scalar::{Lanes, Scalar};
 use crate::simd::Kernel;
 

@@ -2,7 +2,7 @@
 //!
 //! Philox 4×32-10 (Salmon, Moraes, Dror and Shaw 2011), so that neither threads nor the width of instructions enter.
 
-use super::logarithm::ln;
+use crate::scalar::ln;
 use crate::scalar::{Lanes, Scalar};
 
 const MULTIPLIERS: [u64; 2] = [0xD251_1F53, 0xCD9E_8D57];

@@ -1,8 +1,8 @@
 //! Which particles go on: N ancestors in proportion to weights, each method unbiased in the number of copies.
 
-use super::logarithm::ln;
 use super::random::Stream;
 use super::settings::Resampling;
+use crate::scalar::ln;
 
 /// Writes an ancestor for each of `ancestors`, in order; `weights` gives the weights, which sum to one.
 pub(super) fn choose(

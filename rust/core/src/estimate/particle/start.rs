@@ -1,11 +1,11 @@
 //! The first cloud.
 
 use super::cloud::{BLOCK, Cloud, WIDE, Wide};
-use super::logarithm::ln;
 use super::proposal::{Sample, draw};
 use super::random::{Purpose, Stream};
 use crate::estimate::kalman::{Gaussian, Linearised};
 use crate::linear;
+use crate::scalar::ln;
 use crate::scalar::{Lanes, Scalar};
 
 /// Where the first particles come from: N(mode, (Λ⁻¹)) in units of the first belief's standard deviations.
