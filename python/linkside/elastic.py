@@ -239,7 +239,6 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
         return self._with_wanted(("motor",), log, purpose)
 
     def _core(self, kinds: tuple[str, ...]) -> _core.ElasticJointFilter:
-        refuse_rotors(self.robot, "the elastic-joint filter")
         if "acceleration" in kinds and is_late(self.robot):
             raise EstimatorError(
                 "the elastic-joint filter takes accelerations as they come, and robot.yaml gives an accelerometer a "
@@ -273,12 +272,6 @@ class ElasticJointSmoother(ElasticJointFilter):
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
         """Not for a smoother, which needs what comes later; see `run`."""
         raise EstimatorError("a smoother looks back from a recording's end; read the log whole and call run")
-
-
-def refuse_rotors(robot: Robot, what: str) -> None:
-    """Robots whose coupling changes with posture are for `Robot.forward_dynamics` alone."""
-    if robot.config.rotors:
-        raise EstimatorError(f"{what} takes a constant coupling, and robot.yaml has rotors; give `coupling` instead")
 
 
 def _torques(log: Log, before: FloatArray | None) -> FloatArray:

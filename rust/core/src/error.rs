@@ -186,6 +186,14 @@ pub enum DesignError {
         /// The parameter.
         parameter: Parameter,
     },
+    /// A motor on a link, where a constant coupling is expected.
+    #[error(
+        "the motor of joint {joint} is a rotor on a link, whose coupling changes with posture; a filter or a simulation of elastic joints takes a constant `coupling`"
+    )]
+    Rotor {
+        /// The joint that it drives.
+        joint: usize,
+    },
     /// The gravity iteration for a start at rest did not settle.
     #[error(
         "no static equilibrium found for the first sample: gravity is too strong for the stiffness; give an initial state"

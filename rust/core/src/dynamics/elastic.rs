@@ -1,6 +1,7 @@
 //! Forward dynamics of a robot with elastic and rigid joints, and their derivatives.
 
 use super::{Kinematics, Loads};
+use crate::error::DesignError;
 use crate::linear;
 use crate::robot::Robot;
 
@@ -21,7 +22,13 @@ pub struct ElasticLayout {
 
 impl ElasticLayout {
     /// That of `robot`; with a disturbance torque of every motor if `disturbances`.
-    pub fn new(robot: &Robot, disturbances: bool) -> Self {
+    ///
+    /// # Errors
+    /// Motors on links: their coupling changes with posture, see [`ForwardDynamics`](super::ForwardDynamics).
+    pub fn new(robot: &Robot, disturbances: bool) -> Result<Self, DesignError> {
+        if let Some(rotor) = robot.rotors.first() {
+            return Err(DesignError::Rotor { joint: rotor.motor });
+        }
         let n = robot.len();
         let elastic = robot.drives.iter().filter(|d| d.elastic).count();
         let mut next = 2 * n;
@@ -34,13 +41,13 @@ impl ElasticLayout {
         }
         let dtheta = (0..n).map(|j| if theta[j] < n { n + j } else { theta[j] + elastic }).collect();
         let first = 2 * (n + elastic);
-        Self {
+        Ok(Self {
             joints: n,
             theta,
             dtheta,
             disturbance: disturbances.then_some(first),
             dense: first + if disturbances { n } else { 0 },
-        }
+        })
     }
 }
 
@@ -315,7 +322,7 @@ mod tests {
     #[test]
     fn derivatives_are_those_of_differences() {
         let robot = robot();
-        let layout = ElasticLayout::new(&robot, true);
+        let layout = ElasticLayout::new(&robot, true).unwrap();
         let d = layout.dense;
         assert_eq!((d, &layout.theta[..], &layout.dtheta[..]), (18, &[8, 9, 2, 10][..], &[11, 12, 6, 13][..]));
         let x: Vec<f64> = (0..d).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
@@ -355,7 +362,7 @@ mod tests {
     #[test]
     fn both_rows_of_the_model_balance() {
         let robot = robot();
-        let layout = ElasticLayout::new(&robot, false);
+        let layout = ElasticLayout::new(&robot, false).unwrap();
         let x: Vec<f64> = (0..layout.dense).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
         let (n, tau) = (4, [5.0, -3.0, 2.0, 1.0]);
         let mut dynamics = ElasticDynamics::new(&robot, &layout);

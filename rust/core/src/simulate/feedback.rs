@@ -85,7 +85,7 @@ impl FilterFeedback {
         if found != expected {
             return Err(DesignError::Length { what: "channels of the filter", found, expected });
         }
-        let layout = ElasticLayout::new(filter.model().robot(), false);
+        let layout = ElasticLayout::new(filter.model().robot(), false)?;
         Ok(Self { filter, layout, readings: vec![0.0; found], channels })
     }
 }

@@ -1,6 +1,7 @@
 //! The classical fourth-order method of Runge and Kutta, torque held over a step.
 
 use crate::dynamics::{ElasticDynamics, ElasticLayout};
+use crate::error::DesignError;
 use crate::robot::Robot;
 use nalgebra::DMatrix;
 
@@ -19,10 +20,13 @@ pub struct RungeKutta {
 
 impl RungeKutta {
     /// Room for `robot`.
-    pub fn new(robot: &Robot) -> Self {
-        let layout = ElasticLayout::new(robot, false);
+    ///
+    /// # Errors
+    /// As [`ElasticLayout::new`].
+    pub fn new(robot: &Robot) -> Result<Self, DesignError> {
+        let layout = ElasticLayout::new(robot, false)?;
         let [probe, slope, sum] = core::array::from_fn(|_| vec![0.0; layout.dense]);
-        Self { dynamics: ElasticDynamics::new(robot, &layout), layout, probe, slope, sum }
+        Ok(Self { dynamics: ElasticDynamics::new(robot, &layout), layout, probe, slope, sum })
     }
 
     /// Moves `x` by `h` [s] under motor torques `tau` (n) [N m].
@@ -47,12 +51,15 @@ impl RungeKutta {
 
 /// The largest step [s] that keeps the method stable near state `x` under `tau`: bounded by the fastest eigenvalue of
 /// the linearised robot; infinite when nothing moves by itself, NaN when the inertia is not positive definite.
-pub fn largest_stable_step(robot: &Robot, x: &[f64], tau: &[f64]) -> f64 {
-    let layout = ElasticLayout::new(robot, false);
+///
+/// # Errors
+/// As [`ElasticLayout::new`].
+pub fn largest_stable_step(robot: &Robot, x: &[f64], tau: &[f64]) -> Result<f64, DesignError> {
+    let layout = ElasticLayout::new(robot, false)?;
     let a = ElasticDynamics::new(robot, &layout).linearise(robot, &layout, x, tau);
     if a.iter().any(|value| !value.is_finite()) {
-        return f64::NAN;
+        return Ok(f64::NAN);
     }
     let modes = DMatrix::from_row_slice(layout.dense, layout.dense, &a).complex_eigenvalues();
-    RADIUS / modes.iter().map(|mode| mode.norm()).fold(0.0, f64::max)
+    Ok(RADIUS / modes.iter().map(|mode| mode.norm()).fold(0.0, f64::max))
 }

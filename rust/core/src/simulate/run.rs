@@ -53,7 +53,7 @@ pub fn simulate(
 ) -> Result<Recording, SimulationError> {
     plan.check()?;
     let world = World::new(robot, start)?;
-    let (step, limit) = (plan.period / plan.substeps as f64, largest_stable_step(robot, &world.x, &world.tau));
+    let (step, limit) = (plan.period / plan.substeps as f64, largest_stable_step(robot, &world.x, &world.tau)?);
     if limit.is_nan() {
         return Err(SimulationError::Singular);
     }
@@ -79,7 +79,7 @@ impl World {
     fn new(robot: &Robot, start: Start) -> Result<Self, DesignError> {
         let n = robot.len();
         let (State { q, dq, theta, dtheta }, tau) = start.complete(robot)?;
-        let mover = RungeKutta::new(robot);
+        let mover = RungeKutta::new(robot)?;
         let mut x = vec![0.0; mover.layout.dense];
         for j in 0..n {
             (x[mover.layout.theta[j]], x[mover.layout.dtheta[j]]) = (theta[j], dtheta[j]);

@@ -80,12 +80,12 @@ impl ElasticModel {
     /// `robot` with `noise`.
     ///
     /// # Errors
-    /// Noise or biases that do not fit the channels, a negative standard deviation, a reading without noise.
+    /// Motors on links, noise or biases that do not fit the channels, a negative standard deviation, a reading without noise.
     pub fn new(robot: Arc<Robot>, settings: &ElasticSettings, noise: ElasticNoise) -> Result<Self, DesignError> {
         let mut channels = settings.further.channels(&robot);
         channels.retain(|c| settings.accelerations || !matches!(c, Channel::Acceleration { .. }));
         expect_length("biased", settings.biased.len(), channels.len())?;
-        let layout = ElasticLayout::new(&robot, settings.disturbances);
+        let layout = ElasticLayout::new(&robot, settings.disturbances)?;
         let (n, m, d) = (robot.len(), channels.len(), layout.dense);
         check(&noise, n, m)?;
         let mut states = d;
