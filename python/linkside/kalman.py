@@ -243,7 +243,7 @@ class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanF
             log.require_start("a filter")
         dt = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before.t[-1])
         dtheta = log.dtheta if log.dtheta is not None else np.full_like(log.theta, np.nan)
-        return dt, np.ascontiguousarray(readings), dtheta, _jerk(log, dt, before)
+        return dt, np.ascontiguousarray(readings), dtheta, commanded_jerk(log, dt, before)
 
 
 class RauchTungStriebelSmoother(ExtendedKalmanFilter):
@@ -260,7 +260,7 @@ class RauchTungStriebelSmoother(ExtendedKalmanFilter):
         raise EstimatorError("a smoother looks back from a recording's end; read the log whole and call run")
 
 
-def _jerk(log: Log, dt: FloatArray, before: Log | None) -> FloatArray:
+def commanded_jerk(log: Log, dt: FloatArray, before: Log | None) -> FloatArray:
     """Commanded jerk since the sample before (T, n), zero where the log does not tell."""
     if log.ddqref is None:
         return np.zeros_like(log.theta)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from io import StringIO
 from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,13 +9,11 @@ from typing import Annotated, Any
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
-from ruamel.yaml import YAML
 
 from .errors import EstimatorError
-from .estimate import write_text
 from .log import Log
 from .robot import Robot
-from .source import Source
+from .source import Source, write_yaml
 
 FloatArray = npt.NDArray[np.float64]
 Std = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -90,9 +87,7 @@ class Noise(BaseModel):
     def write(self, path: str | Path) -> None:
         """Write a tuning file with everything that differs from the defaults."""
         changed = {k: list(v) if isinstance(v, tuple) else v for k, v in self.model_dump(exclude_defaults=True).items()}
-        text = StringIO()
-        YAML().dump(changed, text)
-        write_text(path, text.getvalue())
+        write_yaml(path, changed)
 
     def updated(self, **changes: Any) -> Noise:
         """Give the same with some attributes changed, checked."""

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from io import StringIO
 from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
-from ruamel.yaml import YAML
 
 from .errors import ConfigError
-from .estimate import write_text
 from .observers import AccelerationObserver
 from .poles import PolePattern, damped
 from .robot import Robot
-from .source import Source
+from .source import Source, write_yaml
 
 Values = dict[str, Annotated[float, Field(gt=0, allow_inf_nan=False)]]
 
@@ -49,9 +46,7 @@ class ObserverTuning(BaseModel):
 
     def write(self, path: str | Path) -> None:
         """Write a tuning file, for ``linkside estimate --with observer --tuning``."""
-        text = StringIO()
-        YAML().dump(self.model_dump(exclude_defaults=True), text)
-        write_text(path, text.getvalue())
+        write_yaml(path, self.model_dump(exclude_defaults=True))
 
     def robot(self, robot: Robot) -> Robot:
         """Give the robot with these drives; `ConfigError` names a joint that it does not have."""

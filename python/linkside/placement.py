@@ -17,7 +17,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from io import StringIO
 from itertools import combinations, product
 from math import comb
 from pathlib import Path
@@ -26,16 +25,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict
-from ruamel.yaml import YAML
 
 from . import tree
 from .check import CheckReport, Sight, check, workspace
 from .config import AccelerometerConfig
 from .errors import EstimatorError
-from .estimate import write_text
 from .log import Log
 from .robot import Robot
-from .source import Source
+from .source import Source, write_yaml
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -116,9 +113,7 @@ class Placement:
     def write(self, path: str | Path) -> None:
         """Write the chosen ``accelerometers`` as robot.yaml has them."""
         sensors = [sensor.model_dump(mode="json", exclude_defaults=True) for sensor in self.chosen]
-        text = StringIO()
-        YAML().dump({"accelerometers": sensors}, text)
-        write_text(path, text.getvalue())
+        write_yaml(path, {"accelerometers": sensors})
 
 
 _NAMES: dict[Criterion, tuple[str, str]] = {

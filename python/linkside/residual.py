@@ -103,19 +103,5 @@ def momentum_residual(
 def _forces(robot: Robot, q: FloatArray, dq: FloatArray, side: str) -> FloatArray:
     """Cᵀ q̇ - g - friction (T, n): what changes the momentum beside the torques."""
     coriolis = np.einsum("tji,tj->ti", robot.coriolis_matrix(q, dq), dq)
-    return np.asarray(coriolis - robot.gravity_torque(q) - _friction(robot, dq, side))
-
-
-def _friction(robot: Robot, dq: FloatArray, side: str) -> FloatArray:
-    """Friction of the links (Ulrich and Sasiadek 2011, eq. (14)), and of the motors, dry and viscous."""
-    g = np.array([drive.link_friction for drive in robot.drives]).T
-    force = g[0] * (np.tanh(g[1] * dq) - np.tanh(g[2] * dq)) + g[3] * np.tanh(g[4] * dq) + g[5] * dq
-    if side == "motors":
-        dry = np.array([drive.motor_friction.coulomb for drive in robot.drives])
-        viscous = np.array([drive.motor_friction.viscous for drive in robot.drives])
-        force = force + viscous * dq + dry * dq / np.hypot(dq, _CREEP)
-    return np.asarray(force)
-
-
-_CREEP = 2e-3
-"""Speed below which dry friction fades out, as in the observers [rad/s]."""
+    motors = robot.motor_friction(dq) if side == "motors" else 0.0
+    return np.asarray(coriolis - robot.gravity_torque(q) - robot.link_friction(dq) - motors)

@@ -249,6 +249,14 @@ class Robot:
         """Torque that holds the links against gravity g(q), (T, n) [N m]."""
         return self._rows(self.core.gravity_torque, q=q)
 
+    def link_friction(self, dq: ArrayLike) -> Array:
+        """Friction torque of the links (Ulrich and Sasiadek 2011, eq. (14)), (T, n) [N m]."""
+        return self._rows(self.core.link_friction, dq=dq)
+
+    def motor_friction(self, dtheta: ArrayLike) -> Array:
+        """Friction torque of the motors, viscous and dry with its Stribeck peak, (T, n) [N m]."""
+        return self._rows(self.core.motor_friction, dtheta=dtheta)
+
     def specific_force(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
         """What the accelerometers read, (T, acceleration channels) [m/s²]; +9.81 upward at rest."""
         return self._rows(self.core.specific_force, q=q, dq=dq, ddq=ddq)
@@ -275,12 +283,12 @@ class Robot:
     def _rows(self, kernel: Callable[..., Array], **arguments: ArrayLike) -> Array:
         """Call a kernel of (T, n) arrays on those, or on a single state (n,)."""
         arrays = {name: _numbers(name, value) for name, value in arguments.items()}
-        shape = arrays["q"].shape
+        first, shape = next((name, array.shape) for name, array in arrays.items())
         if len(shape) not in (1, 2) or shape[-1] != self.n:
-            raise EstimatorError(f"q: expected shape ({self.n},) or (T, {self.n}), got {shape}")
+            raise EstimatorError(f"{first}: expected shape ({self.n},) or (T, {self.n}), got {shape}")
         for name, array in arrays.items():
             if array.shape != shape:
-                raise EstimatorError(f"{name}: expected shape {shape}, that of q, got {array.shape}")
+                raise EstimatorError(f"{name}: expected shape {shape}, that of {first}, got {array.shape}")
         out = kernel(*(np.ascontiguousarray(np.atleast_2d(array)) for array in arrays.values()))
         return out if len(shape) == 2 else out[0]
 

@@ -8,6 +8,7 @@ import reprlib
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from io import StringIO
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,6 +19,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLWarning
 
 from .errors import ConfigError
+from .estimate import write_text
 
 Model = TypeVar("Model", bound=BaseModel)
 Key = str | int
@@ -155,3 +157,10 @@ def _got(value: object) -> str:
     if isinstance(value, list | tuple):
         return f"a list of {len(value)}"
     return str(value).lower() if isinstance(value, bool) else reprlib.repr(value)
+
+
+def write_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
+    """Write a settings file whole or not at all; `OutputError` when that cannot be."""
+    text = StringIO()
+    YAML().dump(values, text)
+    write_text(path, text.getvalue())

@@ -33,6 +33,21 @@ def in_log_order(robot: Robot, matrix: np.ndarray) -> np.ndarray:
     return matrix[np.ix_(robot.velocity_index, robot.velocity_index)]
 
 
+def test_friction_is_that_of_the_papers() -> None:
+    motor = {"viscous": 4.0, "coulomb": 3.0, "stribeck": 2.0, "stribeck_velocity": 0.1}
+    g = (0.5, 150.0, 50.0, 2.0, 100.0, 0.5)
+    robot = Robot.from_urdf(ARM, [spring("shoulder", motor_friction=motor, link_friction=g), spring("elbow")])
+    v = np.random.default_rng(0).uniform(-1, 1, (50, 2))
+    link = g[0] * (np.tanh(g[1] * v) - np.tanh(g[2] * v)) + g[3] * np.tanh(g[4] * v) + g[5] * v
+    dry = (3.0 + 2.0 * np.exp(-((v / 0.1) ** 2))) * v / np.hypot(v, 2e-3)
+    here = np.array([1.0, 0.0])
+    np.testing.assert_allclose(robot.link_friction(v), link * here, **CLOSE)
+    np.testing.assert_allclose(robot.motor_friction(v), (4.0 * v + dry) * here, **CLOSE)
+    np.testing.assert_array_equal(robot.motor_friction(v[0]), robot.motor_friction(v)[0])
+    with pytest.raises(EstimatorError, match=r"dq: expected shape \(2,\) or \(T, 2\), got \(3,\)"):
+        robot.link_friction(np.zeros(3))
+
+
 @settings(max_examples=60, deadline=None)
 @given(robot=robots(), seed=SEEDS)
 def test_dynamics_are_those_of_pinocchio(robot: Robot, seed: int) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.signal
 
-from ..kalman import _jerk
+from ..kalman import commanded_jerk
 from ..log import Log
 from ..noise import Noise
 from ..robot import Robot
@@ -78,7 +78,7 @@ def signals(robot: Robot, log: Log, torque: bool) -> dict[str, Any]:
         "ddtheta": derivative(theta, log.period, 2) if torque else none,
         "tau": log.tau if torque else none,
         "acceleration": without_spikes(readings, noise),
-        "jerk": _jerk(log, dt, None),
+        "jerk": commanded_jerk(log, dt, None),
     }
     return {name: np.ascontiguousarray(array) for name, array in arrays.items()} | {"period": log.period}
 

@@ -209,6 +209,18 @@ impl Robot {
         self.positions(&q, [self.0.len()], Batch::gravity_torque)
     }
 
+    fn link_friction<'py>(&self, dq: Input<'py>) -> Output<'py> {
+        let n = self.0.len();
+        let velocities = rows("dq", &dq, n)?;
+        self.over(&dq, [n], |batch, out| batch.link_friction(velocities, out))
+    }
+
+    fn motor_friction<'py>(&self, dtheta: Input<'py>) -> Output<'py> {
+        let n = self.0.len();
+        let velocities = rows("dtheta", &dtheta, n)?;
+        self.over(&dtheta, [n], |batch, out| batch.motor_friction(velocities, out))
+    }
+
     fn tool_position<'py>(&self, q: Input<'py>) -> Output<'py> {
         self.positions(&q, [3], Batch::tool_position)
     }

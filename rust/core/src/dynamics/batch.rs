@@ -1,7 +1,7 @@
 //! Whole arrays at once: one row a sample, `count` rows, row-major.
 
 use super::{ElasticState, ForwardDynamics, Kinematics, Loads};
-use crate::robot::{Robot, Sensor};
+use crate::robot::{Drive, Robot, Sensor};
 use crate::spatial::Vec3;
 
 /// Dynamics and sensor models of a robot over many samples; each output row is that sample's, flattened row-major.
@@ -80,6 +80,23 @@ impl<'a> Batch<'a> {
             let [q, dq, theta, dtheta, tau] = [s.q, s.dq, s.theta, s.dtheta, s.tau].map(|x| &x[i * n..][..n]);
             let (ddq, ddtheta) = out.split_at_mut(n);
             dynamics.accelerations_into(self.robot, ElasticState { q, dq, theta, dtheta }, tau, ddq, ddtheta);
+        }
+    }
+
+    /// Friction of the links at velocities `dq`: n a sample.
+    pub fn link_friction(&mut self, dq: &[f64], out: &mut [f64]) {
+        self.each_drive(dq, out, |drive, v| drive.link_friction(v).0);
+    }
+
+    /// Friction of the motors at velocities `dtheta`: n a sample.
+    pub fn motor_friction(&mut self, dtheta: &[f64], out: &mut [f64]) {
+        self.each_drive(dtheta, out, |drive, v| drive.motor_friction(v).0);
+    }
+
+    fn each_drive(&self, velocities: &[f64], out: &mut [f64], law: impl Fn(&Drive, f64) -> f64) {
+        let drives = self.robot.drives.iter().cycle();
+        for ((out, &v), drive) in out.iter_mut().zip(velocities).zip(drives) {
+            *out = law(drive, v);
         }
     }
 
