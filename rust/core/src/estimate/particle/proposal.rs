@@ -6,8 +6,7 @@ use super::random::{Purpose, Stream};
 use super::settings::Proposal;
 use crate::estimate::kalman::JerkModel;
 use crate::linear;
-use crate::scalar::ln;
-use crate::scalar::{Lanes, Scalar};
+use crate::scalar::{Lanes, Scalar, ln};
 use crate::simd::Kernel;
 
 /// What all particles share at a sample.

@@ -2,8 +2,7 @@
 //!
 //! Philox 4×32-10 (Salmon, Moraes, Dror and Shaw 2011), so that neither threads nor the width of instructions enter.
 
-use crate::scalar::ln;
-use crate::scalar::{Lanes, Scalar};
+use crate::scalar::{Lanes, Scalar, ln};
 
 const MULTIPLIERS: [u64; 2] = [0xD251_1F53, 0xCD9E_8D57];
 const WEYL: [u32; 2] = [0x9E37_79B9, 0xBB67_AE85];

@@ -5,8 +5,7 @@ use super::proposal::{Sample, draw};
 use super::random::{Purpose, Stream};
 use crate::estimate::kalman::{Gaussian, Linearised};
 use crate::linear;
-use crate::scalar::ln;
-use crate::scalar::{Lanes, Scalar};
+use crate::scalar::{Lanes, Scalar, ln};
 
 /// Where the first particles come from: N(mode, (Λ⁻¹)) in units of the first belief's standard deviations.
 ///
