@@ -71,7 +71,8 @@ def test_on_a_linear_model_errors_shrink_with_the_root_of_n(method, settings):
     few, many = errors(method, 200, 12, **settings), errors(method, 200 * 64, 12, **settings)
     # A factor of 64 in N is one of 8; 12 seeds know a root mean square to within some 20 %.
     assert (few / many > 4).all(), (few, many)
-    assert (few / many < 16).all(), (few, many)
+    # At 200 the likelihood has a bias besides, which falls with N itself.
+    assert (few / many < (16, 16, 32)).all(), (few, many)
     assert many[0] < 0.1
     assert many[1] < 0.1
 
@@ -115,13 +116,16 @@ def spoiled(log, column=0, share=0.02, size=50, std=0.05):
 
 def test_students_noise_withstands_outliers():
     robot, log = recording()
-    truth = Estimate.read(DATA / "arm2_square/truth.parquet")
-    log, bad, truth = log[:2000], spoiled(log)[:2000], truth[:2000]
-    settings = {"particles": 500, "kernel": 1.0}
-    clean = ParticleFilter(robot, **settings).run(log).error_against(truth).tool_rms_centred
-    robust = ParticleFilter(robot, outliers={"acceleration": 4.0}, **settings).run(bad)
-    error = robust.error_against(truth).tool_rms_centred
-    assert error < 1.2 * clean, (clean, error)
+    truth = Estimate.read(DATA / "arm2_square/truth.parquet")[:2000]
+
+    def error(log, **settings):
+        """Median over seeds: one seed's error is known to within some 20 %."""
+        run = [ParticleFilter(robot, particles=500, kernel=1.0, seed=s, **settings).run(log) for s in range(9)]
+        return np.median([estimate.error_against(truth).tool_rms_centred for estimate in run])
+
+    clean = error(log[:2000])
+    robust = error(spoiled(log)[:2000], outliers={"acceleration": 4.0})
+    assert robust < 1.2 * clean, (clean, robust)
 
 
 def test_a_belief_of_two_peaks_is_resolved():

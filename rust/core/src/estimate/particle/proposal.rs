@@ -1,6 +1,6 @@
 //! One step of a block of particles: where they go, and what that does to their weights.
 
-use super::cloud::{BLOCK, Block, Scratch, WIDE, Wide};
+use super::cloud::{BLOCK, Block, Scratch, WIDE, Weigh, Wide};
 use super::evaluation::Reach;
 use super::random::{Purpose, Stream};
 use super::settings::Proposal;
@@ -22,6 +22,8 @@ pub(super) struct Sample {
     pub(super) increments: Vec<f64>,
     pub(super) readings: Vec<Reading>,
     pub(super) walks: Vec<Walk>,
+    /// Normal numbers that a particle needs: of increments first, then of biases.
+    pub(super) draws: usize,
     /// Logarithm of the total weight before.
     pub(super) offset: f64,
     pub(super) proposal: Proposal,
@@ -39,6 +41,8 @@ pub(super) struct Reading {
     /// By which part of the innovation the bias moves, and the standard deviation of what is then drawn around it.
     pub(super) gain: f64,
     pub(super) rest: f64,
+    /// Which normal number that is.
+    pub(super) draw: usize,
     /// Degrees of freedom of its noise.
     pub(super) tail: f64,
     /// Logarithm of the density's factor.
@@ -50,6 +54,8 @@ pub(super) struct Reading {
 pub(super) struct Walk {
     pub(super) bias: usize,
     pub(super) std: f64,
+    /// Which normal number it is drawn by.
+    pub(super) draw: usize,
 }
 
 /// Moves a block by one sample.
@@ -76,7 +82,7 @@ impl Kernel for Advance<'_> {
         }
         let used = block.groups() * WIDE;
         block.log_weights[block.count..used].fill(f64::NEG_INFINITY);
-        block.weigh();
+        Weigh { block }.run();
     }
 }
 
@@ -104,9 +110,9 @@ impl Scratch {
     fn step(&mut self, model: &JerkModel, sample: &Sample, items: [u32; WIDE]) -> Wide {
         let n = model.joints();
         let motion = Stream::new(sample.seed, sample.step, Purpose::Motion);
-        draw(&motion, items, 0, &mut self.normal[..n]);
+        draw(&motion, items, 0, &mut self.normal[..sample.draws]);
         self.coast(n, sample);
-        self.walk(sample, &motion, items);
+        self.walk(sample);
         let mut change = match sample.proposal {
             Proposal::Bootstrap => {
                 self.noise.copy_from_slice(&self.normal[..n]);
@@ -116,7 +122,7 @@ impl Scratch {
         };
         self.apply_noise(sample);
         self.sensed.predict(model, &self.after, &sample.dtheta);
-        change += self.weigh_and_learn(sample, &motion, items);
+        change += self.weigh_and_learn(sample);
         for (j, &(low, high)) in sample.limits.iter().enumerate() {
             let outside = |q: f64| if q < low || q > high { f64::NEG_INFINITY } else { 0.0 };
             change += self.after[j].map(outside);
@@ -149,10 +155,9 @@ impl Scratch {
 
     /// Biases that wander whatever the readings say.
     #[inline(always)]
-    fn walk(&mut self, sample: &Sample, motion: &Stream, items: [u32; WIDE]) {
+    fn walk(&mut self, sample: &Sample) {
         for walk in &sample.walks {
-            let [normal, _] = motion.normals(items, BIAS_DRAWS + walk.bias as u32);
-            self.before[walk.bias] += normal * walk.std;
+            self.before[walk.bias] += self.normal[walk.draw] * walk.std;
         }
     }
 
@@ -266,7 +271,7 @@ impl Scratch {
 
     /// log p(y | x), and what the biases learn from y.
     #[inline(always)]
-    fn weigh_and_learn(&mut self, sample: &Sample, motion: &Stream, items: [u32; WIDE]) -> Wide {
+    fn weigh_and_learn(&mut self, sample: &Sample) -> Wide {
         let mut change = Wide::default();
         for reading in &sample.readings {
             let error = reading.error(&self.after, &self.sensed.prediction);
@@ -274,17 +279,13 @@ impl Scratch {
             if let Some(bias) = reading.bias {
                 self.after[bias] += error * reading.gain;
                 if reading.rest > 0.0 {
-                    let [normal, _] = motion.normals(items, BIAS_DRAWS + bias as u32);
-                    self.after[bias] += normal * reading.rest;
+                    self.after[bias] += self.normal[reading.draw] * reading.rest;
                 }
             }
         }
         change
     }
 }
-
-/// Draws of biases follow those of increments.
-const BIAS_DRAWS: u32 = 1 << 16;
 
 #[inline(always)]
 fn reach(dt: f64) -> Reach {
