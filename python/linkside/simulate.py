@@ -221,8 +221,10 @@ def _told(feedback: Feedback, robot: Robot) -> bool | tuple[_core.ElasticJointFi
     core, kinds = feedback.fresh()
     if "torque" in kinds:
         raise EstimatorError("feedback: joint torque sensors are not simulated; set torque=False")
-    if feedback.robot.n != robot.n:
-        raise EstimatorError(f"feedback is of {feedback.robot.n} joints, expected {robot.n}")
+    for what in ("names", "acceleration_channels", "gyroscope_channels"):
+        theirs, ours = getattr(feedback.robot, what), getattr(robot, what)
+        if theirs != ours:
+            raise EstimatorError(f"feedback is of another robot: its {what} are {theirs}, expected {ours}")
     names = [kind for kind in KINDS for _ in range(_width(robot, kind))]
     wanted = {"theta" if kind == "motor" else kind for kind in kinds}
     return core, [index for index, kind in enumerate(names) if kind in wanted]

@@ -48,6 +48,27 @@ def test_elastic_control(tmp_path):
             assert value == pytest.approx(float(text), abs=0.6 * 10.0 ** -len(text.partition(".")[2]))
 
 
+def test_space_robot(tmp_path):
+    """Tracking within 5 % of an independent implementation at 100 kHz; the same verdicts on the wrong model."""
+    command = [sys.executable, ROOT / "examples/space_robot.py", "--rate", "1000", "--out", tmp_path]
+    said = subprocess.run(command, check=True, capture_output=True, text=True, cwd=tmp_path).stdout
+    for name in ("estimation_errors", "tool_path"):
+        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    found = dict(re.findall(r"^(\w+, \w+)(?: state)? +([\d.]+ +[\d.]+) +[\d.]+$", said, re.MULTILINE))
+    expected = {"linear": (0.0898, 0.467), "nonlinear": (0.0893, 0.444)}
+    for joints, figures in expected.items():
+        for fed_back in ("true", "estimate"):
+            assert [float(x) for x in found[f"{joints}, {fed_back}"].split()] == pytest.approx(figures, rel=0.05)
+    verdicts = re.findall(r"^([\d.e-]+) +(diverges|stays)", said, re.MULTILINE)
+    assert [(float(noise), verdict) for noise, verdict in verdicts] == [
+        (1e-10, "diverges"),
+        (1e-8, "diverges"),
+        (1e-6, "diverges"),
+        (1e-4, "stays"),
+        (1e-2, "stays"),
+    ]
+
+
 @pytest.mark.slow
 def test_velocity_two_links(tmp_path):
     command = [sys.executable, ROOT / "examples/velocity_two_links.py", "--out", tmp_path]
