@@ -22,7 +22,7 @@ from .robot import Robot
 
 FloatArray = npt.NDArray[np.float64]
 
-SLOW = 50.0
+SLOW = 60.0
 """Frequency of the two slow closed-loop poles [rad/s]: near the frequency at which links swing on their springs."""
 
 RIGID = 25.0
