@@ -97,10 +97,14 @@ def main():
     print(f"{'':20}{'overshoot [mrad]':>18}{'vibration [mrad]':>18}{'torsion error [mrad]':>22}")
     for motion, (angle, duration) in MOTIONS.items():
         results = {name: experiment(robot, start, angle, duration, gains) for name, gains in controls.items()}
+        merits = []
         for name, (t, q, true, observed) in results.items():
-            overshoot, residual = vibration(t, q, true, duration)
+            merits.append(vibration(t, q, true, duration))
+            overshoot, residual = merits[-1]
             error = 1e3 * np.sqrt(np.mean(((true - observed) @ [1, -1, 0, 0]) ** 2))
             print(f"{motion + ', ' + name:20}{overshoot:18.4f}{residual:18.4f}{error:22.4f}")
+        overshoot, residual = np.divide(*merits)
+        print(f"{motion + ', full state to motors only':30}{overshoot:8.2f}{residual:18.2f}")
         title = f"Joint 1 by {angle:g}°"
         t, _, true, observed = results["full state"]
         observed_figure(t, true, observed, f"{title}: observed and true states").savefig(out / f"observed_{motion}.png")
