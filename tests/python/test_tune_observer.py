@@ -102,6 +102,9 @@ def test_smoothed_states_serve_where_none_are_measured():
     front = tune_observer(ROBOT, LOG[:1500], evaluations=60)
     assert front.ratios.sum(axis=1).min() < 4
     assert set(front.best.model_dump(exclude_defaults=True)) == {"poles"}
+    assert "smoothed" not in front.to_text()
+    stiff = tune_observer(ROBOT, LOG[:1500], free=("stiffness", "damping"), evaluations=20)
+    assert "stiffness and damping from smoothed states" in stiff.to_text()
 
 
 def test_results_are_the_same_every_time_and_progress_never_goes_back():
