@@ -12,48 +12,38 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from plant import Plant, run, specimen
 
 import linkside
-from linkside import Log, Robot
+from linkside import AccelerationObserver, Log, Robot, simulate
 from linkside.control import inverse_dynamics
 from linkside.feedback import StateFeedback, motor_only, pole_placement
 from linkside.trajectories import rest_to_rest
 
 PERIOD = 5e-4
 MOTIONS = {"short": (5.0, 0.2), "long": (30.0, 0.4)}  # [°], [s]
+BEFORE = 0.05  # at rest [s]
 AFTER = 1.0  # looked at after the motion [s]
 
 
-class Watched:
-    """A controller that keeps what its observer says of joint 1."""
-
-    def __init__(self, controller):
-        self.controller, self.states = controller, []
-
-    def step(self, **readings):
-        """Pass a sample on, and note the estimate."""
-        torque = self.controller.step(**readings)
-        states = self.controller.estimate
-        self.states.append([getattr(states, name)[0] for name in ("theta", "q", "dtheta", "dq")])
-        return torque
-
-
-def experiment(robot, start, angle, duration, gains):
+def experiment(robot, start, angle, duration, gains, poles=250.0, period=PERIOD):
     """Run one motion; give time, desired, true (θ, q, θ̇, q̇) and observed states of joint 1."""
     goal = start + np.radians(angle) * np.eye(robot.n)[0]
-    motion = rest_to_rest([start, goal], duration, PERIOD).held(0.05, AFTER)
+    motion = rest_to_rest([start, goal], duration, period).held(BEFORE, AFTER)
     desired = inverse_dynamics(robot, motion)
-    watched = Watched(StateFeedback(robot, desired, gains))
-    states, *_ = run(Plant(specimen(robot), desired), watched, len(motion), PERIOD)
-    n = robot.n
-    true = states[:, [n, 0, 3 * n, 2 * n]]
-    return motion.t, desired.q[:, 0], true, np.array(watched.states)
+    controller = StateFeedback(robot, desired, gains, AccelerationObserver(robot, poles, period=period))
+    specimen = robot.scaled(stiffness=0.95, damping=1.05, motor_inertia=1.05, mass=1.05)
+    steps = int(np.ceil(period / 2.5e-4))
+    run = simulate(
+        specimen, controller, motion.t[-1], 1 / period, q=start, feedback=controller.observer, substeps=steps
+    )
+    names = ("theta", "q", "dtheta", "dq")
+    true, observed = (np.stack([of[name][:, 0] for name in names], axis=1) for of in (run.truth, run.told._asdict()))
+    return motion.t, desired.q[:, 0], true, observed
 
 
 def vibration(t, q, true, duration):
     """Overshoot beyond the goal, and residual vibration peak to peak, after the motion's end [mrad]."""
-    after = 1e3 * (true[t >= 0.05 + duration, 1] - q[-1])
+    after = 1e3 * (true[t >= BEFORE + duration, 1] - q[-1])
     return max(after.max(), 0.0), np.ptp(after[len(after) // 10 :])
 
 
@@ -107,10 +97,14 @@ def main():
     print(f"{'':20}{'overshoot [mrad]':>18}{'vibration [mrad]':>18}{'torsion error [mrad]':>22}")
     for motion, (angle, duration) in MOTIONS.items():
         results = {name: experiment(robot, start, angle, duration, gains) for name, gains in controls.items()}
+        merits = []
         for name, (t, q, true, observed) in results.items():
-            overshoot, residual = vibration(t, q, true, duration)
+            merits.append(vibration(t, q, true, duration))
+            overshoot, residual = merits[-1]
             error = 1e3 * np.sqrt(np.mean(((true - observed) @ [1, -1, 0, 0]) ** 2))
             print(f"{motion + ', ' + name:20}{overshoot:18.4f}{residual:18.4f}{error:22.4f}")
+        overshoot, residual = np.divide(*merits)
+        print(f"{motion + ', full state to motors only':30}{overshoot:8.2f}{residual:18.2f}")
         title = f"Joint 1 by {angle:g}°"
         t, _, true, observed = results["full state"]
         observed_figure(t, true, observed, f"{title}: observed and true states").savefig(out / f"observed_{motion}.png")

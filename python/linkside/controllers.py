@@ -1,10 +1,13 @@
-"""Controllers to put into a simulation's loop: `JointPD`, `SimpleAdaptive`, or any function ``(t, state) -> tau``."""
+"""Controllers to put into a simulation's loop: `JointPD`, `SimpleAdaptive`, or any function ``(t, state) -> tau``.
+
+`feedback.StateFeedback` is another.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -58,7 +61,7 @@ class JointPD:
     def law(self, robot: Robot) -> dict[str, Any]:
         """Describe the controller to the core."""
         gains = {name: _per_joint(name, getattr(self, name), robot.n) for name in ("kp", "kd", "tau")}
-        return {"reference": _knots(self.times, self.theta, robot.n, "theta"), **gains}
+        return {"reference": knots(self.times, self.theta, robot.n, "theta"), **gains}
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,23 +111,31 @@ class SimpleAdaptive:
             raise EstimatorError(f"axes is {self.axes!r}, expected some of 'xyz', each once")
         names = ("position", "velocity", "leakage", "joint_damping", "bandwidth", "damping_ratio")
         return {
-            "command": _knots(self.times, self.command, len(self.axes), "command"),
+            "command": knots(self.times, self.command, len(self.axes), "command"),
             "coordinates": [AXES.index(axis) for axis in self.axes],
             **{name: getattr(self, name) for name in names},
         }
 
 
-Controller: TypeAlias = JointPD | SimpleAdaptive | Callable[[float, State], Sequence[float] | FloatArray]
+@runtime_checkable
+class CoreController(Protocol):
+    """A controller whose law the core has, such as `JointPD` and `feedback.StateFeedback`."""
+
+    def law(self, robot: Robot) -> dict[str, Any]:
+        """Describe the controller to the core."""
+
+
+Controller: TypeAlias = CoreController | Callable[[float, State], Sequence[float] | FloatArray]
 
 
 def law_of(controller: Controller, robot: Robot) -> Any:
     """Describe any controller to the core, a function as one of plain arrays."""
-    if isinstance(controller, JointPD | SimpleAdaptive):
+    if isinstance(controller, CoreController):
         return controller.law(robot)
     if not callable(controller):
         kind = type(controller).__name__
         raise EstimatorError(
-            f"controller is a {kind}, expected JointPD, SimpleAdaptive or a function (t, state) -> tau"
+            f"controller is a {kind}, expected JointPD, SimpleAdaptive, StateFeedback or a function (t, state) -> tau"
         )
     function = controller
 
@@ -141,7 +152,8 @@ def _per_joint(name: str, value: npt.ArrayLike, n: int) -> list[float]:
     return np.broadcast_to(array, n).tolist()  # type: ignore[no-any-return]
 
 
-def _knots(times: npt.ArrayLike, values: npt.ArrayLike, width: int, name: str) -> dict[str, Any]:
+def knots(times: npt.ArrayLike, values: npt.ArrayLike, width: int, name: str) -> dict[str, Any]:
+    """Describe a path to the core: one row of ``width`` values a time."""
     t, rows = np.asarray(times, dtype=np.float64), np.asarray(values, dtype=np.float64)
     if t.ndim != 1 or rows.shape != (len(t), width):
         raise EstimatorError(f"{name} has shape {rows.shape}, expected (knots, {width}) beside times (knots,)")

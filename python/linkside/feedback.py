@@ -6,11 +6,15 @@ and τ_d from inverse dynamics.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
 from ._core import ObserverState
+from .closed_loop import closed_loop_poles
 from .control import Desired
+from .controllers import knots
 from .errors import EstimatorError
 from .observers import AccelerationObserver, Signal
 from .poles import damped
@@ -18,14 +22,23 @@ from .robot import Robot
 
 FloatArray = npt.NDArray[np.float64]
 
-SLOW = 50.0
+SLOW = 60.0
 """Frequency of the two slow closed-loop poles [rad/s]: near the frequency at which links swing on their springs."""
+
+RIGID = 25.0
+"""Frequency of a rigid joint's closed-loop poles [rad/s].
+
+The observer is told no torque of rigid joints, so that estimation and control do not separate there: the loop swings up
+at observer poles of about twice this frequency, and is well damped from four times on.
+"""
 
 LIMIT = 1.0 - 1e-6
 """Magnitude that no pole of the sampled loop may reach."""
 
 
-def pole_placement(robot: Robot, q: npt.ArrayLike, slow: float = SLOW, fast: float | None = None) -> FloatArray:
+def pole_placement(
+    robot: Robot, q: npt.ArrayLike, slow: float = SLOW, fast: float | None = None, *, rigid: float = RIGID
+) -> FloatArray:
     """Gains that place four poles for each elastic joint, two for each rigid one.
 
     Each joint is taken for itself, its link with the inertia that it has at `q`. Two poles are at ``slow``; the other
@@ -39,19 +52,21 @@ def pole_placement(robot: Robot, q: npt.ArrayLike, slow: float = SLOW, fast: flo
         Working point [rad].
     slow, fast
         Frequencies of the pairs [rad/s]; ``fast`` is √(K (1/B + 1/M_ii)) by default.
+    rigid
+        Frequency of rigid joints' poles [rad/s]; at most a quarter of the observer's.
 
     Returns
     -------
     gains : (n, 4 n)
         On θ, q, θ̇ and q̇. A well-damped design may need negative ones on q or q̇.
     """
-    if not (0 < slow < np.inf and (fast is None or 0 < fast < np.inf)):
-        raise EstimatorError(f"poles: {slow} and {fast} rad/s, expected positive frequencies")
+    if not all(0 < frequency < np.inf for frequency in (slow, rigid, fast or slow)):
+        raise EstimatorError(f"poles: {slow}, {fast} and {rigid} rad/s, expected positive frequencies")
     blocks = np.zeros((4, robot.n))
     for joint, (drive, m) in enumerate(zip(robot.drives, _inertia(robot, q), strict=True)):
         b = drive.motor_inertia or 0.0
         if not drive.elastic or drive.stiffness is None:
-            _, a1, a0 = np.poly(damped(slow).poles(2)).real
+            _, a1, a0 = np.poly(damped(rigid).poles(2)).real
             blocks[[0, 2], joint] = (m + b) * a0, (m + b) * a1
             continue
         k, d = drive.stiffness, drive.damping
@@ -64,13 +79,17 @@ def pole_placement(robot: Robot, q: npt.ArrayLike, slow: float = SLOW, fast: flo
     return _diagonal(blocks)
 
 
-def motor_only(robot: Robot, q: npt.ArrayLike, frequency: float = SLOW) -> FloatArray:
-    """Gains on θ and θ̇ alone, as for a rigid robot: poles at ``frequency`` for motor and link together, (n, 4 n)."""
-    if not 0 < frequency < np.inf:
-        raise EstimatorError(f"poles: {frequency} rad/s, expected a positive frequency")
-    _, a1, a0 = np.poly(damped(frequency).poles(2)).real
+def motor_only(robot: Robot, q: npt.ArrayLike, frequency: float = SLOW, *, rigid: float = RIGID) -> FloatArray:
+    """Gains on θ and θ̇ alone, as for a rigid robot: poles for motor and link together, (n, 4 n).
+
+    At ``frequency``, those of rigid joints at ``rigid`` [rad/s], as of `pole_placement`.
+    """
+    if not (0 < frequency < np.inf and 0 < rigid < np.inf):
+        raise EstimatorError(f"poles: {frequency} and {rigid} rad/s, expected positive frequencies")
+    _, a1, a0 = np.poly(damped(1.0).poles(2)).real
+    omega = np.where(robot.elastic, frequency, rigid)
     total = _inertia(robot, q) + [drive.motor_inertia or 0.0 for drive in robot.drives]
-    return _diagonal(np.stack([total * a0, 0 * total, total * a1, 0 * total]))
+    return _diagonal(np.stack([total * a0 * omega**2, 0 * total, total * a1 * omega, 0 * total]))
 
 
 def lqr(
@@ -140,7 +159,7 @@ class StateFeedback:
     Raises
     ------
     EstimatorError
-        Shapes that do not fit, or a loop that would be unstable at this sampling rate.
+        Shapes that do not fit, or a loop that is unstable with this observer at this sampling rate.
 
     Attributes
     ----------
@@ -159,12 +178,20 @@ class StateFeedback:
         if len(desired.t) < 2 or desired.q.shape[1] != robot.n:
             raise EstimatorError(f"desired: expected 2 rows or more of {robot.n} joints, got {desired.q.shape}")
         period = float(desired.t[1] - desired.t[0])
-        _refuse_unstable(robot, desired.q[0], self.gains, period)
         self.desired = desired
         self.observer = observer or AccelerationObserver(robot, period=period)
+        for q in (desired.q[0], desired.q[-1]):
+            _refuse_unstable(self.observer, self.gains, q, period)
         self._states = np.hstack([desired.theta, desired.q, desired.dtheta, desired.dq])
         self._torque = desired.tau[0].copy()
         self._row = 0
+
+    def law(self, robot: Robot) -> dict[str, Any]:
+        """Describe the controller to the core, for `simulate`; its state is what the simulation's feedback says."""
+        if self.gains.shape[0] != robot.n:
+            raise EstimatorError(f"controller is of {self.gains.shape[0]} joints, expected {robot.n}")
+        rows = np.hstack([self._states, self.desired.tau])
+        return {"states": knots(self.desired.t, rows, 5 * robot.n, "desired"), "gains": self.gains.ravel().tolist()}
 
     def step(self, *, theta: Signal, acceleration: Signal) -> FloatArray:
         """Take a sample's motor positions (n,) and accelerations (m,); give the torque until the next, (n,) [N m]."""
@@ -185,18 +212,10 @@ def _diagonal(blocks: FloatArray) -> FloatArray:
     return np.hstack([np.diag(block) for block in blocks])
 
 
-def _refuse_unstable(robot: Robot, q: FloatArray, gains: FloatArray, period: float) -> None:
-    """The linearised loop on the true state, torque held between samples."""
-    from scipy.linalg import expm
-
-    a, b = linearised(robot, q)
-    elastic = np.flatnonzero(robot.elastic)
-    columns = np.concatenate([elastic + block * robot.n for block in range(4)])
-    both = expm(period * np.vstack([np.hstack([a, b]), np.zeros((b.shape[1], sum(b.shape)))]))
-    loop = both[: len(a), : len(a)] - both[: len(a), len(a) :] @ gains[np.ix_(elastic, columns)]
-    largest = np.abs(np.linalg.eigvals(loop)).max(initial=0.0)
+def _refuse_unstable(observer: AccelerationObserver, gains: FloatArray, q: FloatArray, period: float) -> None:
+    largest = abs(closed_loop_poles(observer, gains, q, period)[0])
     if largest > LIMIT:
         raise EstimatorError(
-            f"gains: unstable at a period of {period:g} s (a pole of magnitude {largest:.4g}): take slower poles, or "
-            "sample faster"
+            f"gains: unstable at a period of {period:g} s (a pole of magnitude {largest:.4g}): take slower poles, "
+            "rigid joints' included, a faster observer, or sample faster"
         )

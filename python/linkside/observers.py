@@ -79,7 +79,7 @@ class AccelerationObserver:
     ) -> None:
         _one_of("form", form, ("current", "predictor"))
         _one_of("accelerations", accelerations, ("sensors", "joints"))
-        self.robot = robot
+        self.robot, self.form, self.accelerations = robot, form, accelerations
         self.poles = {name: _joint_poles(poles, name, order) for name, order in _orders(robot, bias).items()}
         self._make = partial(
             _core.AccelerationObserver,
@@ -174,6 +174,12 @@ class AccelerationObserver:
         """Continuous-time gains L of each joint in closed form (Remark 3), by the order of its states."""
         names = self.robot.names
         return {name: _core.observer_gains(self.robot.core, names.index(name), p) for name, p in self.poles.items()}
+
+    def fresh(self, period: float) -> _core.AccelerationObserver:
+        """Build an observer of the core, of accelerometers, that has taken no sample."""
+        if self._signal != "acceleration":
+            raise EstimatorError("feedback: link accelerations are not simulated as readings; accelerations='sensors'")
+        return self._designed(period)
 
     def _live(self) -> _core.AccelerationObserver:
         if self._core is None:

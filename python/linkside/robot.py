@@ -124,6 +124,30 @@ class Robot:
         sensors = ", ".join(sensor.name for sensor in (*self.accelerometers, *self.gyroscopes))
         return f"<Robot {self.model.name}: {joints}; sensors: {sensors or 'none'}>"
 
+    def scaled(
+        self, *, stiffness: float = 1.0, damping: float = 1.0, motor_inertia: float = 1.0, mass: float = 1.0
+    ) -> "Robot":
+        """Make a robot with other parameters, as a specimen differs from what is known of it: factors on all joints.
+
+        Parameters
+        ----------
+        stiffness, damping, motor_inertia
+            On those of robot.yaml.
+        mass
+            On mass and inertia of all links, payload included.
+        """
+        factors = {"stiffness": stiffness, "damping": damping, "motor_inertia": motor_inertia, "mass_scale": mass}
+        for name, factor in factors.items():
+            if not 0 < factor < np.inf:
+                raise ConfigError(f"factor on {name}: {factor}, expected a positive number")
+        joints = tuple(
+            joint.model_copy(update={name: f * old for name, f in factors.items() if (old := getattr(joint, name))})
+            for joint in self.drives
+        )
+        payload = self.config.payload.model_copy(update={"mass": mass * self.config.payload.mass})
+        config = self.config.model_copy(update={"joints": joints, "payload": payload})
+        return Robot(config, tree.heavier(self.model, mass))
+
     @property
     def n(self) -> int:
         """Number of joints."""

@@ -21,11 +21,13 @@ from .errors import EstimatorError, OutputError
 from .filtering import sized
 from .log import Log
 from .noise import sensor_noise
+from .observers import AccelerationObserver
 from .robot import Robot
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 Truth: TypeAlias = dict[str, FloatArray]
-Feedback: TypeAlias = Literal["truth", "sensors"] | ElasticJointFilter
+Told: TypeAlias = bool | tuple[_core.ElasticJointFilter, list[int]] | _core.AccelerationObserver
+Feedback: TypeAlias = Literal["truth", "sensors"] | ElasticJointFilter | AccelerationObserver
 
 KINDS = ("theta", "acceleration", "dtheta", "rate", "q")
 """What sensors measure, in the core's order."""
@@ -128,7 +130,8 @@ def simulate(
         gravity, as fast as their links; the torques that hold gravity.
     feedback
         What the controller is told: ``"truth"``, ``"sensors"`` (motors as measured, links taken to be there too), or
-        an `ElasticJointFilter`, whose estimate it is; it starts anew.
+        the estimate of an `ElasticJointFilter` or `AccelerationObserver`, of a robot with other parameters if need
+        be; it starts anew, at the simulation's rate.
     sensors
         A `Sensor` of each kind: ``theta``, ``dtheta``, ``acceleration``, ``rate``, ``q``. A kind not given is as
         robot.yaml has it, or exact; link positions are in the log only if given.
@@ -158,7 +161,7 @@ def simulate(
         **{name: None if value is None else sized(name, value, robot.n).tolist() for name, value in start.items()},
     }
     channels = [dataclasses.asdict(channel) for kind in KINDS for channel in models[kind]]
-    told = _told(feedback, robot)
+    told = _told(feedback, robot, 1.0 / rate)
     result = _core.simulate(robot.core, settings, channels, told, law_of(controller, robot))
     return _assemble(robot, result, link_encoders="q" in (sensors or {}))
 
@@ -213,10 +216,14 @@ def _models(sensors: Mapping[str, Sensor], robot: Robot) -> dict[str, list[Senso
     return models | {kind: [model] * _width(robot, kind) for kind, model in sensors.items()}
 
 
-def _told(feedback: Feedback, robot: Robot) -> bool | tuple[_core.ElasticJointFilter, list[int]]:
+def _told(feedback: Feedback, robot: Robot, period: float) -> Told:
+    if isinstance(feedback, AccelerationObserver):
+        return feedback.fresh(period)
     if not isinstance(feedback, ElasticJointFilter):
         if feedback not in ("truth", "sensors"):
-            raise EstimatorError(f"feedback is {feedback!r}, expected 'truth', 'sensors' or an ElasticJointFilter")
+            raise EstimatorError(
+                f"feedback is {feedback!r}, expected 'truth', 'sensors', an ElasticJointFilter or AccelerationObserver"
+            )
         return feedback == "truth"
     core, kinds = feedback.fresh()
     if "torque" in kinds:

@@ -37,12 +37,23 @@ def _load(model: Any, config: RobotConfig) -> None:
         index = model.getJointId(joint.name)
         inertia = model.inertias[index]
         if joint.mass_scale != 1:
-            scaled = pin.Inertia(joint.mass_scale * inertia.mass, inertia.lever, joint.mass_scale * inertia.inertia)
-            model.inertias[index] = scaled
+            model.inertias[index] = _scaled(inertia, joint.mass_scale)
     if config.tool is not None and config.payload.mass:
         index, pose = mount(model, config.tool)
         at = pose.act(np.array(config.payload.xyz))
         model.inertias[index] += pin.Inertia(config.payload.mass, at, np.zeros((3, 3)))
+
+
+def heavier(model: Any, factor: float) -> Any:
+    """Copy a model with mass and inertia of all links times a factor."""
+    model = pin.Model(model)
+    for index, inertia in enumerate(model.inertias):
+        model.inertias[index] = _scaled(inertia, factor)
+    return model
+
+
+def _scaled(inertia: Any, factor: float) -> Any:
+    return pin.Inertia(factor * inertia.mass, inertia.lever, factor * inertia.inertia)
 
 
 def _lock(model: Any, joints: list[int]) -> Any:

@@ -7,7 +7,7 @@ errors ask for fast poles, little noise for slow ones, and an error of the stiff
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from .errors import EstimatorError, LogError, NumericalError
 from .estimate import Estimate
 from .kalman import RauchTungStriebelSmoother
 from .log import Log
-from .observer_tuning import START, ObserverTuning
+from .observer_tuning import DRIVE, START, ObserverTuning
 from .observers import AccelerationObserver
 from .robot import Robot
 from .tune import LEAST_MOTION
@@ -54,6 +54,8 @@ class Front:
         sensors' noise gives rise to [rad/s], at the start.
     evaluations : int
         How often the recordings were estimated.
+    smoothed : bool
+        Whether the states were smoothed, for want of measured ones.
     """
 
     points: tuple[ObserverTuning, ...]
@@ -61,6 +63,7 @@ class Front:
     recommended: int
     at_start: FloatArray
     evaluations: int
+    smoothed: bool = False
 
     @property
     def best(self) -> ObserverTuning:
@@ -78,6 +81,11 @@ class Front:
         for key, values in self.best.model_dump(exclude_defaults=True).items():
             lines += [f"{f'{key}_{name}':24} {'':12} {value:12.4g}" for name, value in values.items()]
         lines.append(f"{len(self.points)} points on the front, after {self.evaluations} evaluations")
+        if drives := [key for key in DRIVE if self.smoothed and getattr(self.best, key)]:
+            what = " and ".join(drives)
+            lines.append(
+                f"{what} from smoothed states, which presume those of robot.yaml: give measured ones (--states)"
+            )
         return "\n".join(lines) + "\n"
 
     def figure(self) -> Figure:
@@ -134,13 +142,14 @@ def tune_observer(
     logs = [logs] if isinstance(logs, Log) else list(logs)
     bounds = {**BOUNDS, **(bounds or {})}
     _refuse(logs, free, bounds)
+    smoothed = states is None
     if states is None:
         states = RauchTungStriebelSmoother(robot).run(logs)
     states = [states] if isinstance(states, Estimate) else list(states)
     if len(states) != len(logs):
         raise EstimatorError(f"states: {len(states)} given, for {len(logs)} recordings")
     search = _Search(robot, logs, [_known(log, s) for log, s in zip(logs, states, strict=True)], tuple(free), progress)
-    return search.front(bounds, evaluations, seed)
+    return replace(search.front(bounds, evaluations, seed), smoothed=smoothed)
 
 
 def _refuse(logs: Sequence[Log], free: Sequence[str], bounds: Mapping[str, tuple[float, float]]) -> None:

@@ -40,6 +40,9 @@ def test_elastic_control(tmp_path):
         assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
     found = re.findall(r"^(\w+, [\w ]+?) +([\d.]+) +([\d.]+) +[\d.]+$", done.stdout, re.MULTILINE)
     assert len(found) == 4
+    ratios = re.findall(r"motors only +([\d.]+) +([\d.]+)$", done.stdout, re.MULTILINE)
+    assert len(ratios) == 2
+    assert max(float(ratio) for row in ratios for ratio in row) <= 0.5
     document = (ROOT / "docs/control.md").read_text()
     stated = re.findall(r"^\| \d+° in [\d.]+ s, (.*?) \| ([\d.]+) \| ([\d.]+) \|$", document, re.MULTILINE)
     for (name, *measured), (what, *written) in zip(found, stated, strict=True):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import linkside
-from linkside import AccelerationObserver, ConfigError, Estimate, EstimatorError, Log, LogError, Robot
+from linkside import AccelerationObserver, ConfigError, Estimate, EstimatorError, Log, LogError, Robot, simulate
 from linkside.cli import main
 from linkside.control import inverse_dynamics
 from linkside.feedback import StateFeedback, pole_placement
@@ -15,9 +15,6 @@ from linkside.trajectories import rest_to_rest
 from linkside.tune_observer import OBJECTIVES, tune_observer
 
 from .robots import DATA
-
-sys.path.insert(0, str(DATA.parents[1] / "examples"))
-from plant import Plant, run, specimen
 
 LONG = DATA / "kr15_long"
 ROBOT = Robot.load(LONG / "robot.yaml")
@@ -52,17 +49,11 @@ def fresh():
     start = LOG.theta[0]
     motion = rest_to_rest([start, start + np.radians([-20, 12, -15, 0, 0, 0])], 0.5, 5e-4, degree=7).held(0.1, 0.2)
     desired = inverse_dynamics(ROBOT, motion)
-    plant = Plant(specimen(ROBOT, stiffness=0.95, damping=1.2, motor_inertia=1.0, mass=1.0), desired)
     controller = StateFeedback(ROBOT, desired, pole_placement(ROBOT, start))
-    states, tau, measured, acceleration = run(plant, controller, len(motion), 5e-4)
-    names = ROBOT.names
-    columns = {"t": motion.t} | {f"theta_{name}": measured[:, j] for j, name in enumerate(names)}
-    columns |= {f"tau_{name}": tau[:, j] for j, name in enumerate(names)}
-    columns |= {name: acceleration[:, j] for j, name in enumerate(ROBOT.acceleration_channels)}
-    q, theta, dq, dtheta = np.split(states, 4, axis=1)
-    status = np.zeros(len(motion), np.uint8)
-    truth = Estimate(t=motion.t, names=names, q=q, theta=theta, dq=dq, dtheta=dtheta, status=status)
-    return Log.from_table(columns, ROBOT), truth
+    true = ROBOT.scaled(stiffness=0.95, damping=1.2)
+    run = simulate(true, controller, motion.t[-1], 2000, q=start, feedback=controller.observer, substeps=2)
+    states = {name: run.truth[name] for name in ("t", "q", "theta", "dq", "dtheta")}
+    return run.log, Estimate(names=ROBOT.names, status=np.zeros(len(motion), np.uint8), **states)
 
 
 def test_torsion_errs_less_on_another_motion_too(front, fresh):
@@ -111,6 +102,9 @@ def test_smoothed_states_serve_where_none_are_measured():
     front = tune_observer(ROBOT, LOG[:1500], evaluations=60)
     assert front.ratios.sum(axis=1).min() < 4
     assert set(front.best.model_dump(exclude_defaults=True)) == {"poles"}
+    assert "smoothed" not in front.to_text()
+    stiff = tune_observer(ROBOT, LOG[:1500], free=("stiffness", "damping"), evaluations=20)
+    assert "stiffness and damping from smoothed states" in stiff.to_text()
 
 
 def test_results_are_the_same_every_time_and_progress_never_goes_back():

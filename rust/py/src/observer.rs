@@ -16,7 +16,7 @@ use std::sync::Arc;
 /// Observer of one robot, designed for one sampling period.
 #[pyclass(module = "linkside._core")]
 pub(crate) struct AccelerationObserver {
-    fresh: observer::AccelerationObserver,
+    pub(crate) fresh: observer::AccelerationObserver,
     live: observer::AccelerationObserver,
     tool: bool,
 }

@@ -3,11 +3,12 @@
 use crate::array::{Signal, shaped};
 use crate::elastic_filter::ElasticJointFilter;
 use crate::error::{EstimatorError, IntoPyErr};
+use crate::observer::AccelerationObserver;
 use crate::robot::Robot;
-use linkside_core::control::{AdaptiveGains, Controller, JointPd, Reference, Refused, SimpleAdaptive, State};
+use linkside_core::control::{AdaptiveGains, Controller, JointPd, Reference, Refused, SimpleAdaptive, State, StateFeedback};
 use linkside_core::error::{DesignError, SimulationError};
 use linkside_core::simulate::{
-    self as core, Feedback, FilterFeedback, Kind, Plan, Recording, SensorFeedback, SensorModel, Start, Suite, TrueState,
+    self as core, Feedback, FilterFeedback, Kind, ObserverFeedback, Plan, Recording, SensorFeedback, SensorModel, Start, Suite, TrueState,
 };
 use numpy::PyArray1;
 use pyo3::exceptions::PyException;
@@ -55,6 +56,8 @@ pub(crate) struct Knots {
 #[derive(FromPyObject)]
 pub(crate) enum Law<'py> {
     #[pyo3(from_item_all)]
+    StateFeedback { states: Knots, gains: Vec<f64> },
+    #[pyo3(from_item_all)]
     JointPd { reference: Knots, kp: Vec<f64>, kd: Vec<f64>, tau: Vec<f64> },
     #[pyo3(from_item_all)]
     SimpleAdaptive {
@@ -71,12 +74,14 @@ pub(crate) enum Law<'py> {
     Callable(Bound<'py, PyAny>),
 }
 
-/// What the controller is told: the truth or what sensors read, or the estimate of a filter from some readings.
+/// What the controller is told: the truth or what sensors read, or the estimate of a filter from some readings, or of an observer.
 #[derive(FromPyObject)]
 pub(crate) enum Told<'py> {
     #[pyo3(transparent)]
     Truth(bool),
     Filter(PyRef<'py, ElasticJointFilter>, Vec<usize>),
+    #[pyo3(transparent)]
+    Observer(PyRef<'py, AccelerationObserver>),
 }
 
 /// A function of Python in the loop.
@@ -139,6 +144,10 @@ pub(crate) fn simulate<'py>(
             let feedback = FilterFeedback::new(filter.filter.clone(), channels).map_err(IntoPyErr::into_py_err)?;
             job.with(py, feedback, law)
         }
+        Told::Observer(observer) => {
+            let feedback = ObserverFeedback::new(observer.fresh.clone(), &job.robot);
+            job.with(py, feedback.map_err(IntoPyErr::into_py_err)?, law)
+        }
     }?;
     into_dict(py, recording, &robot.0)
 }
@@ -164,6 +173,10 @@ impl Job {
 
     fn with(self, py: Python<'_>, feedback: impl Feedback + Send, law: Law<'_>) -> PyResult<Recording> {
         match law {
+            Law::StateFeedback { states, gains } => {
+                let controller = states.build().and_then(|reference| StateFeedback::new(reference, gains));
+                self.run(py, feedback, &mut controller.map_err(IntoPyErr::into_py_err)?).map_err(IntoPyErr::into_py_err)
+            }
             Law::JointPd { reference, kp, kd, tau } => {
                 let controller = reference.build().and_then(|r| JointPd::new(r, kp, kd, tau));
                 self.run(py, feedback, &mut controller.map_err(IntoPyErr::into_py_err)?).map_err(IntoPyErr::into_py_err)

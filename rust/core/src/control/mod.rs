@@ -4,11 +4,13 @@ pub mod feedforward;
 mod joint_pd;
 mod reference;
 mod simple_adaptive;
+mod state_feedback;
 mod transmission;
 
 pub use joint_pd::JointPd;
 pub use reference::Reference;
 pub use simple_adaptive::{AdaptiveGains, SimpleAdaptive};
+pub use state_feedback::StateFeedback;
 
 /// What a controller is told of the robot, n numbers each.
 #[derive(Clone, Debug, Default)]

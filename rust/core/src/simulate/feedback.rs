@@ -5,6 +5,8 @@ use crate::control::State;
 use crate::dynamics::ElasticLayout;
 use crate::error::DesignError;
 use crate::estimate::kalman::{ElasticModel, ExtendedKalmanFilter, Inputs, KalmanSample};
+use crate::estimate::observer::{AccelerationObserver, Sample};
+use crate::robot::Robot;
 
 /// What is known at a sample.
 #[derive(Clone, Copy, Debug)]
@@ -104,6 +106,47 @@ impl Feedback for FilterFeedback {
         for j in 0..n {
             out.theta[j] = mean[self.layout.theta[j]];
             out.dtheta[j] = mean[self.layout.dtheta[j]];
+        }
+        Ok(())
+    }
+}
+
+/// The acceleration-driven observer's estimate from motor positions, accelerometers and the torque of the controller.
+#[derive(Clone, Debug)]
+pub struct ObserverFeedback {
+    observer: AccelerationObserver,
+}
+
+impl ObserverFeedback {
+    /// An observer by the accelerometers of a robot like `robot`, designed for the period of the simulation.
+    ///
+    /// # Errors
+    /// Another number of joints or of accelerometers' channels.
+    pub fn new(observer: AccelerationObserver, robot: &Robot) -> Result<Self, DesignError> {
+        for (what, found, expected) in [
+            ("joints of the observer", observer.joints(), robot.len()),
+            ("accelerations of the observer", observer.channels(), robot.acceleration_channels()),
+        ] {
+            if found != expected {
+                return Err(DesignError::Length { what, found, expected });
+            }
+        }
+        Ok(Self { observer })
+    }
+}
+
+impl Feedback for ObserverFeedback {
+    #[inline(always)]
+    fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError> {
+        let Self { observer } = self;
+        let (theta, others) = known.readings.split_at(observer.joints());
+        // The torque was chosen after the last sample, from its estimate.
+        observer.hold(known.tau)?;
+        observer.step(Sample { theta, tau: known.tau, acceleration: &others[..observer.channels()] })?;
+        out.q.copy_from_slice(observer.q());
+        out.dq.copy_from_slice(observer.dq());
+        for j in 0..observer.joints() {
+            (out.theta[j], out.dtheta[j]) = observer.motor(j);
         }
         Ok(())
     }

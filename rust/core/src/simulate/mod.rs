@@ -8,7 +8,7 @@ mod run;
 mod sensors;
 mod start;
 
-pub use feedback::{Feedback, FilterFeedback, Known, SensorFeedback, TrueState};
+pub use feedback::{Feedback, FilterFeedback, Known, ObserverFeedback, SensorFeedback, TrueState};
 pub use integrator::{RungeKutta, largest_stable_step};
 pub use recording::Recording;
 pub use run::{Plan, simulate};
