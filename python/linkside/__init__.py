@@ -14,6 +14,7 @@ from .errors import ConfigError, EstimatorError, LinksideError, LogError, Numeri
 from .estimate import Estimate, EstimateWriter, Status
 from .filtering import KalmanEstimate
 from .fixed_lag import FixedLagSmoother
+from .gain_map import GainMap
 from .kalman import ExtendedKalmanFilter, RauchTungStriebelSmoother
 from .log import Log
 from .noise import Noise
@@ -35,6 +36,7 @@ __all__ = [
     "EstimatorError",
     "ExtendedKalmanFilter",
     "FixedLagSmoother",
+    "GainMap",
     "HybridGain",
     "KalmanEstimate",
     "LinksideError",

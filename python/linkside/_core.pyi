@@ -254,6 +254,7 @@ class VelocityObserver:
         period: float,
         gains: Sequence[float],
         levels: Mapping[str, Any] | None,
+        map: Mapping[str, Any] | None,
         spring: Sequence[float],
         motors: bool,
         wrap: Sequence[float],

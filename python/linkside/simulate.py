@@ -218,6 +218,7 @@ def _models(sensors: Mapping[str, Sensor], robot: Robot) -> dict[str, list[Senso
 
 def _told(feedback: Feedback, robot: Robot, period: float) -> Told:
     if isinstance(feedback, AccelerationObserver):
+        _same_robot(feedback.robot, robot, "names", "acceleration_channels")
         return feedback.fresh(period)
     if not isinstance(feedback, ElasticJointFilter):
         if feedback not in ("truth", "sensors"):
@@ -228,13 +229,17 @@ def _told(feedback: Feedback, robot: Robot, period: float) -> Told:
     core, kinds = feedback.fresh()
     if "torque" in kinds:
         raise EstimatorError("feedback: joint torque sensors are not simulated; set torque=False")
-    for what in ("names", "acceleration_channels", "gyroscope_channels"):
-        theirs, ours = getattr(feedback.robot, what), getattr(robot, what)
-        if theirs != ours:
-            raise EstimatorError(f"feedback is of another robot: its {what} are {theirs}, expected {ours}")
+    _same_robot(feedback.robot, robot, "names", "acceleration_channels", "gyroscope_channels")
     names = [kind for kind in KINDS for _ in range(_width(robot, kind))]
     wanted = {"theta" if kind == "motor" else kind for kind in kinds}
     return core, [index for index, kind in enumerate(names) if kind in wanted]
+
+
+def _same_robot(believed: Robot, robot: Robot, *aspects: str) -> None:
+    for what in aspects:
+        theirs, ours = getattr(believed, what), getattr(robot, what)
+        if theirs != ours:
+            raise EstimatorError(f"feedback is of another robot: its {what} are {theirs}, expected {ours}")
 
 
 def _count(duration: float, rate: float) -> int:

@@ -85,3 +85,14 @@ def test_velocity_two_links(tmp_path):
     assert (float(up), float(down)) == pytest.approx((0.024, 3.871), abs=5e-3)
     ends = [float(x) for x in re.findall(r"-?\d+\.\d+", said.rsplit("q(2) = ", 1)[1])]
     assert ends == pytest.approx([-0.35243, -0.80150, 1.00723, -0.60681], abs=1e-3)
+
+
+def test_velocity_noise(tmp_path):
+    command = [sys.executable, ROOT / "examples/velocity_noise.py", "arm2_square"]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=tmp_path)
+    found = re.findall(r"^  (\w+).* ([\d.]+) mrad/s at", done.stdout, re.MULTILINE)
+    errors = {name: min(float(error) for other, error in found if other == name) for name, _ in found}
+    assert errors["ReducedOrderObserver"] < errors["Kalman"] / 4 < errors["difference"] / 8
+    document = (ROOT / "docs/velocity.md").read_text()
+    stated = re.search(r"reduced-order, exact model \| \*\*([\d.]+)\*\*", document)
+    assert float(stated.group(1)) == pytest.approx(errors["ReducedOrderObserver"], abs=0.02)

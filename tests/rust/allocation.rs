@@ -14,6 +14,7 @@ use linkside_core::estimate::observer::{
     AccelerationObserver, AccelerationSource, Complex, Form, Sample, Settings, link_position_at_rest,
 };
 use linkside_core::estimate::particle::{Collapse, Density, ParticleFilter, ParticleSettings, Proposal, Resampling};
+use linkside_core::estimate::velocity::{self, GainMap, Gains, Logic, Schedule, VelocityObserver};
 use linkside_core::robot::{Drive, Robot};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::Arc;
@@ -139,6 +140,41 @@ fn a_kalman_step_allocates_nothing() {
         }
     });
     assert_eq!(count, 0);
+}
+
+#[test]
+fn a_velocity_observers_step_allocates_nothing() {
+    let schedule = Schedule {
+        gains: vec![50.0, 80.0, 110.0],
+        bound: 0.5,
+        margin: 0.1,
+        hysteresis: 0.05,
+        start: 1,
+        dwell: 0,
+        logic: Logic::Repaired,
+    };
+    let mut linear = vec![0.0; 36];
+    linear.iter_mut().step_by(7).for_each(|gain| *gain = 50.0);
+    let map = GainMap { linear, waves: vec![1.0; 12], sine: vec![2.0; 12], cosine: vec![1.0; 12] };
+    let kinds = [(Gains::Constant(vec![50.0; 6]), 100.0), (Gains::Scheduled(schedule), 0.0), (Gains::Mapped(map), 0.0)];
+    for (gains, spring) in kinds {
+        let settings = velocity::Settings {
+            period: 5e-4,
+            gains,
+            spring: vec![spring; 6],
+            motors: true,
+            wrap: vec![core::f64::consts::TAU; 6],
+        };
+        let mut observer = VelocityObserver::new(Arc::new(robot()), settings).unwrap();
+        observer.step(&[0.1; 6], &[1.0; 6]).unwrap();
+        let count = allocations(|| {
+            for (q, torque) in [([0.1; 6], [1.0; 6]), ([f64::NAN; 6], [f64::NAN; 6]), ([0.13; 6], [2.0; 6])] {
+                observer.step(&q, &torque).unwrap();
+            }
+        });
+        assert_eq!(count, 0);
+        assert!(observer.is_finite());
+    }
 }
 
 #[test]

@@ -134,7 +134,7 @@ pub enum DesignError {
     },
     /// A spring on the position error that would swing up from sample to sample.
     #[error(
-        "the position gains give an eigenvalue of {stiffness:.4} 1/s² at the first posture, unstable at this rate: below {limit:.4} 1/s², twice the gain by the period"
+        "the position gains give an eigenvalue of {stiffness:.4} 1/s² at the first posture, unstable at this rate: expected below {limit:.4} 1/s²"
     )]
     StiffSpring {
         /// λmax(M⁻¹K_P) [1/s²].
