@@ -11,6 +11,7 @@ import numpy.typing as npt
 from ..log import Log
 from ..noise import Noise
 from ..robot import Robot
+from .equations import better
 from .parameters import Bounds, Parameter, choose
 from .problem import Problem
 from .recordings import moving, refuse, use_torque
@@ -62,7 +63,8 @@ def calibrate(
     held_out
         Recordings that only test the outcome.
     start
-        Where to start, by name, in tolerances: what a `Step` of an interrupted run held.
+        Where to start, by name, in tolerances: what a `Step` of an interrupted run held. By default robot.yaml, or
+        where the equations of motion fit best if the recordings are more probable there.
     progress
         Called with a `Step` whenever a better point is found.
 
@@ -105,7 +107,7 @@ class _Run:
 
     def __init__(self, problem: Problem, start: dict[str, float], progress: Progress | None) -> None:
         self.problem, self.progress = problem, progress
-        self.at = self._filters(problem) | start
+        self.at = self._filters(problem) | start if start else better(problem, self._filters(problem))
         self.refused: dict[str, str] = {}
         self.evaluations = 0
         moves = np.any([moving(log) for log in problem.logs], axis=0)
