@@ -142,6 +142,13 @@ def test_the_simulator_runs_the_same_law_and_observer():
         assert np.abs(torque - tau).max() < 1e-6 * np.abs(tau).max()
 
 
+def test_a_controller_of_another_robot_is_refused_in_simulation():
+    desired = inverse_dynamics(ROBOT, rest_to_rest([START, START], 0.01, 1e-3))
+    controller = StateFeedback(ROBOT, desired, pole_placement(ROBOT, START))
+    with pytest.raises(EstimatorError, match="controller is of 6 joints, expected 2"):
+        simulate(one_elastic(1.0), controller, 0.1, 1000)
+
+
 def test_a_held_torque_replaces_that_of_the_sample():
     log = Log.read(linkside.demo.LOG, ROBOT)
     one, other = (AccelerationObserver(ROBOT, period=log.period) for _ in range(2))

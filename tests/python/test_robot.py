@@ -194,6 +194,21 @@ def test_a_pickled_robot_is_the_same_robot(robot: Robot) -> None:
     np.testing.assert_array_equal(copy.specific_force(q, dq, ddq), robot.specific_force(q, dq, ddq))
 
 
+def test_a_scaled_robot_is_that_of_scaled_settings() -> None:
+    joints = [spring("shoulder", mass_scale=1.1), spring("elbow", elastic=False)]
+    payload = {"tool": {"link": "hand"}, "payload": {"mass": 2.0, "xyz": [0.1, 0.0, 0.2]}}
+    scaled = Robot.from_urdf(ARM, joints, **payload).scaled(stiffness=0.9, damping=1.2, motor_inertia=1.3, mass=2.0)
+    drive = {"stiffness": 0.9 * 1e4, "damping": 1.2 * 5.0, "motor_inertia": 1.3 * 1.5}
+    joints = [spring("shoulder", mass_scale=2.2, **drive), spring("elbow", elastic=False, mass_scale=2.0, **drive)]
+    payload["payload"]["mass"] = 4.0
+    expected = Robot.from_urdf(ARM, joints, **payload)
+    assert scaled.config == expected.config
+    state = [0.3, -0.5], [1.0, 2.0], [3.0, -1.0]
+    np.testing.assert_allclose(scaled.inverse_dynamics(*state), expected.inverse_dynamics(*state), rtol=1e-12)
+    with pytest.raises(ConfigError, match=r"factor on damping: 0\.0, expected a positive number"):
+        scaled.scaled(damping=0.0)
+
+
 def test_shapes_are_checked_by_name() -> None:
     robot = Robot.from_urdf(ARM, ARM_JOINTS)
     with pytest.raises(EstimatorError, match=re.escape("q: expected shape (2,) or (T, 2), got (3,)")):

@@ -8,7 +8,17 @@ import pytest
 from numpy.testing import assert_allclose
 
 import linkside
-from linkside import ElasticJointFilter, EstimatorError, Log, NumericalError, OutputError, Robot, Sensor, simulate
+from linkside import (
+    AccelerationObserver,
+    ElasticJointFilter,
+    EstimatorError,
+    Log,
+    NumericalError,
+    OutputError,
+    Robot,
+    Sensor,
+    simulate,
+)
 from linkside.controllers import JointPD, SimpleAdaptive
 
 from .robots import ARM, spring
@@ -310,10 +320,14 @@ def test_settings_out_of_range():
     bad("corner_frequency is 0", sensors={"theta": Sensor(corner_frequency=0.0)})
     bad("every is 0", sensors={"theta": Sensor(every=0)})
     bad("torque sensors are not simulated", feedback=ElasticJointFilter(arm(), torque=True))
-    bad(
-        "feedback is of another robot: its names are",
-        feedback=ElasticJointFilter(Robot.load(DATA / "kr15_six_axes" / "robot.yaml")),
-    )
+    six = Robot.load(DATA / "kr15_six_axes" / "robot.yaml")
+    bad("feedback is of another robot: its names are", feedback=ElasticJointFilter(six))
+    bad("feedback is of another robot: its names are", feedback=AccelerationObserver(six))
+    sensor = {"name": "imu", "link": "fore", "xyz": [0.1, 0, 0.3]}
+    sensing = Robot.from_urdf(ARM, [spring("shoulder"), spring("elbow")], accelerometers=[sensor])
+    bad("feedback is of another robot: its acceleration_channels are", feedback=AccelerationObserver(sensing))
+    accelerations = AccelerationObserver(arm(), accelerations="joints")
+    bad("link accelerations are not simulated", feedback=accelerations)
 
 
 def test_an_indefinite_inertia_is_refused_with_the_robot():
