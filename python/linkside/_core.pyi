@@ -177,6 +177,7 @@ class ElasticJointFilter:
         disturbances: bool,
         biased: Sequence[bool],
         first_order: bool,
+        held: bool,
         noise: Mapping[str, Any],
         gate: float | None,
         iterations: int,

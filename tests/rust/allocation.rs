@@ -16,6 +16,7 @@ use linkside_core::estimate::observer::{
 use linkside_core::estimate::particle::{Collapse, Density, ParticleFilter, ParticleSettings, Proposal, Resampling};
 use linkside_core::estimate::velocity::{self, GainMap, Gains, Logic, Schedule, VelocityObserver};
 use linkside_core::robot::{Drive, Robot};
+use linkside_core::simulate::{Adaptive, Plant, Tolerance};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::Arc;
 
@@ -216,6 +217,18 @@ fn a_particle_filters_step_allocates_nothing() {
         });
         assert_eq!(count, 0, "marginalised: {marginalised}");
     }
+}
+
+#[test]
+fn an_adaptive_step_allocates_nothing() {
+    let robot = robot();
+    let mut plant = Plant::new(&robot).unwrap();
+    let mut adaptive = Adaptive::new(&plant, Tolerance { rtol: 1e-6, atol: 1e-9 }).unwrap();
+    let mut x = vec![0.1; plant.layout.dense];
+    let mut advance = |t: f64| adaptive.advance(&robot, &mut plant, &mut x, &[3.0; 6], (t, 1e-3)).unwrap();
+    advance(0.0);
+    assert_eq!(allocations(|| (1..50).for_each(|i| advance(1e-3 * f64::from(i)))), 0);
+    assert!(x.iter().all(|x| x.is_finite()));
 }
 
 #[test]
