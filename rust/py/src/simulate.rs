@@ -5,10 +5,13 @@ use crate::elastic_filter::ElasticJointFilter;
 use crate::error::{EstimatorError, IntoPyErr};
 use crate::observer::AccelerationObserver;
 use crate::robot::Robot;
-use linkside_core::control::{AdaptiveGains, Controller, JointPd, Reference, Refused, SimpleAdaptive, State, StateFeedback};
+use linkside_core::control::{
+    AdaptiveGains, Controller, JointPd, Reference, Refused, SimpleAdaptive, State, StateFeedback,
+};
 use linkside_core::error::{DesignError, SimulationError};
 use linkside_core::simulate::{
-    self as core, Feedback, FilterFeedback, Kind, ObserverFeedback, Plan, Recording, SensorFeedback, SensorModel, Start, Suite, TrueState,
+    self as core, Feedback, FilterFeedback, Kind, ObserverFeedback, Plan, Recording, SensorFeedback, SensorModel,
+    Start, Suite, TrueState,
 };
 use numpy::PyArray1;
 use pyo3::exceptions::PyException;

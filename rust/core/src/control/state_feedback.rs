@@ -70,10 +70,7 @@ mod tests {
 
     #[test]
     fn gains_that_do_not_fit_are_refused() {
-        assert_eq!(
-            controller(vec![1.0; 3]).unwrap_err(),
-            DesignError::Length { what: "gains", found: 3, expected: 4 }
-        );
+        assert_eq!(controller(vec![1.0; 3]).unwrap_err(), DesignError::Length { what: "gains", found: 3, expected: 4 });
         let error = controller(vec![1.0, f64::INFINITY, 0.0, 0.0]).unwrap_err();
         assert_eq!(error.to_string(), "gains is inf, expected finite numbers");
     }
