@@ -145,6 +145,8 @@ def linearised(robot: Robot, q: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
 class StateFeedback:
     """Torque from readings, one sample at a time: observer, feedback and feedforward.
 
+    In simulation the core runs it: ``simulate(specimen, controller, …, feedback=controller.observer)``.
+
     Parameters
     ----------
     robot
