@@ -79,8 +79,12 @@ class GainDesign:
     region : float
         Errors that start smaller than this are guaranteed to vanish, eq. (12) [rad/s].
     exact : bool
-        Whether c0 is exact at each posture (up to two joints) or an upper bound. Over postures, all are maximised or
-        minimised on a sample and refined from its worst ones: not a certificate over the whole range.
+        Whether c0 is exact at each posture (up to two joints) or an upper bound.
+
+    Notes
+    -----
+    At each posture what is stated is certified. Over postures all is maximised or minimised on a sample and refined
+    from its worst ones: no certificate between them.
     """
 
     speed: float

@@ -64,7 +64,7 @@ def fast(t):
     return np.array([np.sin(t), 1 + np.sin(2 * t)])
 
 
-@pytest.mark.parametrize(("position_gain", "apart"), [(0.0, 5e-4), (100.0, 1e-3), (500.0, 4e-3)])
+@pytest.mark.parametrize(("position_gain", "apart"), [(0.0, 1e-6), (100.0, 2e-5), (500.0, 1e-4)])
 def test_follows_the_equations_as_printed(position_gain, apart):
     gain = GAINS[0]
     observer = NicosiaTomeiObserver(RODS, gain, position_gain, period=PERIOD)

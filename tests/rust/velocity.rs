@@ -139,7 +139,8 @@ proptest! {
         let gains = Gains::Constant(vec![product / PERIOD]);
         let mut stiff = observer(one_joint(), gains, 1.001 * limit).unwrap();
         let refused = stiff.step(&[0.0], &[0.0]);
-        prop_assert!(matches!(refused, Err(RunError::Design(DesignError::StiffSpring { .. }))));
+        let named = matches!(refused, Err(RunError::Design(DesignError::StiffSpring { .. })));
+        prop_assert!(named);
     }
 }
 
