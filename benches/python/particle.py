@@ -1,68 +1,69 @@
-"""Particle filters beside vectorised NumPy: two joints, N = 1000, time for a particle and step."""
+"""Particle filters beside whole arrays in NumPy and JAX: two joints, N = 1000, time for a particle and step.
 
+The package `particles` is not beside them: it needs NumPy 1, and cannot be installed where JAX is.
+"""
+
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
+from importlib import import_module
 
 import numpy as np
+from array_particle import READING, reading
 from kalman import load
 from timing import Result, microseconds
 
 from linkside import MarginalizedParticleFilter, ParticleFilter
 
 COUNT = 1000
+MANY = 10_000
 SAMPLES = 400
+MOST = {"linearised": 100, "bootstrap": 25}
+PEERS = {"NumPy": "numpy_particle", "JAX": "jax_particle"}
+"""What has to be installed, and the file that uses it; each has `run(readings, count, linearised)`."""
 
 
 def bench() -> Iterator[Result]:
     """The linearised and the bootstrap proposal; in thousands, so that µs are ns a particle."""
-    robot, log, noise = load("arm2_square", axes="xz")
-    log = log[:SAMPLES]
-    peer = numpy_bootstrap(SAMPLES)
-    for name, proposal, most in (("linearised", "linearised", 100), ("bootstrap", "bootstrap", 25)):
+    for proposal, most in MOST.items():
+        peers = dict(against(proposal == "linearised"))
         for method in (ParticleFilter, MarginalizedParticleFilter):
-            kernel = 0.5 if proposal == "linearised" else None
-            estimator = method(robot, noise, particles=COUNT, proposal=proposal, kernel=kernel)
-            time = microseconds(lambda e=estimator: e.run(log), SAMPLES, repeats=5)
-            what = f"{method.__name__}, {name}, a step of {COUNT}"
-            least = {"peer": "NumPy, bootstrap", "theirs": peer} if proposal == "bootstrap" else {}
-            yield Result(what, time, most=most, **least)
+            ours = timed(method, proposal, COUNT)
+            for name, theirs in peers.items():
+                yield Result(f"{method.__name__}, {proposal}, {COUNT}", ours, name, theirs, most=most)
+    one, two = (in_process(threads) for threads in (1, 2))
+    yield Result(f"ParticleFilter, linearised, {MANY}, two threads", two, "one thread", one, least_ratio=1.7)
 
 
-def numpy_bootstrap(samples: int) -> float:
-    """The same bootstrap step on a two-link arm, written with whole arrays."""
-    rng = np.random.default_rng(0)
-    x = 1e-3 * rng.standard_normal((COUNT, 10))
-    weights = np.full(COUNT, 1 / COUNT)
-    dt, std = 5e-4, np.array([0.3, 0.3, 1e-8, 1e-8, 2e-5, 2e-5])
-
-    def run() -> None:
-        nonlocal x, weights
-        for _ in range(samples):
-            noise = std * rng.standard_normal((COUNT, 6))
-            q, dq, ddq = x[:, :2], x[:, 2:4], x[:, 4:6] + noise[:, :2]
-            q, dq = q + dt * dq + dt * dt / 2 * ddq, dq + dt * ddq
-            bias = x[:, 6:] + noise[:, 2:]
-            x = np.hstack([q, dq, ddq, bias])
-            error = two_link(q, dq, ddq) + bias
-            log = np.log(weights) - 0.5 * (error**2 / 1e2).sum(axis=1)
-            weights = np.exp(log - log.max())
-            weights /= weights.sum()
-            if 1 / (weights**2).sum() < COUNT / 2:
-                chosen = np.searchsorted(np.cumsum(weights), (np.arange(COUNT) + rng.random()) / COUNT)
-                x, weights = x[np.minimum(chosen, COUNT - 1)], np.full(COUNT, 1 / COUNT)
-
-    return microseconds(run, samples, repeats=3)
+def timed(method: type[ParticleFilter], proposal: str, count: int) -> float:
+    """A step."""
+    robot, log, noise = load("arm2_square", axes="xz")
+    kernel = 0.5 if proposal == "linearised" else None
+    estimator = method(robot, noise, particles=count, proposal=proposal, kernel=kernel)
+    samples = SAMPLES * COUNT // count
+    return microseconds(lambda: estimator.run(log[:samples]), samples, repeats=5)
 
 
-def two_link(q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> np.ndarray:
-    """Motor positions and an accelerometer of a two-link arm of round figures (N, 4)."""
-    (sin1, sin2), (cos1, cos2), both = np.sin(q).T, np.cos(q).T, q.sum(axis=1)
-    sin12, cos12, rate, turn = np.sin(both), np.cos(both), dq.sum(axis=1), ddq.sum(axis=1)
-    coupling = 30 + 40 * cos2
-    torque1 = (90 + 80 * cos2) * ddq[:, 0] + coupling * ddq[:, 1] - 40 * sin2 * (rate**2 - dq[:, 0] ** 2)
-    torque2 = coupling * ddq[:, 0] + 30 * ddq[:, 1] + 40 * sin2 * dq[:, 0] ** 2
-    gravity2 = 400 * cos12
-    motor1 = q[:, 0] + (torque1 + gravity2 + 1200 * cos1) / 4e5
-    motor2 = q[:, 1] + (torque2 + gravity2) / 1.5e5
-    x = -sin1 * ddq[:, 0] - cos1 * dq[:, 0] ** 2 - sin12 * turn - cos12 * rate**2
-    z = cos1 * ddq[:, 0] - sin1 * dq[:, 0] ** 2 + cos12 * turn - sin12 * rate**2 + 9.81
-    return np.stack([motor1, motor2, cos12 * x + sin12 * z, cos12 * z - sin12 * x], axis=1)
+def in_process(threads: int) -> float:
+    """A step of many particles, in a process of its own: threads are chosen where it starts."""
+    environment = os.environ | {"RAYON_NUM_THREADS": str(threads)}
+    done = subprocess.run([sys.executable, __file__], env=environment, capture_output=True, text=True, check=True)
+    return float(done.stdout)
+
+
+def against(linearised: bool) -> Iterator[tuple[str, float | None]]:
+    """A step of each peer, on the readings of an arm at rest."""
+    noise = np.random.default_rng(1).standard_normal((SAMPLES, 4))
+    y = reading(np, np.zeros((1, 10)), np.zeros((1, 6))) + np.array(READING) * noise
+    for name, file in PEERS.items():
+        try:
+            run = import_module(file).run
+        except ImportError as error:
+            yield f"{error.name} is not installed", None
+        else:
+            yield name, microseconds(lambda run=run: run(y, COUNT, linearised), SAMPLES, repeats=3)
+
+
+if __name__ == "__main__":
+    print(timed(ParticleFilter, "linearised", MANY))

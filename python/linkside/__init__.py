@@ -14,11 +14,12 @@ from .errors import ConfigError, EstimatorError, LinksideError, LogError, Numeri
 from .estimate import Estimate, EstimateWriter, Status
 from .filtering import KalmanEstimate
 from .fixed_lag import FixedLagSmoother
+from .gain_map import GainMap
 from .kalman import ExtendedKalmanFilter, RauchTungStriebelSmoother
 from .log import Log
 from .noise import Noise
 from .observers import AccelerationObserver
-from .particle import MarginalizedParticleFilter, ParticleEstimate, ParticleFilter
+from .particle import MarginalizedParticleFilter, Mixture, ParticleEstimate, ParticleFilter
 from .robot import Robot
 from .simulate import Sensor, Simulation, simulate
 from .stretches import smooth_file
@@ -35,12 +36,14 @@ __all__ = [
     "EstimatorError",
     "ExtendedKalmanFilter",
     "FixedLagSmoother",
+    "GainMap",
     "HybridGain",
     "KalmanEstimate",
     "LinksideError",
     "Log",
     "LogError",
     "MarginalizedParticleFilter",
+    "Mixture",
     "NicosiaTomeiObserver",
     "Noise",
     "NumericalError",

@@ -125,8 +125,8 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
 
     Notes
     -----
-    Between samples the torque is taken to change linearly, and the mean moves by the fourth-order rule of Runge and
-    Kutta, in as many substeps as the robot's fastest mode needs.
+    Between samples the mean moves by the fourth-order rule of Runge and Kutta, in as many substeps as the robot's
+    fastest mode needs.
     """
 
     def __init__(
@@ -141,6 +141,7 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
         torque: bool | None = None,
         biases: Sequence[str] = ("acceleration", "rate"),
         disturbances: bool = True,
+        motor_torque: Literal["sampled", "held"] = "sampled",
         transition: Literal["exact", "first-order"] = "exact",
         gate: float | None = None,
         iterations: int = 1,
@@ -149,7 +150,10 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
         super().__init__(robot, wanted, biases, gate, iterations)
         if transition not in ("exact", "first-order"):
             raise EstimatorError(f"transition is {transition!r}, expected 'exact' or 'first-order'")
+        if motor_torque not in ("sampled", "held"):
+            raise EstimatorError(f"motor_torque is {motor_torque!r}, expected 'sampled' or 'held'")
         self.noise = noise or ElasticNoise()
+        self._held = motor_torque == "held"
         self._disturbances, self._transition = disturbances, transition
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
@@ -160,13 +164,13 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
         for piece in pieces:
             if core is None:
                 kinds = self._kinds(piece)
-                core = self._core(kinds)
-            arrays = self._arrays(piece, kinds, before)
+                core = self._core(kinds, held=self._held)
+            dt, readings, tau = self._arrays(piece, kinds, before)
             try:
-                result = core.run(arrays)
+                result = core.run((dt, readings, self._acting(tau, before)))
             except NumericalError as error:
                 raise NumericalError(f"{piece.source}: {error}") from None
-            before = float(piece.t[-1]), arrays[2][-1:]
+            before = float(piece.t[-1]), tau[-1:]
             yield self._estimate(piece, kinds, result)
 
     def step(
@@ -213,8 +217,11 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
         return out
 
     def fresh(self) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
-        """Build a filter of the core that has taken no sample, as `step` uses it, and the kinds of its channels."""
-        return self._core(self._live_kinds), self._live_kinds
+        """Build a filter of the core for a loop, and the kinds of its channels.
+
+        It has taken no sample; a sample's torques are those that have acted, held, since the one before.
+        """
+        return self._core(self._live_kinds, held=True), self._live_kinds
 
     @property
     def _live_kinds(self) -> tuple[str, ...]:
@@ -223,12 +230,13 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
         return ("motor", *(kind for kind, use in wanted.items() if use))
 
     def _start(self) -> _core.ElasticJointFilter:
-        return self._core(self._live_kinds)
+        return self._core(self._live_kinds, held=self._held)
 
     def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
         kinds = self._kinds(log)
-        core = self._core(kinds)
-        (outcome,) = core.run_all([self._arrays(log, kinds)], self._smooth, covariance, innovations)
+        core = self._core(kinds, held=self._held)
+        dt, readings, tau = self._arrays(log, kinds)
+        (outcome,) = core.run_all([(dt, readings, self._acting(tau))], self._smooth, covariance, innovations)
         return self._estimate(log, kinds, result_of(log.source, outcome))
 
     def _kinds(self, log: Log) -> tuple[str, ...]:
@@ -238,7 +246,7 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
         log.require("tau", purpose=purpose)
         return self._with_wanted(("motor",), log, purpose)
 
-    def _core(self, kinds: tuple[str, ...]) -> _core.ElasticJointFilter:
+    def _core(self, kinds: tuple[str, ...], *, held: bool) -> _core.ElasticJointFilter:
         if "acceleration" in kinds and is_late(self.robot):
             raise EstimatorError(
                 "the elastic-joint filter takes accelerations as they come, and robot.yaml gives an accelerometer a "
@@ -250,6 +258,7 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
             **self._channels(kinds),
             disturbances=self._disturbances,
             first_order=self._transition == "first-order",
+            held=held,
             noise=self.noise.arrays(self.robot, kinds),
             gate=self._gate,
             iterations=self._iterations,
@@ -262,6 +271,12 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
         readings = np.hstack([log.theta if kind == "motor" else getattr(log, kind) for kind in kinds])
         dt = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before[0])
         return dt, np.ascontiguousarray(readings), _torques(log, None if before is None else before[1])
+
+    def _acting(self, tau: FloatArray, before: tuple[float, FloatArray] | None = None) -> FloatArray:
+        """Motor torques as the core takes them: held ones belong to the sample at which they end."""
+        if not self._held:
+            return tau
+        return np.vstack([tau[:1] if before is None else before[1], tau[:-1]])
 
 
 class ElasticJointSmoother(ElasticJointFilter):

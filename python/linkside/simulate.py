@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +29,7 @@ Truth: TypeAlias = dict[str, FloatArray]
 Told: TypeAlias = bool | tuple[_core.ElasticJointFilter, list[int]] | _core.AccelerationObserver
 Feedback: TypeAlias = Literal["truth", "sensors"] | ElasticJointFilter | AccelerationObserver
 
-KINDS = ("theta", "acceleration", "dtheta", "rate", "q")
+KINDS = ("theta", "acceleration", "dtheta", "rate", "q", "torque")
 """What sensors measure, in the core's order."""
 
 
@@ -106,14 +106,17 @@ def simulate(
     tau: npt.ArrayLike | None = None,
     feedback: Feedback = "truth",
     sensors: Mapping[str, Sensor] | None = None,
+    integrator: Literal["rk4", "adaptive"] = "rk4",
     substeps: int = 1,
+    rtol: float | None = None,
+    atol: float | None = None,
     keep_every: int = 1,
     seed: int = 0,
 ) -> Simulation:
     """Move a robot under a controller, from rest unless told otherwise.
 
-    Both equations of the elastic-joint model are integrated by the fourth-order method of Runge and Kutta, torques
-    held between samples: springs and frictions as in robot.yaml, coupling included.
+    Both equations of the elastic-joint model are integrated, torques held between samples: springs and frictions as in
+    robot.yaml, coupling included.
 
     Parameters
     ----------
@@ -133,10 +136,19 @@ def simulate(
         the estimate of an `ElasticJointFilter` or `AccelerationObserver`, of a robot with other parameters if need
         be; it starts anew, at the simulation's rate.
     sensors
-        A `Sensor` of each kind: ``theta``, ``dtheta``, ``acceleration``, ``rate``, ``q``. A kind not given is as
-        robot.yaml has it, or exact; link positions are in the log only if given.
+        A `Sensor` of each kind: ``theta``, ``dtheta``, ``acceleration``, ``rate``, ``q``, ``torque``. A kind not given
+        is as robot.yaml has it, or exact; link positions, and joint torques (what the transmission gives the link),
+        are in the log only if given.
+    integrator
+        ``"rk4"``, the fourth-order method of Runge and Kutta in fixed steps, as fast as can be where nothing is stiff;
+        or ``"adaptive"``, RODAS (Hairer and Wanner, Solving Ordinary Differential Equations II, 1996, section VI.4),
+        an L-stable method of order 4 with exact derivatives, whose steps follow the tolerance and not the stiffness,
+        and end at every sample. A vibration smaller than the tolerance is damped instead of followed.
     substeps
-        Steps of integration between samples.
+        Steps of ``"rk4"`` between samples.
+    rtol, atol
+        Of ``"adaptive"``: a step may be wrong by ``atol + rtol |x|`` in each position and velocity; 1e-6 and 1e-9 if
+        not given.
     keep_every
         One sample in so many is kept.
     seed
@@ -145,17 +157,18 @@ def simulate(
     Raises
     ------
     EstimatorError
-        A setting out of range, a step too large for the stiffness (with the largest stable one), or a controller
-        that raises, or gives something that is not n finite numbers.
+        A setting out of range, a fixed step too large for the stiffness (with the largest stable one), or a
+        controller that raises, or gives something that is not n finite numbers.
     NumericalError
-        The motion is no longer finite; names the time.
+        The motion is no longer finite, or no adaptive step is short enough for the tolerance; names the time, and then
+        the joint.
     """
     models = _models(sensors or {}, robot)
     start = {"q": q, "dq": dq, "theta": theta, "dtheta": dtheta, "tau": tau}
     settings = {
         "count": _count(duration, rate),
         "period": 1.0 / rate,
-        "substeps": _whole("substeps", substeps),
+        **_stepping(integrator, substeps, rtol, atol),
         "keep_every": _whole("keep_every", keep_every),
         "seed": _whole("seed", seed, least=0),
         **{name: None if value is None else sized(name, value, robot.n).tolist() for name, value in start.items()},
@@ -163,15 +176,32 @@ def simulate(
     channels = [dataclasses.asdict(channel) for kind in KINDS for channel in models[kind]]
     told = _told(feedback, robot, 1.0 / rate)
     result = _core.simulate(robot.core, settings, channels, told, law_of(controller, robot))
-    return _assemble(robot, result, link_encoders="q" in (sensors or {}))
+    return _assemble(robot, result, left_out={"q", "torque"} - set(sensors or {}))
 
 
-def _assemble(robot: Robot, result: Truth, *, link_encoders: bool) -> Simulation:
+def _stepping(integrator: str, substeps: int, rtol: float | None, atol: float | None) -> dict[str, Any]:
+    """Check how time is stepped, as the core takes it."""
+    if integrator not in ("rk4", "adaptive"):
+        raise EstimatorError(f"integrator is {integrator!r}, expected 'rk4' or 'adaptive'")
+    count = _whole("substeps", substeps)
+    if integrator == "adaptive":
+        if count > 1:
+            raise EstimatorError(f"substeps is {count}, but the adaptive integrator takes its steps from rtol and atol")
+        return {"substeps": count, "tolerance": (1e-6 if rtol is None else rtol, 1e-9 if atol is None else atol)}
+    for name, value in (("rtol", rtol), ("atol", atol)):
+        if value is not None:
+            raise EstimatorError(f"{name} is {value!r}, but steps of 'rk4' are fixed; set integrator='adaptive'")
+    return {"substeps": count, "tolerance": None}
+
+
+def _assemble(robot: Robot, result: Truth, *, left_out: set[str]) -> Simulation:
     widths = [_width(robot, kind) for kind in KINDS]
     readings = np.split(result.pop("readings"), np.cumsum(widths)[:-1], axis=1)
     signals = dict(zip(KINDS, readings, strict=True)) | {"tau": result.pop("tau")}
-    if not link_encoders:
-        del signals["q"]
+    for kind in left_out:
+        del signals[kind]
+    bias, scale = robot.acceleration_errors
+    signals["acceleration"] = signals["acceleration"] * scale + bias
     if robot.columns.motor_side:
         ratio = robot.gear_ratio
         signals |= {
@@ -212,12 +242,14 @@ def _models(sensors: Mapping[str, Sensor], robot: Robot) -> dict[str, list[Senso
         "dtheta": [Sensor()] * robot.n,
         "rate": [Sensor(noise=noise) for noise in sensor_noise(robot.gyroscopes)],
         "q": [Sensor()] * robot.n,
+        "torque": [Sensor()] * robot.n,
     }
     return models | {kind: [model] * _width(robot, kind) for kind, model in sensors.items()}
 
 
 def _told(feedback: Feedback, robot: Robot, period: float) -> Told:
     if isinstance(feedback, AccelerationObserver):
+        _same_robot(feedback.robot, robot, "names", "acceleration_channels")
         return feedback.fresh(period)
     if not isinstance(feedback, ElasticJointFilter):
         if feedback not in ("truth", "sensors"):
@@ -226,13 +258,17 @@ def _told(feedback: Feedback, robot: Robot, period: float) -> Told:
             )
         return feedback == "truth"
     core, kinds = feedback.fresh()
-    if "torque" in kinds:
-        raise EstimatorError("feedback: joint torque sensors are not simulated; set torque=False")
-    if feedback.robot.n != robot.n:
-        raise EstimatorError(f"feedback is of {feedback.robot.n} joints, expected {robot.n}")
+    _same_robot(feedback.robot, robot, "names", "acceleration_channels", "gyroscope_channels")
     names = [kind for kind in KINDS for _ in range(_width(robot, kind))]
     wanted = {"theta" if kind == "motor" else kind for kind in kinds}
     return core, [index for index, kind in enumerate(names) if kind in wanted]
+
+
+def _same_robot(believed: Robot, robot: Robot, *aspects: str) -> None:
+    for what in aspects:
+        theirs, ours = getattr(believed, what), getattr(robot, what)
+        if theirs != ours:
+            raise EstimatorError(f"feedback is of another robot: its {what} are {theirs}, expected {ours}")
 
 
 def _count(duration: float, rate: float) -> int:

@@ -13,6 +13,7 @@ from linkside import _core
 from linkside.check import prismatic
 from linkside.errors import EstimatorError, NumericalError
 from linkside.estimate import Estimate
+from linkside.gain_map import GainMap
 from linkside.log import Log
 from linkside.observers import longest_dropout, refuse_dropouts, refuse_uneven
 from linkside.robot import Robot
@@ -93,7 +94,7 @@ class ReducedOrderObserver:
     robot
         The robot; its masses and inertias are used.
     gain
-        k0 [1/s]: one number, one for each joint, or a `HybridGain`.
+        k0 [1/s]: one number, one for each joint, a `HybridGain`, or a `GainMap` that depends on the posture.
     side
         ``"motors"``: positions are the log's ``theta`` and torques its ``tau``. ``"links"``: positions are the log's
         ``q`` and torques its ``torque``, what the transmission gives the link; motors then do not matter.
@@ -106,7 +107,8 @@ class ReducedOrderObserver:
     Raises
     ------
     EstimatorError
-        A gain that is not positive or above ``2 / period``; levels, bound, margin or hysteresis out of order.
+        A gain that is not positive or above ``2 / period``; levels, bound, margin or hysteresis out of order; a map
+        for another number of joints.
 
     Notes
     -----
@@ -117,7 +119,7 @@ class ReducedOrderObserver:
     def __init__(
         self,
         robot: Robot,
-        gain: float | Sequence[float] | FloatArray | HybridGain = GAIN,
+        gain: float | Sequence[float] | FloatArray | HybridGain | GainMap = GAIN,
         *,
         side: Literal["motors", "links"] = "motors",
         wrap: float | Sequence[float] | None = None,
@@ -196,8 +198,9 @@ class ReducedOrderObserver:
         return _core.VelocityObserver(
             self.robot.core,
             period=period,
-            gains=[] if isinstance(self.gain, HybridGain) else _each(self.robot, "gain", self.gain),
+            gains=[] if isinstance(self.gain, HybridGain | GainMap) else _each(self.robot, "gain", self.gain),
             levels=self.gain.settings() if isinstance(self.gain, HybridGain) else None,
+            map=self.gain.settings() if isinstance(self.gain, GainMap) else None,
             spring=self._spring(),
             motors=self.side == "motors",
             wrap=self._wrap,
@@ -237,8 +240,8 @@ class NicosiaTomeiObserver(ReducedOrderObserver):
     Raises
     ------
     EstimatorError
-        As `ReducedOrderObserver`; from the first sample, when the largest eigenvalue of M⁻¹ K_P there is not below
-        ``2 * gain / period``, at which the sampled error would swing up.
+        As `ReducedOrderObserver`; from the first sample, when the largest eigenvalue of M⁻¹ K_P there is so large,
+        never below ``4 / period**2``, that the sampled error would swing up.
     """
 
     def __init__(
@@ -251,6 +254,10 @@ class NicosiaTomeiObserver(ReducedOrderObserver):
         wrap: float | Sequence[float] | None = None,
         period: float | None = None,
     ) -> None:
+        if isinstance(gain, GainMap):
+            raise EstimatorError("a gain map has no spring beside it: expected a ReducedOrderObserver")
+        least = (gain.gains or (0.0,))[0] if isinstance(gain, HybridGain) else _each(robot, "gain", gain)
+        self._least_gain = np.asarray(least)
         self._position_gain = None if position_gain is None else _each(robot, "position_gain", position_gain)
         super().__init__(robot, gain, side=side, wrap=wrap, period=period)
 
@@ -258,8 +265,7 @@ class NicosiaTomeiObserver(ReducedOrderObserver):
         if self._position_gain is not None:
             return self._position_gain
         inertia = np.diag(rigid_inertia(self.robot, np.zeros(self.robot.n), self.side))
-        gains = self.gain.gains[0] if isinstance(self.gain, HybridGain) else _each(self.robot, "gain", self.gain)
-        return list((np.asarray(gains) / 4) ** 2 * inertia)
+        return list((self._least_gain / 4) ** 2 * inertia)
 
 
 def rigid_inertia(robot: Robot, q: FloatArray, side: Literal["motors", "links"] = "motors") -> FloatArray:

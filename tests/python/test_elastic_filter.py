@@ -181,6 +181,43 @@ def test_a_missing_torque_is_the_one_before():
     assert equal(ekf.run(held), type(pieces[0]).concatenate(pieces))
 
 
+def held_run(rate=100.0):
+    """The cart under a torque that jumps at every sample, and a filter for it that trusts the model."""
+    rng = np.random.default_rng(2)
+    run = simulate(
+        slide(), lambda t, state: M * GRAVITY + 40 * rng.standard_normal(1), 1.0, rate, integrator="adaptive"
+    )
+    sure = ElasticNoise(link_acceleration=1e-4, motor_acceleration=1e-4, transmission=1e-2, acceleration=50.0)
+    return run, {"noise": sure, "disturbances": False, "biases": ()}
+
+
+def test_held_torques_are_not_interpolated():
+    run, settings = held_run()
+    errors = {
+        kind: np.abs(
+            ElasticJointFilter(run.robot, motor_torque=kind, **settings).run(run.log).dq - run.truth["dq"]
+        ).max()
+        for kind in ("held", "sampled")
+    }
+    assert np.ptp(run.truth["dq"]) > 0.1
+    assert errors["held"] < 1e-4
+    assert errors["sampled"] > 100 * errors["held"]
+
+
+def test_held_torques_run_in_pieces_to_the_same_bits_and_step_after_they_have_acted():
+    run, settings = held_run()
+    log, held = run.log, ElasticJointFilter(run.robot, motor_torque="held", **settings)
+    whole = held.run(log)
+    pieces = [piece.q for piece in held.run_pieces([log[:7], log[7:8], log[8:]])]
+    assert (np.vstack(pieces) == whole.q).all()
+    acted = np.vstack([log.tau[:1], log.tau[:-1]])
+    for k in range(len(log)):
+        state = held.step(
+            dt=0.01, theta=log.theta[k], tau=acted[k], dtheta=log.dtheta[k], acceleration=log.acceleration[k]
+        )
+    np.testing.assert_allclose(state[:1], whole.q[-1], rtol=1e-12)
+
+
 def test_a_disturbance_torque_is_found():
     robot, log, _ = recording("arm2_square")
     log = dataclasses.replace(log, tau=log.tau + np.array([25.0, 0.0]))
@@ -198,6 +235,7 @@ def test_a_disturbance_torque_is_found():
         ({"iterations": 0}, "iterations is 0"),
         ({"biases": ["q"]}, "'q' is not one of"),
         ({"transition": "euler"}, "transition is 'euler'"),
+        ({"motor_torque": "linear"}, "motor_torque is 'linear', expected 'sampled' or 'held'"),
         (
             {"noise": ElasticNoise(link_acceleration=(1.0, 2.0, 3.0))},
             "link_acceleration has 3 entries, expected 1 or 2",

@@ -51,6 +51,27 @@ def test_elastic_control(tmp_path):
             assert value == pytest.approx(float(text), abs=0.6 * 10.0 ** -len(text.partition(".")[2]))
 
 
+def test_space_robot(tmp_path):
+    """Tracking within 5 % of an independent implementation at 100 kHz; the same verdicts on the wrong model."""
+    command = [sys.executable, ROOT / "examples/space_robot.py", "--rate", "1000", "--out", tmp_path]
+    said = subprocess.run(command, check=True, capture_output=True, text=True, cwd=tmp_path).stdout
+    for name in ("estimation_errors", "tool_path"):
+        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    found = dict(re.findall(r"^(\w+, \w+)(?: state)? +([\d.]+ +[\d.]+) +[\d.]+$", said, re.MULTILINE))
+    expected = {"linear": (0.0898, 0.467), "nonlinear": (0.0893, 0.444)}
+    for joints, figures in expected.items():
+        for fed_back in ("true", "estimate"):
+            assert [float(x) for x in found[f"{joints}, {fed_back}"].split()] == pytest.approx(figures, rel=0.05)
+    verdicts = re.findall(r"^([\d.e-]+) +(diverges|stays)", said, re.MULTILINE)
+    assert [(float(noise), verdict) for noise, verdict in verdicts] == [
+        (1e-10, "diverges"),
+        (1e-8, "diverges"),
+        (1e-6, "diverges"),
+        (1e-4, "stays"),
+        (1e-2, "stays"),
+    ]
+
+
 @pytest.mark.slow
 def test_velocity_two_links(tmp_path):
     command = [sys.executable, ROOT / "examples/velocity_two_links.py", "--out", tmp_path]
@@ -64,3 +85,14 @@ def test_velocity_two_links(tmp_path):
     assert (float(up), float(down)) == pytest.approx((0.024, 3.871), abs=5e-3)
     ends = [float(x) for x in re.findall(r"-?\d+\.\d+", said.rsplit("q(2) = ", 1)[1])]
     assert ends == pytest.approx([-0.35243, -0.80150, 1.00723, -0.60681], abs=1e-3)
+
+
+def test_velocity_noise(tmp_path):
+    command = [sys.executable, ROOT / "examples/velocity_noise.py", "arm2_square"]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=tmp_path)
+    found = re.findall(r"^  (\w+).* ([\d.]+) mrad/s at", done.stdout, re.MULTILINE)
+    errors = {name: min(float(error) for other, error in found if other == name) for name, _ in found}
+    assert errors["ReducedOrderObserver"] < errors["Kalman"] / 4 < errors["difference"] / 8
+    document = (ROOT / "docs/velocity.md").read_text()
+    stated = re.search(r"reduced-order, exact model \| \*\*([\d.]+)\*\*", document)
+    assert float(stated.group(1)) == pytest.approx(errors["ReducedOrderObserver"], abs=0.02)

@@ -16,6 +16,7 @@ from linkside import (
     ExtendedKalmanFilter,
     Log,
     MarginalizedParticleFilter,
+    Mixture,
     Noise,
     NumericalError,
     ParticleFilter,
@@ -71,7 +72,8 @@ def test_on_a_linear_model_errors_shrink_with_the_root_of_n(method, settings):
     few, many = errors(method, 200, 12, **settings), errors(method, 200 * 64, 12, **settings)
     # A factor of 64 in N is one of 8; 12 seeds know a root mean square to within some 20 %.
     assert (few / many > 4).all(), (few, many)
-    assert (few / many < 16).all(), (few, many)
+    # At 200 the likelihood has a bias besides, which falls with N itself.
+    assert (few / many < (16, 16, 32)).all(), (few, many)
     assert many[0] < 0.1
     assert many[1] < 0.1
 
@@ -113,15 +115,19 @@ def spoiled(log, column=0, share=0.02, size=50, std=0.05):
     return replace(log, acceleration=acceleration)
 
 
-def test_students_noise_withstands_outliers():
+@pytest.mark.parametrize("density", [4.0, Mixture(share=0.02, scale=50.0)])
+def test_noise_with_heavy_tails_withstands_outliers(density):
     robot, log = recording()
-    truth = Estimate.read(DATA / "arm2_square/truth.parquet")
-    log, bad, truth = log[:2000], spoiled(log)[:2000], truth[:2000]
-    settings = {"particles": 500, "kernel": 1.0}
-    clean = ParticleFilter(robot, **settings).run(log).error_against(truth).tool_rms_centred
-    robust = ParticleFilter(robot, outliers={"acceleration": 4.0}, **settings).run(bad)
-    error = robust.error_against(truth).tool_rms_centred
-    assert error < 1.2 * clean, (clean, error)
+    truth = Estimate.read(DATA / "arm2_square/truth.parquet")[:2000]
+
+    def error(log, **settings):
+        """Median over seeds: one seed's error is known to within some 20 %."""
+        run = [ParticleFilter(robot, particles=500, kernel=1.0, seed=s, **settings).run(log) for s in range(9)]
+        return np.median([estimate.error_against(truth).tool_rms_centred for estimate in run])
+
+    clean = error(log[:2000])
+    robust = error(spoiled(log)[:2000], outliers={"acceleration": density})
+    assert robust < 1.2 * clean, (clean, robust)
 
 
 def test_a_belief_of_two_peaks_is_resolved():
@@ -215,6 +221,8 @@ def test_one_particle_is_enough_to_run():
         ({"threshold": 2}, "threshold"),
         ({"collapse": "magic"}, "collapse"),
         ({"outliers": {"magic": 4}}, "magic"),
+        ({"outliers": {"motor": Mixture(1.0, 3.0)}}, "share between 0 and 1"),
+        ({"outliers": {"motor": Mixture(0.1, 0.5)}}, "wider than the noise"),
         ({"limits": {"magic": (0, 1)}}, "magic"),
         ({"limits": {"axis2": (1, 0)}}, "limits"),
         ({"initial": [[1.0]]}, "initial"),

@@ -178,6 +178,56 @@ def test_sensors_do_what_they_say():
         assert_allclose(read[k], slow, atol=1e-12)
 
 
+def test_torque_sensors_read_what_the_links_need():
+    """Of a coupled elbow, and of one that is rigid: inverse dynamics, friction and what its rotor pushes with."""
+    friction, tau = [0.5, 15.0, 5.0, 2.0, 10.0, 0.5], [20.0, 5.0]
+    start = {"q": [0.3, 0.4], "dq": [1, 2], "tau": tau, "sensors": {"torque": Sensor()}}
+    for elastic, coupling in ((True, 0.3), (False, 0.0)):
+        drives = [spring("shoulder", link_friction=friction), spring("elbow", elastic=elastic, link_friction=friction)]
+        robot = Robot.from_urdf(ARM, drives, coupling={"shoulder": {"elbow": coupling}} if elastic else {})
+        run = simulate(robot, lambda t, state: tau, 0.02, 1000.0, **start, substeps=2)
+        truth = run.truth
+        load = robot.inverse_dynamics(truth["q"], truth["dq"], truth["ddq"]) + robot.link_friction(truth["dq"])
+        rotor = (tau[1] - load[:, 1] - coupling * truth["ddq"][:, 0]) / 1.5
+        load[:, 0] += coupling * rotor
+        assert_allclose(run.log.torque, load, atol=1e-9)
+
+
+def test_torque_sensors_are_as_good_as_they_are_said_to_be():
+    assert simulate(arm(), still, 0.02, 1000.0).log.torque is None
+    sensor = Sensor(resolution=0.5, every=2)
+    read = simulate(arm(), still, 0.02, 1000.0, q=[0.3, 0.4], sensors={"torque": sensor}).log.torque
+    assert_allclose(read[::2], 0.5 * np.round(read[::2] / 0.5), atol=1e-12)
+    assert np.isnan(read[1::2]).all()
+
+
+def test_torque_sensors_are_filtered_in_the_loop():
+    """They read exactly what the filter says they do, whatever it does not know."""
+    robot = arm(motor_friction={"viscous": 5.0})
+    hold = robot.gravity_torque([0.4, 0.4])
+    control = JointPD(kp=2000.0, kd=120.0, times=[0.0, 0.5], theta=[[0, 0], [0.4, 0.4]], tau=hold)
+    noise = {"theta": Sensor(noise=1e-4), "torque": Sensor(noise=1e-3)}
+    errors = []
+    for torque in (True, False):
+        estimator = ElasticJointFilter(robot, linkside.ElasticNoise(joint_torque=1e-3), torque=torque)
+        run = simulate(robot, control, 1.0, 1000.0, feedback=estimator, sensors=noise, substeps=4)
+        late = run.truth["t"] > 0.5
+        errors.append(np.abs(((run.told.theta - run.told.q) - (run.truth["theta"] - run.truth["q"]))[late]).max())
+    assert errors[0] < 2e-6
+    assert errors[1] > 3 * errors[0]
+
+
+def test_the_log_has_accelerations_as_robot_yaml_says_they_are_recorded(tmp_path):
+    sensor = {"name": "acc", "link": "fore", "bias": [0.5, 0, -0.2], "scale": [1.1, 0.9, 1.0]}
+    robot = Robot.from_urdf(ARM, [spring("shoulder"), spring("elbow")], accelerometers=[sensor])
+    hold = robot.gravity_torque([0.3, 0.4])
+    rest = simulate(robot, lambda t, state: hold, 0.01, 1000.0, q=[0.3, 0.4], sensors={"acceleration": Sensor()})
+    rest.write(tmp_path)
+    upward = 9.81 * np.array([-np.sin(0.7), 0, np.cos(0.7)])
+    assert_allclose(rest.log.acceleration, np.tile(upward, (11, 1)), atol=1e-9)
+    assert_allclose(Log.read(tmp_path / "log.parquet", robot).acceleration, rest.log.acceleration, atol=0)
+
+
 def test_noise_is_white_and_the_seed_decides():
     noise = Sensor(noise=0.01)
     (one, truth), (same, _), (other, _) = (recorded(noise, seed=seed) for seed in (1, 1, 2))
@@ -319,15 +369,14 @@ def test_settings_out_of_range():
     bad("bias is NaN", sensors={"theta": Sensor(bias=np.nan)})
     bad("corner_frequency is 0", sensors={"theta": Sensor(corner_frequency=0.0)})
     bad("every is 0", sensors={"theta": Sensor(every=0)})
-    bad("torque sensors are not simulated", feedback=ElasticJointFilter(arm(), torque=True))
     six = Robot.load(DATA / "kr15_six_axes" / "robot.yaml")
-    bad("joints of the observer has 6 entries, expected 2", feedback=AccelerationObserver(six))
+    bad("feedback is of another robot: its names are", feedback=ElasticJointFilter(six))
+    bad("feedback is of another robot: its names are", feedback=AccelerationObserver(six))
     sensor = {"name": "imu", "link": "fore", "xyz": [0.1, 0, 0.3]}
     sensing = Robot.from_urdf(ARM, [spring("shoulder"), spring("elbow")], accelerometers=[sensor])
-    bad("accelerations of the observer has 3 entries, expected 0", feedback=AccelerationObserver(sensing))
+    bad("feedback is of another robot: its acceleration_channels are", feedback=AccelerationObserver(sensing))
     accelerations = AccelerationObserver(arm(), accelerations="joints")
     bad("link accelerations are not simulated", feedback=accelerations)
-    bad("feedback is of 6 joints", feedback=ElasticJointFilter(Robot.load(DATA / "kr15_six_axes" / "robot.yaml")))
 
 
 def test_an_indefinite_inertia_is_refused_with_the_robot():

@@ -88,6 +88,18 @@ def test_settles_as_in_the_first_example():
     np.testing.assert_allclose(rows[-1, :2], (-4.62535, 2.42031), atol=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("position_gain", "five", "one"), [(10, 0.189, 1.21), (100, 0.567, 1.05), (500, 0.284, 0.540), (2000, 0.343, 0.583)]
+)
+def test_full_observer_settles_as_in_continuous_time(position_gain, five, one):
+    observer = NicosiaTomeiObserver(RODS, GAINS[0], position_gain, period=PERIOD)
+    rows, found, _, _ = drive(observer, slow, 2.5)
+    error = np.linalg.norm(rows[:, 2:] - found, axis=1)
+    t = PERIOD * np.arange(len(error))
+    for share, seconds in ((0.05, five), (0.01, one)):
+        assert two_rods.settled(t, error, share * error[0]) == pytest.approx(seconds, rel=0.05)
+
+
 def test_gain_jumps_as_in_the_second_example():
     observer = ReducedOrderObserver(RODS, HybridGain(GAINS, 1.5, 1.0), period=PERIOD)
     rows, _, levels, _ = drive(observer, fast, 20)
@@ -249,10 +261,13 @@ def test_refuses_settings(settings, words):
 
 def test_refuses_a_spring_that_would_swing_up_and_no_other():
     q, tau = np.zeros(2), np.zeros(2)
-    limit = 2 * 10 / PERIOD * np.linalg.eigvalsh(two_rods.mass(q)).min()
+    taken = 1 - np.exp(-10 * PERIOD)
+    limit = 10 / PERIOD / taken * (4 - 2 * taken) / (1 - taken / 3) * np.linalg.eigvalsh(two_rods.mass(q)).min()
     NicosiaTomeiObserver(RODS, 10, 0.99 * limit, period=PERIOD).step(q=q, tau=tau)
     with pytest.raises(EstimatorError, match="unstable at this rate"):
         NicosiaTomeiObserver(RODS, 10, 1.01 * limit, period=PERIOD).step(q=q, tau=tau)
+    with pytest.raises(EstimatorError, match="gains has 0 entries"):
+        NicosiaTomeiObserver(RODS, HybridGain((), 1.5, 1.0), period=PERIOD)
     with pytest.raises(EstimatorError, match="a position gain is -1"):
         NicosiaTomeiObserver(RODS, 10, -1, period=PERIOD)
 

@@ -13,8 +13,10 @@ use linkside_core::estimate::kalman::{
 use linkside_core::estimate::observer::{
     AccelerationObserver, AccelerationSource, Complex, Form, Sample, Settings, link_position_at_rest,
 };
-use linkside_core::estimate::particle::{Collapse, ParticleFilter, ParticleSettings, Proposal, Resampling};
+use linkside_core::estimate::particle::{Collapse, Density, ParticleFilter, ParticleSettings, Proposal, Resampling};
+use linkside_core::estimate::velocity::{self, GainMap, Gains, Logic, Schedule, VelocityObserver};
 use linkside_core::robot::{Drive, Robot};
+use linkside_core::simulate::{Adaptive, Plant, Tolerance};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::Arc;
 
@@ -142,6 +144,41 @@ fn a_kalman_step_allocates_nothing() {
 }
 
 #[test]
+fn a_velocity_observers_step_allocates_nothing() {
+    let schedule = Schedule {
+        gains: vec![50.0, 80.0, 110.0],
+        bound: 0.5,
+        margin: 0.1,
+        hysteresis: 0.05,
+        start: 1,
+        dwell: 0,
+        logic: Logic::Repaired,
+    };
+    let mut linear = vec![0.0; 36];
+    linear.iter_mut().step_by(7).for_each(|gain| *gain = 50.0);
+    let map = GainMap { linear, waves: vec![1.0; 12], sine: vec![2.0; 12], cosine: vec![1.0; 12] };
+    let kinds = [(Gains::Constant(vec![50.0; 6]), 100.0), (Gains::Scheduled(schedule), 0.0), (Gains::Mapped(map), 0.0)];
+    for (gains, spring) in kinds {
+        let settings = velocity::Settings {
+            period: 5e-4,
+            gains,
+            spring: vec![spring; 6],
+            motors: true,
+            wrap: vec![core::f64::consts::TAU; 6],
+        };
+        let mut observer = VelocityObserver::new(Arc::new(robot()), settings).unwrap();
+        observer.step(&[0.1; 6], &[1.0; 6]).unwrap();
+        let count = allocations(|| {
+            for (q, torque) in [([0.1; 6], [1.0; 6]), ([f64::NAN; 6], [f64::NAN; 6]), ([0.13; 6], [2.0; 6])] {
+                observer.step(&q, &torque).unwrap();
+            }
+        });
+        assert_eq!(count, 0);
+        assert!(observer.is_finite());
+    }
+}
+
+#[test]
 fn a_particle_filters_step_allocates_nothing() {
     for marginalised in [false, true] {
         let model = JerkModel::new(Arc::new(robot()), Further::default(), &[true; 12]).unwrap();
@@ -160,7 +197,7 @@ fn a_particle_filters_step_allocates_nothing() {
             resampling: Resampling::Residual,
             threshold: 1.0, // particles are chosen at every step
             kernel: Some(0.5),
-            tails: vec![f64::INFINITY; 12],
+            densities: vec![Density::Normal; 12],
             limits: vec![(-1e3, 1e3); 6],
             initial: vec![],
             collapse: Collapse::Recover,
@@ -180,6 +217,18 @@ fn a_particle_filters_step_allocates_nothing() {
         });
         assert_eq!(count, 0, "marginalised: {marginalised}");
     }
+}
+
+#[test]
+fn an_adaptive_step_allocates_nothing() {
+    let robot = robot();
+    let mut plant = Plant::new(&robot).unwrap();
+    let mut adaptive = Adaptive::new(&plant, Tolerance { rtol: 1e-6, atol: 1e-9 }).unwrap();
+    let mut x = vec![0.1; plant.layout.dense];
+    let mut advance = |t: f64| adaptive.advance(&robot, &mut plant, &mut x, &[3.0; 6], (t, 1e-3)).unwrap();
+    advance(0.0);
+    assert_eq!(allocations(|| (1..50).for_each(|i| advance(1e-3 * f64::from(i)))), 0);
+    assert!(x.iter().all(|x| x.is_finite()));
 }
 
 #[test]

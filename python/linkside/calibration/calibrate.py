@@ -11,11 +11,12 @@ import numpy.typing as npt
 from ..log import Log
 from ..noise import Noise
 from ..robot import Robot
-from .parameters import Bounds, Parameter, choose
+from .equations import better
+from .parameters import NOISE, Bounds, Parameter, choose
 from .problem import Problem
 from .recordings import moving, refuse, use_torque
 from .result import Calibration, Estimated, Fit
-from .search import Progress, Search
+from .search import GAIN, ROUGH, Progress, Search
 from .uncertainty import Contradiction, Uncertainty, compare, uncertainty, untold
 
 FloatArray = npt.NDArray[np.float64]
@@ -62,7 +63,8 @@ def calibrate(
     held_out
         Recordings that only test the outcome.
     start
-        Where to start, by name, in tolerances: what a `Step` of an interrupted run held.
+        Where to start, by name, in tolerances: what a `Step` of an interrupted run held. By default robot.yaml, or
+        where the equations of motion fit best if the recordings are more probable there.
     progress
         Called with a `Step` whenever a better point is found.
 
@@ -105,7 +107,7 @@ class _Run:
 
     def __init__(self, problem: Problem, start: dict[str, float], progress: Progress | None) -> None:
         self.problem, self.progress = problem, progress
-        self.at = self._filters(problem) | start
+        self.at = self._filters(problem) | start if start else better(problem, self._filters(problem))
         self.refused: dict[str, str] = {}
         self.evaluations = 0
         moves = np.any([moving(log) for log in problem.logs], axis=0)
@@ -125,13 +127,20 @@ class _Run:
 
     def solve(self) -> None:
         self._leave_out()
+        self._search(ROUGH, [p for p in self.problem.free if p.kind in NOISE])
+        self._search(ROUGH, self.problem.free)
+        self._leave_out()
         for _ in range(ROUNDS):
-            search = Search(self.problem, self.progress)
-            z = search.maximise(self.z)
-            self.evaluations += search.evaluations
-            self.at = dict(zip([p.name for p in self.problem.free], z.tolist(), strict=True))
+            self._search(GAIN, self.problem.free)
             if not self._leave_out():
                 return
+
+    def _search(self, gain: float, free: Sequence[Parameter]) -> None:
+        """Improve the parameters ``free``; the others stay where they are."""
+        search = Search(self.problem.holding(self.at, free), self.progress, gain)
+        found = search.maximise(np.array([self.at.get(p.name, 0.0) for p in free]))
+        self.evaluations += search.evaluations
+        self.at |= dict(zip([p.name for p in free], found.tolist(), strict=True))
 
     def _leave_out(self) -> bool:
         """Whether anything had to be left out."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,13 +68,21 @@ class Problem:
         Whether motor torques are readings.
     free
         The free parameters.
+    held
+        Further parameters and the z that each is held at; all others are as in robot.yaml.
     """
 
     def __init__(
-        self, robot: Robot, logs: Sequence[Log], noise: Noise, torque: bool, free: Sequence[Parameter]
+        self,
+        robot: Robot,
+        logs: Sequence[Log],
+        noise: Noise,
+        torque: bool,
+        free: Sequence[Parameter],
+        held: Sequence[tuple[Parameter, float]] = (),
     ) -> None:
         self.robot, self.logs, self.noise, self.torque = robot, list(logs), noise, torque
-        self.free = tuple(free)
+        self.free, self.held = tuple(free), tuple(held)
         base = bare(robot)
         fixed = self._fixed()
         self._cores = [self._core(base, log, fixed) for log in self.logs]
@@ -82,6 +90,11 @@ class Problem:
     def restricted(self, free: Sequence[Parameter]) -> Problem:
         """Give the same problem with other parameters free."""
         return Problem(self.robot, self.logs, self.noise, self.torque, free)
+
+    def holding(self, at: Mapping[str, float], free: Sequence[Parameter]) -> Problem:
+        """Give the same problem with only some of its parameters free, the others held at ``at``, their z by name."""
+        held = [(p, at.get(p.name, 0.0)) for p in self.free if p not in free]
+        return Problem(self.robot, self.logs, self.noise, self.torque, free, held)
 
     def on(self, logs: Sequence[Log]) -> Problem:
         """Give the same problem on other recordings."""
@@ -117,12 +130,18 @@ class Problem:
         names, values = [p.core for p in self.free], self.values(z)
         return sum(core.log_likelihood(names, values) for core in self._cores)
 
+    @property
+    def _estimated(self) -> tuple[Parameter, ...]:
+        """Those that are not what robot.yaml says, free or held."""
+        return (*self.free, *(p for p, _ in self.held))
+
     def _fixed(self) -> list[tuple[CoreName, float]]:
-        free = {p.name for p in self.free}
-        late = {p.core[1] for p in self.free if p.kind in ("time_constant", "delay")}
+        free = self._estimated
+        late = {p.core[1] for p in free if p.kind in ("time_constant", "delay")}
         late |= {i for i, s in enumerate(self.robot.accelerometers) if s.corner_frequency or s.delay}
-        stated = [p for p in catalogue(self.robot, False) if p.kind in STATED and p.name not in free]
-        return [(p.core, p.start) for p in stated if self._matters(p, late)]
+        stated = [p for p in catalogue(self.robot, False) if p.kind in STATED and p.name not in {f.name for f in free}]
+        held = [(p.core, p.value(z)) for p, z in self.held]
+        return held + [(p.core, p.start) for p in stated if self._matters(p, late)]
 
     def _matters(self, parameter: Parameter, late: set[int]) -> bool:
         if parameter.kind == "time_constant":
@@ -130,7 +149,7 @@ class Problem:
         return parameter.kind != "delay" or parameter.core[1] in late
 
     def _core(self, base: Robot, log: Log, fixed: list[tuple[CoreName, float]]) -> _core.Likelihood:
-        free = {p.name for p in self.free}
+        free = {p.name for p in self._estimated}
         free_bias = [f"bias_{channel}" in free for channel in self.robot.acceleration_channels]
         noise: dict[str, Any] = noise_arrays(self.robot, log, self.noise, self.torque, free_bias)
         return _core.Likelihood(

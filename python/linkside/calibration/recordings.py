@@ -50,13 +50,14 @@ def refuse(robot: Robot, logs: Sequence[Log]) -> None:
     EstimatorError
         No recording, or a robot without an elastic joint.
     LogError
-        A column that is missing, no motion, an accelerometer at the end of its range.
+        Read for another robot, a column that is missing, no motion, an accelerometer at the end of its range.
     """
     if not logs:
         raise EstimatorError("there is no log to calibrate with")
     if not robot.elastic.any():
         raise EstimatorError("no joint of the robot is elastic: there is nothing to calibrate")
     for log in logs:
+        _refuse_foreign(robot, log)
         log.require("theta", purpose="calibration")
         if robot.acceleration_channels:
             log.require("acceleration", purpose="calibration")
@@ -67,6 +68,18 @@ def refuse(robot: Robot, logs: Sequence[Log]) -> None:
                 "nothing to calibrate with"
             )
         _refuse_saturated(robot, log)
+
+
+def _refuse_foreign(robot: Robot, log: Log) -> None:
+    ours = {"theta": [f"theta_{joint}" for joint in robot.names], "acceleration": robot.acceleration_channels}
+    for signal, names in ours.items():
+        expected = tuple(robot.columns.names.get(name, name) for name in names)
+        if log.columns(signal) != expected:
+            read = ", ".join(log.columns(signal)) or "none"
+            raise LogError(
+                f"{log.source}: read for another robot, with the columns {read}; "
+                f"this one's for {signal} are {', '.join(expected) or 'none'}"
+            )
 
 
 def _refuse_saturated(robot: Robot, log: Log) -> None:

@@ -17,8 +17,11 @@ FloatArray = npt.NDArray[np.float64]
 Progress = Callable[["Step"], None]
 
 EVALUATIONS = 60
-GAIN = 1e-2
-"""A step that gains less log-likelihood than this is the last."""
+GAIN = 0.02
+"""A step that gains less log-likelihood than this is the last: what is left to gain is a fifth of a standard error."""
+
+ROUGH = 2.0
+"""Likewise, where it is only to be found out what the recordings tell."""
 
 FLOOR = 20.0
 """No reading's log-density exceeds this: its standard deviation would be below 1e-9 of its unit."""
@@ -62,6 +65,7 @@ class Search:
 
     problem: Problem
     progress: Progress | None = None
+    gain: float = GAIN
     evaluations: int = 0
     best: float = -np.inf
     best_at: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -84,7 +88,7 @@ class Search:
             jac=lambda x: self._slope(x - 1),
             bounds=(low + 1, high + 1),
             method="trf",
-            ftol=GAIN / self._offset,
+            ftol=self.gain / self._offset,
             xtol=1e-5,
             gtol=1e-3,
             max_nfev=EVALUATIONS,
@@ -130,5 +134,5 @@ class Search:
             largest = int(np.argmax(np.abs(z - before)))
             names = [p.name for p in self.problem.free]
             change = float((z - before)[largest])
-            where = dict(zip(names, z.tolist(), strict=True))
+            where = {p.name: x for p, x in self.problem.held} | dict(zip(names, z.tolist(), strict=True))
             self.progress(Step(self.evaluations, evidence.log_likelihood, change, names[largest], where))

@@ -134,7 +134,7 @@ pub enum DesignError {
     },
     /// A spring on the position error that would swing up from sample to sample.
     #[error(
-        "the position gains give an eigenvalue of {stiffness:.4} 1/s² at the first posture, unstable at this rate: below {limit:.4} 1/s², twice the gain by the period"
+        "the position gains give an eigenvalue of {stiffness:.4} 1/s² at the first posture, unstable at this rate: expected below {limit:.4} 1/s²"
     )]
     StiffSpring {
         /// λmax(M⁻¹K_P) [1/s²].
@@ -246,7 +246,7 @@ pub enum SimulationError {
     Singular,
     /// A step that the stiffness makes unstable.
     #[error(
-        "a step of {step:.3e} s is unstable for this stiffness: the largest stable one is {limit:.3e} s, so take at least {substeps} substeps a period"
+        "a step of {step:.3e} s is unstable for this stiffness: the largest stable one is {limit:.3e} s, so take at least {substeps} substeps a period, or the adaptive integrator"
     )]
     Step {
         /// Step of integration [s].
@@ -255,6 +255,18 @@ pub enum SimulationError {
         limit: f64,
         /// Steps a period that are stable.
         substeps: f64,
+    },
+    /// A motion that no step is short enough for.
+    #[error(
+        "the adaptive integrator cannot meet the tolerance at t = {time:.9} s with steps of {step:.1e} s: the motion of joint {joint} is too abrupt, expected a larger rtol or atol, or a smoother friction"
+    )]
+    Abrupt {
+        /// Where the error is largest.
+        joint: usize,
+        /// When [s].
+        time: f64,
+        /// Step of integration [s].
+        step: f64,
     },
     /// A state that is no longer a number.
     #[error("the motion is not finite at t = {time:.9} s: the loop, or the step of integration, is unstable")]

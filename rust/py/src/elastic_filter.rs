@@ -50,8 +50,8 @@ type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'py>);
 impl ElasticJointFilter {
     #[new]
     #[pyo3(signature = (
-        robot, *, accelerations, motor_velocities, rates, links, torques, disturbances, biased, first_order, noise, gate,
-        iterations
+        robot, *, accelerations, motor_velocities, rates, links, torques, disturbances, biased, first_order, held, noise,
+        gate, iterations
     ))]
     fn new(
         robot: &Robot,
@@ -63,6 +63,7 @@ impl ElasticJointFilter {
         disturbances: bool,
         biased: Vec<bool>,
         first_order: bool,
+        held: bool,
         noise: Noise,
         gate: Option<f64>,
         iterations: usize,
@@ -72,6 +73,7 @@ impl ElasticJointFilter {
             accelerations,
             disturbances,
             biased,
+            held,
             discretization: if first_order { Discretization::FirstOrder } else { Discretization::Exact },
         };
         let build = || {

@@ -41,7 +41,7 @@ impl IntoPyErr for SimulationError {
         match self {
             Self::Design(design) => design.into_py_err(),
             Self::Singular => ConfigError::new_err(self.to_string()),
-            Self::NotFinite { .. } => NumericalError::new_err(self.to_string()),
+            Self::NotFinite { .. } | Self::Abrupt { .. } => NumericalError::new_err(self.to_string()),
             Self::Step { .. } | Self::Torque { .. } | Self::Refused { .. } => EstimatorError::new_err(self.to_string()),
         }
     }

@@ -11,7 +11,7 @@ use linkside_core::control::{
 use linkside_core::error::{DesignError, SimulationError};
 use linkside_core::simulate::{
     self as core, Feedback, FilterFeedback, Kind, ObserverFeedback, Plan, Recording, SensorFeedback, SensorModel,
-    Start, Suite, TrueState,
+    Start, Stepping, Suite, Tolerance, TrueState,
 };
 use numpy::PyArray1;
 use pyo3::exceptions::PyException;
@@ -26,6 +26,8 @@ pub(crate) struct Settings {
     period: f64,
     count: usize,
     substeps: usize,
+    /// rtol and atol of adaptive steps; fixed ones without.
+    tolerance: Option<(f64, f64)>,
     keep_every: usize,
     seed: u64,
     q: Option<Vec<f64>>,
@@ -166,10 +168,13 @@ struct Job {
 impl Job {
     fn new(robot: &Robot, s: Settings, sensors: Vec<Channel>) -> Result<Self, DesignError> {
         let models: Vec<SensorModel> = sensors.into_iter().map(Into::into).collect();
+        let stepping = s
+            .tolerance
+            .map_or(Stepping::Fixed(s.substeps), |(rtol, atol)| Stepping::Adaptive(Tolerance { rtol, atol }));
         Ok(Self {
             robot: Arc::clone(&robot.0),
             suite: Suite::new(&robot.0, &models, s.period, s.seed)?,
-            plan: Plan { period: s.period, count: s.count, substeps: s.substeps, keep_every: s.keep_every },
+            plan: Plan { period: s.period, count: s.count, stepping, keep_every: s.keep_every },
             start: Start { q: s.q, dq: s.dq, theta: s.theta, dtheta: s.dtheta, tau: s.tau },
         })
     }

@@ -4,7 +4,7 @@ use crate::array::{Signal, rows, shaped};
 use crate::error::{EstimatorError, IntoPyErr};
 use crate::gil::Release;
 use crate::robot::Robot;
-use linkside_core::estimate::velocity::{self, Gains, Logic, Recording, Schedule, Settings, Trajectory};
+use linkside_core::estimate::velocity::{self, GainMap, Gains, Logic, Recording, Schedule, Settings, Trajectory};
 use numpy::{PyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -36,6 +36,22 @@ impl Levels {
     }
 }
 
+/// A gain that depends on the posture; as [`GainMap`].
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct Map {
+    linear: Vec<f64>,
+    waves: Vec<f64>,
+    sine: Vec<f64>,
+    cosine: Vec<f64>,
+}
+
+impl From<Map> for GainMap {
+    fn from(Map { linear, waves, sine, cosine }: Map) -> Self {
+        Self { linear, waves, sine, cosine }
+    }
+}
+
 /// Velocity observer of one robot, designed for one sampling period.
 #[pyclass(module = "linkside._core")]
 pub(crate) struct VelocityObserver {
@@ -49,19 +65,21 @@ type Matrix<'py> = PyReadonlyArray2<'py, f64>;
 #[pymethods]
 impl VelocityObserver {
     #[new]
-    #[pyo3(signature = (robot, *, period, gains, levels, spring, motors, wrap))]
+    #[pyo3(signature = (robot, *, period, gains, levels, map, spring, motors, wrap))]
     fn new(
         robot: &Robot,
         period: f64,
         gains: Vec<f64>,
         levels: Option<Levels>,
+        map: Option<Map>,
         spring: Vec<f64>,
         motors: bool,
         wrap: Vec<f64>,
     ) -> PyResult<Self> {
-        let gains = match levels {
-            Some(levels) => Gains::Scheduled(levels.schedule()?),
-            None => Gains::Constant(gains),
+        let gains = match (levels, map) {
+            (Some(levels), _) => Gains::Scheduled(levels.schedule()?),
+            (None, Some(map)) => Gains::Mapped(map.into()),
+            (None, None) => Gains::Constant(gains),
         };
         let settings = Settings { period, gains, spring, motors, wrap };
         let fresh = velocity::VelocityObserver::new(Arc::clone(&robot.0), settings).map_err(IntoPyErr::into_py_err)?;

@@ -149,6 +149,18 @@ impl ElasticDynamics {
         }
     }
 
+    /// What the transmission of joint `j` gives its link [N m], after [`accelerate`](Self::accelerate): the torque of
+    /// spring and damper, behind a rigid drive what the motor leaves of its own.
+    #[inline(always)]
+    pub fn joint_torque(&self, robot: &Robot, j: usize) -> f64 {
+        let (n, drive) = (robot.len(), &robot.drives[j]);
+        if drive.elastic {
+            return self.spring[j];
+        }
+        let pull: f64 = (0..j).map(|i| robot.coupling[i * n + j] * self.ddq[i]).sum();
+        self.drive[j] - drive.motor_inertia * self.ddq[j] - pull
+    }
+
     /// ẋ, after [`accelerate`](Self::accelerate) at state `x`: `out` (dense) is overwritten; disturbances stay.
     #[inline(always)]
     pub fn rate_into(&self, layout: &ElasticLayout, x: &[f64], out: &mut [f64]) {
@@ -380,6 +392,8 @@ mod tests {
             let torque = if drive.elastic { spring } else { motor - drive.motor_inertia * dynamics.ddq[j] - pull };
             let link = load[j] + drive.link_friction(x[n + j]).0 + push - torque;
             assert!(link.abs() < 1e-12, "{j}: {link}");
+            let sensor = dynamics.joint_torque(&robot, j);
+            assert!((sensor - torque).abs() < 1e-12, "{j}: {sensor} {torque}");
             if drive.elastic {
                 let row = drive.motor_inertia * dynamics.ddtheta[j] + pull + spring - motor;
                 assert!(row.abs() < 1e-12, "{j}: {row}");

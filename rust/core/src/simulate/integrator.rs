@@ -1,6 +1,6 @@
 //! The classical fourth-order method of Runge and Kutta, torque held over a step.
 
-use crate::dynamics::{ElasticDynamics, ElasticLayout};
+use super::plant::Plant;
 use crate::error::DesignError;
 use crate::robot::Robot;
 use nalgebra::DMatrix;
@@ -11,36 +11,29 @@ const RADIUS: f64 = 2.78;
 /// A robot's state, moved in fixed steps.
 #[derive(Clone, Debug)]
 pub struct RungeKutta {
-    pub(super) layout: ElasticLayout,
-    pub(super) dynamics: ElasticDynamics,
     probe: Vec<f64>,
     slope: Vec<f64>,
     sum: Vec<f64>,
 }
 
 impl RungeKutta {
-    /// Room for `robot`.
-    ///
-    /// # Errors
-    /// As [`ElasticLayout::new`].
-    pub fn new(robot: &Robot) -> Result<Self, DesignError> {
-        let layout = ElasticLayout::new(robot, false)?;
-        let [probe, slope, sum] = core::array::from_fn(|_| vec![0.0; layout.dense]);
-        Ok(Self { dynamics: ElasticDynamics::new(robot, &layout), layout, probe, slope, sum })
+    /// Room for the robot of `plant`.
+    pub fn new(plant: &Plant) -> Self {
+        let [probe, slope, sum] = core::array::from_fn(|_| vec![0.0; plant.layout.dense]);
+        Self { probe, slope, sum }
     }
 
     /// Moves `x` by `h` [s] under motor torques `tau` (n) [N m].
     #[inline(always)]
-    pub fn step(&mut self, robot: &Robot, x: &mut [f64], tau: &[f64], h: f64) {
-        let Self { layout, dynamics, probe, slope, sum } = self;
+    pub fn step(&mut self, robot: &Robot, plant: &mut Plant, x: &mut [f64], tau: &[f64], h: f64) {
+        let Self { probe, slope, sum } = self;
         sum.copy_from_slice(x);
         slope.fill(0.0);
         for (reach, weight) in [(0.0, h / 6.0), (0.5 * h, h / 3.0), (0.5 * h, h / 3.0), (h, h / 6.0)] {
             for ((probe, x), slope) in probe.iter_mut().zip(&*x).zip(&*slope) {
                 *probe = x + reach * slope;
             }
-            dynamics.accelerate(robot, layout, probe, tau);
-            dynamics.rate_into(layout, probe, slope);
+            plant.rate_into(robot, probe, tau, slope);
             for (sum, slope) in sum.iter_mut().zip(&*slope) {
                 *sum += weight * slope;
             }
@@ -53,10 +46,10 @@ impl RungeKutta {
 /// the linearised robot; infinite when nothing moves by itself, NaN when the inertia is not positive definite.
 ///
 /// # Errors
-/// As [`ElasticLayout::new`].
+/// As [`Plant::new`].
 pub fn largest_stable_step(robot: &Robot, x: &[f64], tau: &[f64]) -> Result<f64, DesignError> {
-    let layout = ElasticLayout::new(robot, false)?;
-    let a = ElasticDynamics::new(robot, &layout).linearise(robot, &layout, x, tau);
+    let Plant { layout, mut dynamics } = Plant::new(robot)?;
+    let a = dynamics.linearise(robot, &layout, x, tau);
     if a.iter().any(|value| !value.is_finite()) {
         return Ok(f64::NAN);
     }

@@ -1,16 +1,22 @@
 //! Robots that move in the computer: integration, sensors, and a controller in the loop.
 
+mod adaptive;
 mod feedback;
 mod integrator;
+mod lu;
+mod plant;
 mod random;
 mod recording;
+mod rosenbrock;
 mod run;
 mod sensors;
 mod start;
 
+pub use adaptive::{Adaptive, Tolerance};
 pub use feedback::{Feedback, FilterFeedback, Known, ObserverFeedback, SensorFeedback, TrueState};
 pub use integrator::{RungeKutta, largest_stable_step};
+pub use plant::Plant;
 pub use recording::Recording;
-pub use run::{Plan, simulate};
+pub use run::{Plan, Stepping, simulate};
 pub use sensors::{Kind, Motion, SensorModel, Suite};
 pub use start::Start;

@@ -1,7 +1,9 @@
 //! The loop: sense, tell, control, move.
 
+use super::adaptive::{Adaptive, Tolerance};
 use super::feedback::{Feedback, Known};
 use super::integrator::{RungeKutta, largest_stable_step};
+use super::plant::Plant;
 use super::recording::Recording;
 use super::sensors::{Motion, Suite};
 use super::start::Start;
@@ -10,6 +12,15 @@ use crate::error::{DesignError, SimulationError};
 use crate::robot::Robot;
 use crate::simd;
 
+/// How the robot moves between samples.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Stepping {
+    /// So many steps of [`RungeKutta`] in a period.
+    Fixed(usize),
+    /// [`Adaptive`] steps, the last of a period ending at the sample.
+    Adaptive(Tolerance),
+}
+
 /// How long and how finely.
 #[derive(Clone, Copy, Debug)]
 pub struct Plan {
@@ -17,8 +28,8 @@ pub struct Plan {
     pub period: f64,
     /// Samples.
     pub count: usize,
-    /// Steps of integration in a period.
-    pub substeps: usize,
+    /// Between samples.
+    pub stepping: Stepping,
     /// One sample of so many is kept.
     pub keep_every: usize,
 }
@@ -29,7 +40,8 @@ impl Plan {
         if !(self.period > 0.0 && self.period.is_finite()) {
             return Err(DesignError::Range { what, value: self.period, expected });
         }
-        for (what, value) in [("samples", self.count), ("substeps", self.substeps), ("keep_every", self.keep_every)] {
+        let substeps = if let Stepping::Fixed(substeps) = self.stepping { substeps } else { 1 };
+        for (what, value) in [("samples", self.count), ("substeps", substeps), ("keep_every", self.keep_every)] {
             if value == 0 {
                 return Err(DesignError::Range { what, value: 0.0, expected: "at least 1" });
             }
@@ -41,8 +53,8 @@ impl Plan {
 /// Moves `robot` under `controller`; sensors and controller act every period, the torque is held in between.
 ///
 /// # Errors
-/// A plan or a start that cannot be used, a step too large for the stiffness, a controller that refuses or gives no
-/// number, a state that is no longer finite.
+/// A plan or a start that cannot be used, a fixed step too large for the stiffness, a tolerance that cannot be met, a
+/// controller that refuses or gives no number, a state that is no longer finite.
 pub fn simulate(
     robot: &Robot,
     start: Start,
@@ -52,23 +64,41 @@ pub fn simulate(
     controller: &mut impl Controller,
 ) -> Result<Recording, SimulationError> {
     plan.check()?;
-    let world = World::new(robot, start)?;
-    let (step, limit) = (plan.period / plan.substeps as f64, largest_stable_step(robot, &world.x, &world.tau)?);
+    let world = World::new(robot, start, plan.stepping)?;
+    let limit = largest_stable_step(robot, &world.x, &world.tau)?;
     if limit.is_nan() {
         return Err(SimulationError::Singular);
     }
-    if step > limit {
-        let substeps = (plan.period / limit).ceil();
-        return Err(SimulationError::Step { step, limit, substeps });
+    if let Stepping::Fixed(substeps) = plan.stepping {
+        let step = plan.period / substeps as f64;
+        if step > limit {
+            return Err(SimulationError::Step { step, limit, substeps: (plan.period / limit).ceil() });
+        }
     }
     simd::dispatch(simd::level(), Run { robot, plan, world, suite, feedback, controller })
+}
+
+/// A [`Stepping`] with its room.
+enum Mover {
+    Fixed(RungeKutta, usize),
+    Adaptive(Box<Adaptive>),
+}
+
+impl Mover {
+    fn new(plant: &Plant, stepping: Stepping) -> Result<Self, DesignError> {
+        Ok(match stepping {
+            Stepping::Fixed(substeps) => Self::Fixed(RungeKutta::new(plant), substeps),
+            Stepping::Adaptive(tolerance) => Self::Adaptive(Box::new(Adaptive::new(plant, tolerance)?)),
+        })
+    }
 }
 
 /// The robot and what it left behind.
 struct World {
     x: Vec<f64>,
     tau: Vec<f64>,
-    mover: RungeKutta,
+    plant: Plant,
+    mover: Mover,
     told: State,
     theta: Vec<f64>,
     dtheta: Vec<f64>,
@@ -76,24 +106,25 @@ struct World {
 }
 
 impl World {
-    fn new(robot: &Robot, start: Start) -> Result<Self, DesignError> {
+    fn new(robot: &Robot, start: Start, stepping: Stepping) -> Result<Self, DesignError> {
         let n = robot.len();
         let (State { q, dq, theta, dtheta }, tau) = start.complete(robot)?;
-        let mover = RungeKutta::new(robot)?;
-        let mut x = vec![0.0; mover.layout.dense];
+        let plant = Plant::new(robot)?;
+        let mover = Mover::new(&plant, stepping)?;
+        let mut x = vec![0.0; plant.layout.dense];
         for j in 0..n {
-            (x[mover.layout.theta[j]], x[mover.layout.dtheta[j]]) = (theta[j], dtheta[j]);
+            (x[plant.layout.theta[j]], x[plant.layout.dtheta[j]]) = (theta[j], dtheta[j]);
         }
         x[..n].copy_from_slice(&q);
         x[n..2 * n].copy_from_slice(&dq);
         let told = State::new(n);
-        Ok(Self { x, tau, mover, told, theta: vec![0.0; n], dtheta: vec![0.0; n], out: Recording::default() })
+        Ok(Self { x, tau, plant, mover, told, theta: vec![0.0; n], dtheta: vec![0.0; n], out: Recording::default() })
     }
 
     /// Accelerations, motor positions and the kinematics at the present state.
     #[inline(always)]
     fn look(&mut self, robot: &Robot) {
-        let RungeKutta { layout, dynamics, .. } = &mut self.mover;
+        let Plant { layout, dynamics } = &mut self.plant;
         let (n, x) = (layout.joints, &self.x);
         dynamics.accelerate(robot, layout, x, &self.tau);
         dynamics.kinematics.set(&robot.tree, &x[..n], &x[n..2 * n], &dynamics.ddq);
@@ -108,9 +139,24 @@ impl World {
         Motion { q: &self.x[..n], dq: &self.x[n..2 * n], theta: &self.theta, dtheta: &self.dtheta }
     }
 
+    /// Moves from one sample to the next.
+    #[inline(always)]
+    fn advance(&mut self, robot: &Robot, t: f64, dt: f64) -> Result<(), SimulationError> {
+        let Self { x, tau, plant, mover, .. } = self;
+        match mover {
+            Mover::Fixed(method, substeps) => {
+                for _ in 0..*substeps {
+                    method.step(robot, plant, x, tau, dt / *substeps as f64);
+                }
+                Ok(())
+            }
+            Mover::Adaptive(method) => method.advance(robot, plant, x, tau, (t, dt)),
+        }
+    }
+
     fn keep(&mut self, robot: &Robot, t: f64, readings: &[f64]) {
         let n = robot.len();
-        let Self { x, tau, mover, told, theta, dtheta, out, .. } = self;
+        let Self { x, tau, plant, told, theta, dtheta, out, .. } = self;
         out.t.push(t);
         let told = [&told.q, &told.dq, &told.theta, &told.dtheta];
         told.into_iter().for_each(|values| out.told.extend_from_slice(values));
@@ -119,14 +165,14 @@ impl World {
             (&mut out.tau, tau),
             (&mut out.q, &x[..n]),
             (&mut out.dq, &x[n..2 * n]),
-            (&mut out.ddq, &mover.dynamics.ddq),
+            (&mut out.ddq, &plant.dynamics.ddq),
             (&mut out.theta, theta),
             (&mut out.dtheta, dtheta),
         ] {
             all.extend_from_slice(values);
         }
         if let Some(tool) = &robot.tool {
-            out.tool.extend_from_slice(&mover.dynamics.kinematics.position(tool).0);
+            out.tool.extend_from_slice(&plant.dynamics.kinematics.position(tool).0);
         }
     }
 }
@@ -158,10 +204,10 @@ impl<F: Feedback, C: Controller> Run<'_, F, C> {
         let Self { robot, plan, world, suite, feedback, controller } = self;
         let (dt, t) = (plan.period, sample as f64 * plan.period);
         world.look(robot);
-        if !world.mover.dynamics.ddq.iter().chain(&world.x).all(|value| value.is_finite()) {
+        if !world.plant.dynamics.ddq.iter().chain(&world.x).all(|value| value.is_finite()) {
             return Err(SimulationError::NotFinite { time: t });
         }
-        suite.read(robot, world.motion(), &world.mover.dynamics.kinematics, sample);
+        suite.read(robot, world.motion(), &world.plant.dynamics, sample);
         let mut told = core::mem::take(&mut world.told);
         let known = Known { truth: world.motion(), readings: &suite.readings, tau: &world.tau, dt };
         feedback.state_into(known, &mut told)?;
@@ -173,10 +219,6 @@ impl<F: Feedback, C: Controller> Run<'_, F, C> {
         if sample.is_multiple_of(plan.keep_every) {
             world.keep(robot, t, &suite.readings);
         }
-        let h = dt / plan.substeps as f64;
-        for _ in 0..plan.substeps {
-            world.mover.step(robot, &mut world.x, &world.tau, h);
-        }
-        Ok(())
+        world.advance(robot, t, dt)
     }
 }

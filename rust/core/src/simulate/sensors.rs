@@ -1,7 +1,7 @@
 //! What sensors make of the truth.
 
 use super::random::Random;
-use crate::dynamics::Kinematics;
+use crate::dynamics::ElasticDynamics;
 use crate::error::DesignError;
 use crate::robot::{Robot, Sensor};
 use crate::spatial::Vec3;
@@ -20,11 +20,14 @@ pub enum Kind {
     Rate,
     /// q (n) [rad].
     Link,
+    /// What the transmission gives the link (n) [N m].
+    Torque,
 }
 
 impl Kind {
     /// All, in order.
-    pub const ALL: [Self; 5] = [Self::Motor, Self::Acceleration, Self::MotorVelocity, Self::Rate, Self::Link];
+    pub const ALL: [Self; 6] =
+        [Self::Motor, Self::Acceleration, Self::MotorVelocity, Self::Rate, Self::Link, Self::Torque];
 
     /// Channels of `robot`.
     pub fn width(self, robot: &Robot) -> usize {
@@ -146,19 +149,23 @@ impl Suite {
         Ok(Self { channels, random: Random { seed }, truth, readings })
     }
 
-    /// Reads everything: `kinematics` at the state and its accelerations.
+    /// Reads everything: `dynamics` with the accelerations at the state, and the kinematics with them.
     #[inline(always)]
-    pub(super) fn read(&mut self, robot: &Robot, motion: Motion<'_>, kinematics: &Kinematics<f64>, sample: usize) {
-        let n = robot.len();
+    pub(super) fn read(&mut self, robot: &Robot, motion: Motion<'_>, dynamics: &ElasticDynamics, sample: usize) {
+        let (n, kinematics) = (robot.len(), &dynamics.kinematics);
         let (motor, rest) = self.truth.split_at_mut(n);
         let (acceleration, rest) = rest.split_at_mut(robot.acceleration_channels());
         let (velocity, rest) = rest.split_at_mut(n);
-        let (rate, link) = rest.split_at_mut(robot.gyroscope_channels());
+        let (rate, rest) = rest.split_at_mut(robot.gyroscope_channels());
+        let (link, torque) = rest.split_at_mut(n);
         motor.copy_from_slice(motion.theta);
         velocity.copy_from_slice(motion.dtheta);
         link.copy_from_slice(motion.q);
         axes(&robot.accelerometers, acceleration, |sensor| kinematics.specific_force(&sensor.frame));
         axes(&robot.gyroscopes, rate, |sensor| kinematics.angular_rate(&sensor.frame));
+        for (j, torque) in torque.iter_mut().enumerate() {
+            *torque = dynamics.joint_torque(robot, j);
+        }
         let (random, truth) = (self.random, &self.truth);
         for (stream, (channel, reading)) in self.channels.iter_mut().zip(&mut self.readings).enumerate() {
             *reading = channel.read(truth[stream], random, stream as u64, sample);

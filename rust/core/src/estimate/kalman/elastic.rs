@@ -55,6 +55,9 @@ pub struct ElasticSettings {
     pub disturbances: bool,
     /// Which channels have a bias state, in their order.
     pub biased: Vec<bool>,
+    /// Whether a sample's torque is the one that has acted, unchanged, since the sample before; else torques are those at
+    /// the samples and change linearly in between.
+    pub held: bool,
     /// Of the covariance.
     pub discretization: Discretization,
 }
@@ -74,6 +77,7 @@ pub struct ElasticModel {
     prediction: Vec<f64>,
     jacobian: Vec<f64>,
     tau: Vec<f64>,
+    held: bool,
 }
 
 impl ElasticModel {
@@ -99,6 +103,7 @@ impl ElasticModel {
             prediction: vec![0.0; m],
             jacobian: vec![0.0; m * d],
             tau: vec![0.0; n],
+            held: settings.held,
             robot,
             channels,
             biases,
@@ -200,7 +205,7 @@ impl ElasticModel {
         let Transition { layout, dynamics, .. } = transition;
         let (drive, n) = (&robot.drives[j], robot.len());
         let out = &mut jacobian[row * layout.dense..][..layout.dense];
-        prediction[row] = dynamics.spring[j];
+        prediction[row] = dynamics.joint_torque(robot, j);
         if drive.elastic {
             let kappa = drive.tangent_stiffness(x[layout.theta[j]] - x[j]);
             out[layout.theta[j]] = kappa;
@@ -210,12 +215,14 @@ impl ElasticModel {
             return 1;
         }
         let slip = drive.motor_friction(x[n + j]).1;
-        prediction[row] -= drive.motor_inertia * dynamics.ddq[j];
         out[n + j] = -slip;
         if let Some(first) = layout.disturbance {
             out[first + j] = 1.0;
         }
-        linear::add_scaled(out, -drive.motor_inertia, &dynamics.ddq_by[j * layout.dense..][..layout.dense]);
+        for i in 0..=j {
+            let inertia = if i == j { drive.motor_inertia } else { robot.coupling[i * n + j] };
+            linear::add_scaled(out, -inertia, &dynamics.ddq_by[i * layout.dense..][..layout.dense]);
+        }
         1
     }
 
@@ -267,7 +274,8 @@ impl Model for ElasticModel {
     #[inline(always)]
     fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
         let after = sample.inputs.tau;
-        self.transition.advance(&self.robot, belief, (&self.tau, after), sample.dt);
+        let before = if self.held { after } else { &self.tau };
+        self.transition.advance(&self.robot, belief, (before, after), sample.dt);
         self.add_process_noise(&mut belief.covariance, sample.dt);
         self.tau.copy_from_slice(after);
     }

@@ -109,22 +109,32 @@ impl Block {
         let first = (self.first + group * WIDE) as u32;
         core::array::from_fn(|l| first + l as u32)
     }
+}
 
-    /// The weighted mean of the block times its weight, for all entries; log-weights become weights.
+/// The weighted mean of a block times its weight, for all entries; log-weights become weights.
+pub(super) struct Weigh<'a> {
+    pub(super) block: &'a mut Block,
+}
+
+impl Kernel for Weigh<'_> {
+    type Output = ();
+
     #[inline(always)]
-    pub(super) fn weigh(&mut self) {
-        let Self { log_weights, weights, sums, state, count, .. } = self;
+    fn run(self) {
+        let Block { log_weights, weights, sums, state, count, .. } = self.block;
         let used = count.next_multiple_of(WIDE);
-        (sums.largest, sums.best) = (f64::NEG_INFINITY, 0);
-        for (i, &lw) in log_weights[..*count].iter().enumerate() {
-            if lw > sums.largest {
-                (sums.largest, sums.best) = (lw, i);
+        let logs = log_weights[..used].as_chunks::<WIDE>().0;
+        let mut most = [f64::NEG_INFINITY; WIDE];
+        for logs in logs {
+            for (most, log) in most.iter_mut().zip(logs) {
+                *most = if log > most { *log } else { *most };
             }
         }
+        sums.largest = most.into_iter().fold(f64::NEG_INFINITY, f64::max);
+        sums.best = log_weights[..*count].iter().position(|log| *log == sums.largest).unwrap_or(0);
         let largest = if sums.largest.is_finite() { sums.largest } else { 0.0 };
         let [mut weight, mut square] = [Wide::default(); 2];
-        let (out, logs) = (weights[..used].as_chunks_mut::<WIDE>().0, log_weights[..used].as_chunks::<WIDE>().0);
-        for (out, logs) in out.iter_mut().zip(logs) {
+        for (out, logs) in weights[..used].as_chunks_mut::<WIDE>().0.iter_mut().zip(logs) {
             let w = (Lanes(*logs) + -largest).exp();
             *out = w.0;
             weight += w;
@@ -178,8 +188,15 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 /// Sum of all lanes, always in the same order.
 #[inline(always)]
 fn total(x: Wide) -> f64 {
-    let [a, b, c, d, e, f, g, h] = x.0;
-    ((a + e) + (b + f)) + ((c + g) + (d + h))
+    let mut sums = x.0;
+    let mut half = WIDE / 2;
+    while half > 0 {
+        for l in 0..half {
+            sums[l] += sums[l + half];
+        }
+        half /= 2;
+    }
+    sums[0]
 }
 
 /// All particles.

@@ -1,6 +1,6 @@
 //! The particle filter: one step, and whole recordings.
 
-use super::cloud::{BLOCK, Cloud, Deviations};
+use super::cloud::{BLOCK, Cloud, Deviations, Weigh};
 use super::moves::{Moments, Spread};
 use super::output::{ParticleOutput, Summary};
 use super::proposal::{Advance, Reading, Sample, Walk};
@@ -62,6 +62,7 @@ impl ParticleFilter {
             increments: vec![0.0; n],
             readings: Vec::with_capacity(m),
             walks: Vec::with_capacity(m),
+            draws: n,
             offset: 0.0,
             proposal: settings.proposal,
             limits: settings.limits.clone(),
@@ -177,17 +178,19 @@ impl ParticleFilter {
         sample.readings.clear();
         sample.walks.clear();
         let jerk = model.jerk_model();
+        sample.draws = jerk.joints();
         for (channel, &value) in readings.iter().enumerate() {
             let bias = jerk.biases[channel];
             let noise = model.variance(channel);
             let walk = bias.map_or(0.0, |_| model.noise().bias_walk[channel].powi(2) * sample.dt);
-            let tail = settings.tails[channel];
+            let density = settings.densities[channel];
             let read = !value.is_nan();
-            let drawn_late = *marginalised || (read && settings.proposal != Proposal::Bootstrap && tail.is_infinite());
+            let drawn_late = *marginalised || (read && settings.proposal != Proposal::Bootstrap && density.is_normal());
             let before = if *marginalised || first { bias_variance[channel] } else { 0.0 };
             let prior = before + walk;
             if let (false, Some(bias)) = (drawn_late || prior == 0.0, bias) {
-                sample.walks.push(Walk { bias, std: prior.sqrt() });
+                sample.walks.push(Walk { bias, std: prior.sqrt(), draw: sample.draws });
+                sample.draws += 1;
             }
             let extra = if drawn_late { prior } else { 0.0 };
             let variance = noise + extra;
@@ -201,8 +204,10 @@ impl ParticleFilter {
             }
             summary.used += 1;
             let rest = if *marginalised { 0.0 } else { (extra * (1.0 - gain)).sqrt() };
-            let constant = Reading::log_factor(variance, tail);
-            sample.readings.push(Reading { channel, value, bias, variance, gain, rest, tail, constant });
+            let constant = density.log_factor(variance);
+            let draw = sample.draws;
+            sample.draws += usize::from(rest > 0.0);
+            sample.readings.push(Reading { channel, value, bias, variance, gain, rest, draw, density, constant });
         }
         if summary.used == 0 {
             summary.status |= Status::PREDICTED;
@@ -341,12 +346,13 @@ impl ParticleFilter {
 
     /// Gives all particles the same weight.
     fn level(&mut self) {
-        let even = -ln(self.settings.particles as f64);
-        for block in &mut self.cloud.blocks {
+        let Self { cloud, settings, sample, threads, .. } = self;
+        let (even, level) = (-ln(settings.particles as f64), simd::level());
+        cloud.each(*threads, |block| {
             block.log_weights[..block.count].fill(even);
-            block.weigh();
-        }
-        self.sample.offset = 0.0;
+            simd::dispatch_lanes(level, Weigh { block });
+        });
+        sample.offset = 0.0;
     }
 
     fn move_apart(&mut self, kernel: f64) {

@@ -89,11 +89,13 @@ impl Kernel for Spread<'_> {
                 let root = found.factor[a * d + a];
                 own[0] = if root > 0.0 { value * (1.0 / root) } else { Wide::default() };
             }
+            for (standard, normal) in deviation.iter_mut().zip(normal) {
+                *standard = *standard * shrunk + *normal * kernel;
+            }
             for (a, row) in block.state.chunks_exact_mut(BLOCK).enumerate() {
                 let mut value = Wide::constant(wanted.mean[a]);
-                for b in 0..=a {
-                    let standard = deviation[b] * shrunk + normal[b] * kernel;
-                    value += standard * wanted.factor[a * d + b];
+                for (b, standard) in deviation[..=a].iter().enumerate() {
+                    value += *standard * wanted.factor[a * d + b];
                 }
                 row.as_chunks_mut::<WIDE>().0[group] = value.0;
             }

@@ -1,6 +1,7 @@
 //! One step of a block of particles: where they go, and what that does to their weights.
 
-use super::cloud::{BLOCK, Block, Scratch, WIDE, Wide};
+use super::cloud::{BLOCK, Block, Scratch, WIDE, Weigh, Wide};
+use super::density::{Density, student_term};
 use super::evaluation::Reach;
 use super::random::{Purpose, Stream};
 use super::settings::Proposal;
@@ -22,6 +23,8 @@ pub(super) struct Sample {
     pub(super) increments: Vec<f64>,
     pub(super) readings: Vec<Reading>,
     pub(super) walks: Vec<Walk>,
+    /// Normal numbers that a particle needs: of increments first, then of biases.
+    pub(super) draws: usize,
     /// Logarithm of the total weight before.
     pub(super) offset: f64,
     pub(super) proposal: Proposal,
@@ -39,8 +42,10 @@ pub(super) struct Reading {
     /// By which part of the innovation the bias moves, and the standard deviation of what is then drawn around it.
     pub(super) gain: f64,
     pub(super) rest: f64,
-    /// Degrees of freedom of its noise.
-    pub(super) tail: f64,
+    /// Which normal number that is.
+    pub(super) draw: usize,
+    /// Of its noise.
+    pub(super) density: Density,
     /// Logarithm of the density's factor.
     pub(super) constant: f64,
 }
@@ -50,6 +55,8 @@ pub(super) struct Reading {
 pub(super) struct Walk {
     pub(super) bias: usize,
     pub(super) std: f64,
+    /// Which normal number it is drawn by.
+    pub(super) draw: usize,
 }
 
 /// Moves a block by one sample.
@@ -76,7 +83,7 @@ impl Kernel for Advance<'_> {
         }
         let used = block.groups() * WIDE;
         block.log_weights[block.count..used].fill(f64::NEG_INFINITY);
-        block.weigh();
+        Weigh { block }.run();
     }
 }
 
@@ -104,9 +111,9 @@ impl Scratch {
     fn step(&mut self, model: &JerkModel, sample: &Sample, items: [u32; WIDE]) -> Wide {
         let n = model.joints();
         let motion = Stream::new(sample.seed, sample.step, Purpose::Motion);
-        draw(&motion, items, 0, &mut self.normal[..n]);
+        draw(&motion, items, 0, &mut self.normal[..sample.draws]);
         self.coast(n, sample);
-        self.walk(sample, &motion, items);
+        self.walk(sample);
         let mut change = match sample.proposal {
             Proposal::Bootstrap => {
                 self.noise.copy_from_slice(&self.normal[..n]);
@@ -116,7 +123,7 @@ impl Scratch {
         };
         self.apply_noise(sample);
         self.sensed.predict(model, &self.after, &sample.dtheta);
-        change += self.weigh_and_learn(sample, &motion, items);
+        change += self.weigh_and_learn(sample);
         for (j, &(low, high)) in sample.limits.iter().enumerate() {
             let outside = |q: f64| if q < low || q > high { f64::NEG_INFINITY } else { 0.0 };
             change += self.after[j].map(outside);
@@ -149,10 +156,9 @@ impl Scratch {
 
     /// Biases that wander whatever the readings say.
     #[inline(always)]
-    fn walk(&mut self, sample: &Sample, motion: &Stream, items: [u32; WIDE]) {
+    fn walk(&mut self, sample: &Sample) {
         for walk in &sample.walks {
-            let [normal, _] = motion.normals(items, BIAS_DRAWS + walk.bias as u32);
-            self.before[walk.bias] += normal * walk.std;
+            self.before[walk.bias] += self.normal[walk.draw] * walk.std;
         }
     }
 
@@ -198,7 +204,7 @@ impl Scratch {
         for reading in &sample.readings {
             let row = &mut sensed.by_increment[reading.channel * n..][..n];
             let mut error = reading.error(after, &sensed.prediction);
-            let precision = reading.precision(error);
+            let precision = reading.density.precision(error, reading.variance);
             for j in 0..n {
                 row[j] = row[j] * sample.increments[j];
                 if again {
@@ -266,25 +272,21 @@ impl Scratch {
 
     /// log p(y | x), and what the biases learn from y.
     #[inline(always)]
-    fn weigh_and_learn(&mut self, sample: &Sample, motion: &Stream, items: [u32; WIDE]) -> Wide {
+    fn weigh_and_learn(&mut self, sample: &Sample) -> Wide {
         let mut change = Wide::default();
         for reading in &sample.readings {
             let error = reading.error(&self.after, &self.sensed.prediction);
-            change += reading.log_density(error);
+            change += reading.density.log_shape(error, reading.variance) + reading.constant;
             if let Some(bias) = reading.bias {
                 self.after[bias] += error * reading.gain;
                 if reading.rest > 0.0 {
-                    let [normal, _] = motion.normals(items, BIAS_DRAWS + bias as u32);
-                    self.after[bias] += normal * reading.rest;
+                    self.after[bias] += self.normal[reading.draw] * reading.rest;
                 }
             }
         }
         change
     }
 }
-
-/// Draws of biases follow those of increments.
-const BIAS_DRAWS: u32 = 1 << 16;
 
 #[inline(always)]
 fn reach(dt: f64) -> Reach {
@@ -311,58 +313,11 @@ fn stretch(sample: &Sample, items: [u32; WIDE], dof: u32) -> Wide {
     (Wide::constant(f64::from(dof)) / (log * -2.0)).sqrt()
 }
 
-/// −log of Student's density of n dimensions, less the same of the normal one's constant.
-#[inline(always)]
-fn student_term(square: Wide, dof: f64, n: usize) -> Wide {
-    let n = n as f64;
-    // Γ((ν+n)/2)/Γ(ν/2) over (ν/2)^(n/2), by recurrence from half-integers.
-    let constant = log_gamma(0.5 * (dof + n)) - log_gamma(0.5 * dof) - 0.5 * n * ln(0.5 * dof);
-    (square * (1.0 / dof) + 1.0).map(ln) * (0.5 * (dof + n)) + -constant
-}
-
-/// ln Γ(x) by Stirling's series above 12 and recurrence below.
-pub(super) fn log_gamma(x: f64) -> f64 {
-    let (mut y, mut product) = (x, 1.0);
-    while y < 12.0 {
-        product *= y;
-        y += 1.0;
-    }
-    let z = 1.0 / (y * y);
-    let series = (1.0 / 12.0 - z * (1.0 / 360.0 - z * (1.0 / 1260.0 - z / 1680.0))) / y;
-    (y - 0.5) * ln(y) - y + 0.5 * ln(core::f64::consts::TAU) + series - ln(product)
-}
-
 impl Reading {
     /// y − h(x) − b.
     #[inline(always)]
     fn error(&self, state: &[Wide], prediction: &[Wide]) -> Wide {
         let error = -prediction[self.channel] + self.value;
         self.bias.map_or(error, |b| error - state[b])
-    }
-
-    /// 1/S; of Student's noise that of the normal density with the same slope at `error`.
-    #[inline(always)]
-    fn precision(&self, error: Wide) -> Wide {
-        if self.tail.is_infinite() {
-            return Wide::constant(1.0 / self.variance);
-        }
-        Wide::constant(self.tail + 1.0) / (error * error + self.tail * self.variance)
-    }
-
-    #[inline(always)]
-    fn log_density(&self, error: Wide) -> Wide {
-        let square = error * error * (1.0 / self.variance);
-        if self.tail.is_infinite() {
-            return square * -0.5 + self.constant;
-        }
-        (square * (1.0 / self.tail) + 1.0).map(ln) * (-0.5 * (self.tail + 1.0)) + self.constant
-    }
-
-    /// Logarithm of the density's factor, for `variance` and `tail`.
-    pub(super) fn log_factor(variance: f64, tail: f64) -> f64 {
-        if tail.is_infinite() {
-            return -0.5 * ln(core::f64::consts::TAU * variance);
-        }
-        log_gamma(0.5 * (tail + 1.0)) - log_gamma(0.5 * tail) - 0.5 * ln(core::f64::consts::PI * tail * variance)
     }
 }

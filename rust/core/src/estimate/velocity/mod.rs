@@ -6,15 +6,18 @@
 //!
 //! x̂₂' = a(y, x̂₂) + M⁻¹ K_P ỹ + K (ẏ − x̂₂),  ỹ' = ẏ − x̂₂,
 //!
-//! where the reduced-order observer has K_P = 0. In this form a gain may jump without a jump of the estimate.
+//! where the reduced-order observer has K_P = 0 and its K may depend on the posture. In this form a gain may jump without a
+//! jump of the estimate.
 
 mod encoder;
+mod map;
 mod observer;
 mod rigid;
 mod run;
 mod schedule;
 mod settings;
 
+pub use map::GainMap;
 pub use observer::VelocityObserver;
 pub use run::{Recording, Trajectory};
 pub use schedule::{Logic, Schedule};

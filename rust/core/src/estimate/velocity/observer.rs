@@ -1,11 +1,13 @@
 //! One sample after the other.
 
 use super::encoder::Encoder;
+use super::map::Mapped;
 use super::rigid::RigidDynamics;
 use super::schedule::Logic;
 use super::settings::{Gains, Settings};
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
+use crate::linear::add_scaled;
 use crate::robot::Robot;
 use std::sync::Arc;
 
@@ -13,14 +15,17 @@ use std::sync::Arc;
 ///
 /// Between samples the model's acceleration is integrated by Heun's method, torques held. At a sample the velocity takes
 /// (1 − e^(−kT))/T of the position's innovation, so that under constant acceleration the error falls by exactly e^(−kT)
-/// a sample. With a spring K_P the sampled error is stable for λmax(M⁻¹K_P) < 2 k/T, which is checked where the robot starts.
+/// a sample. A spring K_P is integrated by the trapezoidal rule: with one gain for all joints the sampled error is stable for
+/// λmax(M⁻¹K_P) T² < x (4 − 2c)/(c (1 − c/3)), where x = kT and c = 1 − e^(−x), and so below 4 at any gain. That is checked where
+/// the robot starts.
 #[derive(Clone, Debug)]
 pub struct VelocityObserver {
     settings: Settings,
     dynamics: RigidDynamics,
-    /// (1 − e^(−kT))/T of each joint [1/s], and the gain k behind it.
+    /// (1 − e^(−kT))/T of each joint [1/s], and the gain k behind it; zeros beside a map.
     weights: Vec<f64>,
     gains: Vec<f64>,
+    map: Option<Mapped>,
     level: usize,
     since_jump: usize,
     samples: usize,
@@ -28,6 +33,7 @@ pub struct VelocityObserver {
     encoders: Vec<Encoder>,
     /// y, without wraps.
     position: Vec<f64>,
+    innovation: Vec<f64>,
     /// x̂₂.
     velocity: Vec<f64>,
     /// ỹ = y − x̂₁.
@@ -51,6 +57,11 @@ impl VelocityObserver {
         let (level, gains) = match &settings.gains {
             Gains::Constant(gains) => (1, gains.clone()),
             Gains::Scheduled(schedule) => (schedule.start, vec![schedule.gains[schedule.start - 1]; n]),
+            Gains::Mapped(_) => (1, vec![0.0; n]),
+        };
+        let map = match &settings.gains {
+            Gains::Mapped(map) => Some(Mapped::new(map.clone(), settings.period)),
+            _ => None,
         };
         let zero = || vec![0.0; n];
         let mut observer = Self {
@@ -58,12 +69,14 @@ impl VelocityObserver {
             settings,
             weights: zero(),
             gains,
+            map,
             level,
             since_jump: 0,
             samples: 0,
             status: 0,
             encoders: vec![Encoder::default(); n],
             position: zero(),
+            innovation: zero(),
             velocity: zero(),
             lag: zero(),
             spring: zero(),
@@ -127,7 +140,8 @@ impl VelocityObserver {
         let regular = self.dynamics.set_position(&self.position, &self.velocity);
         if regular && self.has_spring() {
             let stiffness = self.dynamics.stiffest(&self.settings.spring);
-            let limit = 2.0 * self.gains.iter().copied().fold(f64::INFINITY, f64::min) / self.settings.period;
+            let limit =
+                self.gains.iter().map(|&k| stiffest_stable(k, self.settings.period)).fold(f64::INFINITY, f64::min);
             if stiffness >= limit {
                 return Err(DesignError::StiffSpring { stiffness, limit });
             }
@@ -147,24 +161,45 @@ impl VelocityObserver {
             self.status |= if reading.wrapped { Status::UNWRAPPED } else { 0 };
             self.status |= if reading.missing { Status::BRIDGED } else { 0 };
             self.position[j] = reading.position;
-            self.velocity[j] += period * slope + self.weights[j] * reading.innovation;
-            self.lag[j] += self.weights[j] / self.gains[j] * reading.innovation;
+            self.innovation[j] = reading.innovation;
+            self.velocity[j] += period * slope;
         }
+        self.correct();
         let regular = self.dynamics.set_position(&self.position, &self.velocity);
         if regular {
             self.refine();
-            if self.has_spring() {
-                self.pull();
-            }
         }
         regular
     }
 
+    /// Lets the innovation change velocity and lag.
+    #[inline(always)]
+    fn correct(&mut self) {
+        if let Some(map) = &mut self.map {
+            for (velocity, change) in self.velocity.iter_mut().zip(map.weigh(&self.position, &self.innovation)) {
+                *velocity += change;
+            }
+            return;
+        }
+        for j in 0..self.innovation.len() {
+            let change = self.weights[j] * self.innovation[j];
+            self.velocity[j] += change;
+            self.lag[j] += change / self.gains[j];
+        }
+    }
+
     /// Heun's second slope: acceleration changes linearly over the period, and the position that was predicted likewise.
+    ///
+    /// The lag is there already, so that of the spring this is the trapezoidal rule.
     #[inline(always)]
     fn refine(&mut self) {
         let period = self.settings.period;
         self.dynamics.acceleration_into(&self.velocity, &self.torque, &mut self.corrected);
+        if self.has_spring() {
+            add_scaled(&mut self.acceleration, 1.0, &self.spring);
+            self.pull();
+            add_scaled(&mut self.corrected, 1.0, &self.spring);
+        }
         for j in 0..self.velocity.len() {
             let change = self.corrected[j] - self.acceleration[j];
             self.velocity[j] += change * period * (0.5 - self.weights[j] * period / 6.0);
@@ -268,4 +303,10 @@ impl VelocityObserver {
     pub fn tool(&self) -> [f64; 3] {
         self.dynamics.tool().map_or([f64::NAN; 3], |tool| tool.0)
     }
+}
+
+/// Largest λ(M⁻¹K_P) at which the error is stable, sampled with a gain of `gain` [1/s²]: Jury's condition on its two equations.
+fn stiffest_stable(gain: f64, period: f64) -> f64 {
+    let taken = -(-gain * period).exp_m1();
+    gain / (period * taken) * (4.0 - 2.0 * taken) / (1.0 - taken / 3.0)
 }

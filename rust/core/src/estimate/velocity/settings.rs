@@ -1,5 +1,6 @@
 //! What a velocity observer is made with.
 
+use super::map::GainMap;
 use super::schedule::Schedule;
 use crate::error::DesignError;
 
@@ -16,6 +17,8 @@ pub enum Gains {
     Constant(Vec<f64>),
     /// One at a time for all joints, by how fast the robot is.
     Scheduled(Schedule),
+    /// That of the posture; without a spring.
+    Mapped(GainMap),
 }
 
 /// What a [`VelocityObserver`](super::VelocityObserver) is made with.
@@ -55,6 +58,13 @@ impl Settings {
             Gains::Scheduled(schedule) => {
                 schedule.check()?;
                 schedule.gains.iter().try_for_each(|&gain| self.check_gain(gain))
+            }
+            Gains::Mapped(map) => {
+                map.check(n)?;
+                for &value in &self.spring {
+                    expect(value == 0.0, "a position gain", value, "0 beside a gain map")?;
+                }
+                self.check_gain(map.bound())
             }
         }
     }

@@ -1,0 +1,40 @@
+//! The robot as a differential equation ẋ = f(x, τ).
+
+use crate::dynamics::{ElasticDynamics, ElasticLayout};
+use crate::error::DesignError;
+use crate::robot::Robot;
+
+/// Dynamics of a robot with room to compute them in; what integrators share.
+#[derive(Clone, Debug)]
+pub struct Plant {
+    /// Where in a state each joint's numbers are.
+    pub layout: ElasticLayout,
+    /// Accelerations, and after a look their derivatives.
+    pub dynamics: ElasticDynamics,
+}
+
+impl Plant {
+    /// Room for `robot`.
+    ///
+    /// # Errors
+    /// As [`ElasticLayout::new`].
+    pub fn new(robot: &Robot) -> Result<Self, DesignError> {
+        let layout = ElasticLayout::new(robot, false)?;
+        Ok(Self { dynamics: ElasticDynamics::new(robot, &layout), layout })
+    }
+
+    /// f(x, τ) at `x` (dense) under motor torques `tau` (n) [N m], into `out` (dense); NaN when the inertia is not
+    /// positive definite.
+    #[inline(always)]
+    pub fn rate_into(&mut self, robot: &Robot, x: &[f64], tau: &[f64], out: &mut [f64]) {
+        self.dynamics.accelerate(robot, &self.layout, x, tau);
+        self.dynamics.rate_into(&self.layout, x, out);
+    }
+
+    /// As [`rate_into`](Self::rate_into), with the derivatives of the accelerations in [`dynamics`](Self::dynamics).
+    #[inline(always)]
+    pub fn linearise_into(&mut self, robot: &Robot, x: &[f64], tau: &[f64], out: &mut [f64]) {
+        self.rate_into(robot, x, tau, out);
+        self.dynamics.differentiate(robot, &self.layout, x);
+    }
+}
