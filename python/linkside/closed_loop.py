@@ -26,8 +26,8 @@ def closed_loop_poles(
     """Poles of the sampled loop about a posture at rest; it is stable if all are inside the unit circle.
 
     The robot, rigid joints included, has its torque held between samples; the observer takes gravity off its
-    accelerometers at its own estimate of the posture; the estimate is fed back. Left out are dry friction, nonlinear
-    springs, and the damping of accelerations near singular postures.
+    accelerometers at its own estimate of the posture; the estimate is fed back. Left out are dry friction and nonlinear
+    springs.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def closed_loop_poles(
         _Estimator.of(observer, period),
         _sight(observer, q),
     )
-    elastic, rigid, coupling = np.diag(1.0 * known.elastic), np.diag(1.0 * ~known.elastic), known.coupling.T
+    coupling = known.coupling.T
     sizes = [len(true.transition), len(estimator.transition), known.n]
     x, predicted, measured = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
 
@@ -71,8 +71,7 @@ def closed_loop_poles(
     coupled = tau - coupling @ (measured - estimator.bias @ z)
     held = estimator.transition @ z + estimator.held @ np.vstack([coupled, measured])
     own = estimator.ddq @ held
-    unknown = np.vstack([true.q @ x_next - estimator.q @ held, rigid @ ddq - own])
-    now = elastic @ ddq + own + sight @ unknown
+    now = own + sight @ np.vstack([true.q @ x_next - estimator.q @ held, ddq - own])
     change = now - measured
     after = held + estimator.ramp @ np.vstack([-coupling @ change, change])
     poles = np.linalg.eigvals(np.vstack([x_next, after, now]))
@@ -180,14 +179,21 @@ def _gain(a: FloatArray, poles: ComplexArray, period: float) -> FloatArray:
 
 
 def _sight(observer: AccelerationObserver, q: FloatArray) -> FloatArray:
-    """Derivative of the link accelerations that accelerometers tell by errors of q and of rigid joints' q̈, (n, 2 n)."""
+    """Elastic joints' accelerations as they are told, by the error of q and by all joints' q̈ that is unknown, (n, 2 n).
+
+    By weighted least squares, damped where accelerometers tell too little; De Luca et al. (2007), eq. (12).
+    """
     robot = observer.robot
     out, zero = np.zeros((robot.n, 2 * robot.n)), np.zeros(robot.n)
-    if observer.accelerations == "sensors":
-        weights = np.array([[1.0 / sensor.noise_std] for sensor in robot.accelerometers for _ in sensor.axes])
-        derivatives = robot.core.specific_force_derivatives(q[None], zero[None], zero[None])[0]
-        by_q, by_ddq = weights * derivatives[0], weights * derivatives[2]
-        out[robot.elastic] = np.linalg.pinv(by_ddq[:, robot.elastic]) @ np.hstack([by_q, by_ddq])
+    if observer.accelerations == "joints":
+        out[robot.elastic, robot.n :] = np.eye(robot.n)[robot.elastic]
+        return out
+    weights = np.array([[1.0 / sensor.noise_std] for sensor in robot.accelerometers for _ in sensor.axes])
+    derivatives = robot.core.specific_force_derivatives(q[None], zero[None], zero[None])[0]
+    by_q, by_ddq = weights * derivatives[0], weights * derivatives[2]
+    left, seen, right = np.linalg.svd(by_ddq[:, robot.elastic], full_matrices=False)
+    floor = np.maximum(seen**2, observer.worst_acceleration_std**-2)
+    out[robot.elastic] = right.T @ np.diag(seen / floor) @ left.T @ np.hstack([by_q, by_ddq])
     return out
 
 

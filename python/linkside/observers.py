@@ -80,6 +80,7 @@ class AccelerationObserver:
         _one_of("form", form, ("current", "predictor"))
         _one_of("accelerations", accelerations, ("sensors", "joints"))
         self.robot, self.form, self.accelerations = robot, form, accelerations
+        self.worst_acceleration_std = worst_acceleration_std
         self.poles = {name: _joint_poles(poles, name, order) for name, order in _orders(robot, bias).items()}
         self._make = partial(
             _core.AccelerationObserver,

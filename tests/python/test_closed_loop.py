@@ -80,6 +80,19 @@ def test_the_slowest_pole_is_that_of_the_simulated_loop(design, frequency):
     assert np.abs(roots - pole).min() < 0.02 * abs(np.log(pole))
 
 
+def test_damping_keeps_the_loop_stable_where_a_sensor_hardly_sees():
+    """Stretched out, the sensor is in line with both axes: gravity would be taken for huge accelerations."""
+    drives = [spring(name, stiffness=3000.0, damping=8.0, motor_inertia=2.0) for name in ("shoulder", "elbow")]
+    robot = Robot.from_urdf(ARM, drives, accelerometers=[SENSOR | {"xyz": [0.0, 0.0, 0.3]}])
+    q = [0.2, 1e-7]
+    gains = pole_placement(robot, q, 10.0)
+    damped_there, not_damped = (
+        closed_loop_poles(AccelerationObserver(robot, 100.0, worst_acceleration_std=std), gains, q, 1e-3)
+        for std in (10.0, 1e9)
+    )
+    assert abs(damped_there[0]) < 1 < abs(not_damped[0])
+
+
 def test_other_joints_are_refused():
     robot = arm()
     with pytest.raises(EstimatorError, match=r"expected gains \(2, 8\) and a specimen of 2 joints"):
