@@ -90,7 +90,8 @@ class Log:
     theta, dtheta : (T, n)
         Motor position [rad] and velocity [rad/s], reflected through the gear to the link side.
     tau : (T, n)
-        Motor torque, likewise [N m].
+        Motor torque, likewise [N m]: at the row's time as sensors read it, or held from it until the next row as
+        controllers command it; ``motor_torque`` of `ElasticJointFilter` says which.
     acceleration : (T, m)
         Accelerometers: specific force in the sensor's axes [m/s²].
     rate : (T, g)

@@ -1,6 +1,9 @@
 """The adaptive integrator against SciPy on Pinocchio's dynamics, the rigid limit, energy, and its own tolerance."""
 
 import itertools
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pinocchio as pin
@@ -144,6 +147,17 @@ def test_samples_and_ticks_are_on_time():
     assert_allclose(fast.truth["t"][::13], slow.truth["t"], rtol=1e-15)
     assert_allclose(states(fast)[::13], states(slow), atol=1e-8, rtol=0)
     assert_allclose(fast.log.theta, fast.truth["theta"], rtol=0)
+
+
+def test_results_do_not_depend_on_the_processors_instructions():
+    program = (
+        "import hashlib; from linkside import *; r = Robot.load(demo.ROBOT); hold = r.gravity_torque([0.3] * r.n);"
+        "run = simulate(r, lambda t, state: 1.1 * hold, 0.1, 500.0, q=[0.3] * r.n, integrator='adaptive');"
+        "print(hashlib.sha256(run.truth['q'].tobytes() + run.log.acceleration.tobytes()).hexdigest())"
+    )
+    runs = [os.environ | {"LINKSIDE_SIMD": level} for level in ("baseline", "widest")]
+    outputs = [subprocess.check_output([sys.executable, "-c", program], env=env, text=True) for env in runs]
+    assert outputs[0] == outputs[1]
 
 
 def bad(match, error=EstimatorError, robot=None, controller=still, **settings):

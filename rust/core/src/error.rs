@@ -269,7 +269,9 @@ pub enum SimulationError {
         step: f64,
     },
     /// A state that is no longer a number.
-    #[error("the motion is not finite at t = {time:.9} s: the loop, or the step of integration, is unstable")]
+    #[error(
+        "the motion is not finite at t = {time:.9} s: the loop is unstable, or a fixed step of integration is (the adaptive integrator tells which)"
+    )]
     NotFinite {
         /// When [s].
         time: f64,

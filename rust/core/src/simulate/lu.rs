@@ -19,14 +19,14 @@ impl Lu {
     #[inline(always)]
     pub(super) fn factorise(&mut self) {
         let (n, a) = (self.size, &mut self.matrix);
-        for k in 0..n {
+        for (k, exchanged) in self.exchanged.iter_mut().enumerate() {
             let mut pivot = k;
             for i in k + 1..n {
                 if a[i * n + k].abs() > a[pivot * n + k].abs() {
                     pivot = i;
                 }
             }
-            self.exchanged[k] = pivot;
+            *exchanged = pivot;
             let (above, below) = a.split_at_mut((k + 1) * n);
             let own = &mut above[k * n..];
             if pivot > k {

@@ -80,9 +80,9 @@ impl Rosenbrock {
     pub(super) fn step(&mut self, robot: &Robot, plant: &mut Plant, x: &[f64], tau: &[f64], h: f64) {
         let s = 1.0 / (GAMMA * h);
         self.factorise(plant, s);
-        for i in 0..self.stages.len() {
+        for (i, (reach, slope)) in REACH.into_iter().zip(SLOPE).enumerate() {
             self.end.copy_from_slice(x);
-            for (stage, reach) in self.stages[..i].iter().zip(REACH[i]) {
+            for (stage, reach) in self.stages[..i].iter().zip(reach) {
                 add_scaled(&mut self.end, reach, stage);
             }
             if i == 0 {
@@ -90,7 +90,7 @@ impl Rosenbrock {
             } else {
                 plant.rate_into(robot, &self.end, tau, &mut self.rate);
             }
-            for (stage, slope) in self.stages[..i].iter().zip(SLOPE[i]) {
+            for (stage, slope) in self.stages[..i].iter().zip(slope) {
                 add_scaled(&mut self.rate, slope / h, stage);
             }
             self.solve(plant, s, i);
