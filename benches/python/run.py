@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from timing import Result
 
-BENCHES = ("observer", "kalman", "particle", "dynamics", "velocity")
+BENCHES = ("observer", "kalman", "particle", "dynamics", "velocity", "calibrate")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "RAYON_NUM_THREADS")
 
 

@@ -23,6 +23,9 @@ GAIN = 0.02
 ROUGH = 2.0
 """Likewise, where it is only to be found out what the recordings tell."""
 
+LEAST_CURVATURE = 0.1
+"""A share of Fisher's information; less is not believed."""
+
 FLOOR = 20.0
 """No reading's log-density exceeds this: its standard deviation would be below 1e-9 of its unit."""
 
@@ -69,6 +72,7 @@ class Search:
     evaluations: int = 0
     best: float = -np.inf
     best_at: FloatArray = field(default_factory=lambda: np.zeros(0))
+    _gradient: FloatArray = field(default_factory=lambda: np.zeros(0))
     _point: FloatArray = field(default_factory=lambda: np.zeros(0))
     _residuals: FloatArray = field(default_factory=lambda: np.zeros(0))
     _jacobian: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
@@ -117,11 +121,28 @@ class Search:
 
     def _pose(self, z: FloatArray, evidence: Evidence) -> None:
         value = self._offset - evidence.log_likelihood + 0.5 * z @ z
-        factor = np.linalg.cholesky(evidence.information + np.eye(len(z)))
+        factor = np.linalg.cholesky(self._curvature(z, evidence))
         step = scipy.linalg.solve_triangular(factor, z - evidence.gradient, lower=True)
         rest = np.sqrt(max(0.0, 2 * value - step @ step))
         self._residuals = np.append(step, rest)
         self._jacobian = np.vstack([factor.T, np.zeros(len(z))])
+
+    def _curvature(self, z: FloatArray, evidence: Evidence) -> FloatArray:
+        """Fisher's information, and what the gradient's change since the best point says along the way from there.
+
+        That is one update of Broyden, Fletcher, Goldfarb and Shanno: where the model is wrong, information may be half
+        of the curvature, and steps would go back and forth.
+        """
+        curvature = evidence.information + np.eye(len(z))
+        if not len(self.best_at):
+            return curvature
+        way = z - self.best_at
+        change = (z - evidence.gradient) - self._gradient
+        along, expected = way @ change, curvature @ way
+        if along <= LEAST_CURVATURE * (way @ expected):
+            return curvature
+        updated = curvature + np.outer(change, change) / along - np.outer(expected, expected) / (way @ expected)
+        return np.asarray(updated)
 
     def _report(self, z: FloatArray, evidence: Evidence) -> None:
         self.evaluations += 1
@@ -129,7 +150,7 @@ class Search:
         if posterior <= self.best:
             return
         before = self.best_at if len(self.best_at) else z
-        self.best, self.best_at = posterior, np.array(z)
+        self.best, self.best_at, self._gradient = posterior, np.array(z), z - evidence.gradient
         if self.progress is not None:
             largest = int(np.argmax(np.abs(z - before)))
             names = [p.name for p in self.problem.free]
