@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from timing import Result
 
-BENCHES = ("observer", "kalman", "particle", "dynamics", "velocity", "simulate", "control")
+BENCHES = ("observer", "kalman", "particle", "dynamics", "velocity", "simulate", "control", "calibrate")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "RAYON_NUM_THREADS")
 
 

@@ -15,7 +15,7 @@ from linkside.calibration.parameters import choose
 from linkside.calibration.problem import Problem, bare
 from linkside.calibration.search import Search, Step
 from linkside.calibration.signals import derivative, signals
-from linkside.calibration.uncertainty import Uncertainty, compare, long_run
+from linkside.calibration.uncertainty import Alone, Uncertainty, compare, long_run
 from linkside.errors import ConfigError, EstimatorError, LogError
 
 from . import drawn
@@ -241,8 +241,11 @@ def test_contradictory_recordings_are_told():
     problem = Problem(robot, [log[:200], log[200:400]], Noise(), False, choose(robot, ["stiffness"], False, {}))
     sure = Uncertainty(np.array([0.01, 0.01]), np.eye(2), np.ones(2))
     near, far = np.zeros(2), np.array([0.0, 0.1])
-    assert compare(problem, [(near, sure), (near + 0.01, sure)]) == []
-    (found,) = compare(problem, [(near, sure), (far, sure)])
+    assert compare(problem, [Alone(near, sure), Alone(near + 0.01, sure)]) == []
+    assert compare(problem, [Alone(near, sure), Alone(far, sure, frozenset({"stiffness_axis3"}))]) == []
+    at_bound = np.array([0.0, problem.free[1].z(problem.free[1].high)])
+    assert compare(problem, [Alone(near, sure), Alone(at_bound, sure)]) == []
+    (found,) = compare(problem, [Alone(near, sure), Alone(far, sure)])
     assert found.name == "stiffness_axis3"
     assert found.distance == pytest.approx(0.1 / np.hypot(0.01, 0.01))
     assert "contradict each other: stiffness_axis3 is 3e+05 by one and" in str(found)

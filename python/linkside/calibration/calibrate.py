@@ -17,7 +17,7 @@ from .problem import Problem
 from .recordings import moving, refuse, use_torque
 from .result import Calibration, Estimated, Fit
 from .search import GAIN, ROUGH, Progress, Search
-from .uncertainty import Contradiction, Uncertainty, compare, uncertainty, untold
+from .uncertainty import Alone, Contradiction, Uncertainty, compare, uncertainty, untold
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -172,5 +172,7 @@ def _contradictions(problem: Problem, z: FloatArray) -> tuple[Contradiction, ...
     for log in problem.logs:
         alone = problem.on([log])
         best = Search(alone).maximise(z)
-        fits.append((best, uncertainty(alone.evidence(best, detail=True), log.period)))
+        evidence = alone.evidence(best, detail=True)
+        still = [name for name, does in zip(problem.robot.names, moving(log), strict=True) if not does]
+        fits.append(Alone(best, uncertainty(evidence, log.period), frozenset(untold(alone, evidence, still))))
     return tuple(compare(problem, fits))

@@ -1,4 +1,4 @@
-"""The most probable parameters: SciPy's trust-region method within bounds, on exact gradient and information."""
+"""The most probable parameters: scoring within bounds and a trust region, on exact gradient and information."""
 
 from __future__ import annotations
 
@@ -23,8 +23,11 @@ GAIN = 0.02
 ROUGH = 2.0
 """Likewise, where it is only to be found out what the recordings tell."""
 
-FLOOR = 20.0
-"""No reading's log-density exceeds this: its standard deviation would be below 1e-9 of its unit."""
+LEAST_CURVATURE = 0.1
+"""A share of Fisher's information; less is not believed."""
+
+BOX = 1.0
+"""Longest first step of any parameter, in tolerances."""
 
 
 @dataclass(frozen=True)
@@ -52,15 +55,24 @@ class Step:
     z: dict[str, float]
 
 
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Where the posterior was evaluated: its logarithm, that one's gradient, and the curvature."""
+
+    z: FloatArray
+    value: float
+    gradient: FloatArray
+    curvature: FloatArray
+
+
 @dataclass
 class Search:
     """A search for the maximum of the posterior.
 
-    The posterior's maximum is found as a problem of least squares that has its value, its gradient g and Fisher's
-    information H + 1 (with that of the prior): residuals L⁻¹g and one more that makes up the value, Jacobian Lᵀ and
-    zero, with L Lᵀ = H + 1. `scipy.optimize.least_squares` then takes Gauss-Newton steps (scoring) in a trust
-    region within bounds (Branch, Coleman and Li 1999): Newton's method without second derivatives, in thirty or so
-    evaluations.
+    Scoring: each step maximises the quadratic that has the posterior's gradient and Fisher's information (with that of
+    the prior), within bounds and a box, by the active-set method of `scipy.optimize.lsq_linear` (Stark and Parker
+    1995). The box grows and shrinks with how well the quadratic foretells the gain: Newton's method without second
+    derivatives, in twenty or so evaluations.
     """
 
     problem: Problem
@@ -69,59 +81,56 @@ class Search:
     evaluations: int = 0
     best: float = -np.inf
     best_at: FloatArray = field(default_factory=lambda: np.zeros(0))
-    _point: FloatArray = field(default_factory=lambda: np.zeros(0))
-    _residuals: FloatArray = field(default_factory=lambda: np.zeros(0))
-    _jacobian: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
-    _offset: float = 0.0
 
     def maximise(self, start: FloatArray) -> FloatArray:
         """Search from ``start``; raises NumericalError when the filter breaks down there."""
         if not len(start):
             return start
-        low, high = self.bounds()
-        used = self.problem.evidence(np.clip(start, low, high)).used
-        self._offset = FLOOR * used
-        # Shifted by one: the first step may then be a tolerance long, where SciPy takes the start's size for a scale.
-        scipy.optimize.least_squares(
-            lambda x: self._residual(x - 1),
-            np.clip(start, low, high) + 1,
-            jac=lambda x: self._slope(x - 1),
-            bounds=(low + 1, high + 1),
-            method="trf",
-            ftol=self.gain / self._offset,
-            xtol=1e-5,
-            gtol=1e-3,
-            max_nfev=EVALUATIONS,
-        )
-        return self.best_at
+        z = np.clip(start, *self.bounds())
+        here, box = self._evaluate(z), BOX
+        curvature = here.curvature
+        while self.evaluations < EVALUATIONS:
+            step = self._step(here, curvature, box)
+            foretold = float(here.gradient @ step - 0.5 * step @ curvature @ step)
+            if foretold < self.gain:
+                break
+            there = self._try(here.z + step)
+            gained = -np.inf if there is None else there.value - here.value
+            box = _resized(box, step, gained / foretold)
+            if there is None:
+                continue
+            curvature = _updated(there.curvature if gained > 0 else here.curvature, here, there)
+            if gained > 0:
+                here = there
+                if gained < self.gain:
+                    break
+        return here.z
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Bounds of z."""
         free = self.problem.free
         return np.array([p.z(p.low) for p in free]), np.array([p.z(p.high) for p in free])
 
-    def _residual(self, z: FloatArray) -> FloatArray:
-        self._point = np.array(z)
+    def _step(self, here: _Point, curvature: FloatArray, box: float) -> FloatArray:
+        """The best step within bounds and box."""
+        low, high = self.bounds()
+        factor = np.linalg.cholesky(curvature)
+        goal = scipy.linalg.solve_triangular(factor, here.gradient, lower=True)
+        limits = np.maximum(low - here.z, -box), np.minimum(high - here.z, box)
+        return np.asarray(scipy.optimize.lsq_linear(factor.T, goal, limits, method="bvls").x)
+
+    def _try(self, z: FloatArray) -> _Point | None:
+        """Evaluate; none so far out that the filter breaks down."""
         try:
-            evidence = self.problem.evidence(z)
-        except NumericalError:  # this far out the filter breaks down: the trust region shrinks
-            return np.full(len(z) + 1, np.inf)
-        self._pose(z, evidence)
+            return self._evaluate(z)
+        except NumericalError:
+            return None
+
+    def _evaluate(self, z: FloatArray) -> _Point:
+        evidence = self.problem.evidence(z)
         self._report(z, evidence)
-        return self._residuals
-
-    def _slope(self, z: FloatArray) -> FloatArray:
-        if not np.array_equal(z, self._point):
-            self._residual(z)
-        return self._jacobian
-
-    def _pose(self, z: FloatArray, evidence: Evidence) -> None:
-        value = self._offset - evidence.log_likelihood + 0.5 * z @ z
-        factor = np.linalg.cholesky(evidence.information + np.eye(len(z)))
-        step = scipy.linalg.solve_triangular(factor, z - evidence.gradient, lower=True)
-        rest = np.sqrt(max(0.0, 2 * value - step @ step))
-        self._residuals = np.append(step, rest)
-        self._jacobian = np.vstack([factor.T, np.zeros(len(z))])
+        value = evidence.log_likelihood - 0.5 * float(z @ z)
+        return _Point(z, value, evidence.gradient - z, evidence.information + np.eye(len(z)))
 
     def _report(self, z: FloatArray, evidence: Evidence) -> None:
         self.evaluations += 1
@@ -136,3 +145,25 @@ class Search:
             change = float((z - before)[largest])
             where = {p.name: x for p, x in self.problem.held} | dict(zip(names, z.tolist(), strict=True))
             self.progress(Step(self.evaluations, evidence.log_likelihood, change, names[largest], where))
+
+
+def _resized(box: float, step: FloatArray, ratio: float) -> float:
+    """Grow or shrink the box by the share of a foretold gain that came."""
+    length = float(np.max(np.abs(step)))
+    if ratio < 0.25:
+        return 0.25 * length
+    return 2 * box if ratio > 0.75 and length > 0.9 * box else box
+
+
+def _updated(curvature: FloatArray, here: _Point, there: _Point) -> FloatArray:
+    """Let the gradient's change between two points say what the curvature is along the way.
+
+    That is one update of Broyden, Fletcher, Goldfarb and Shanno: where the model is wrong, information may be half of
+    the curvature, and steps would go back and forth.
+    """
+    way, change = there.z - here.z, here.gradient - there.gradient
+    along, expected = way @ change, curvature @ way
+    if along <= LEAST_CURVATURE * (way @ expected):
+        return curvature
+    update = np.outer(change, change) / along - np.outer(expected, expected) / (way @ expected)
+    return np.asarray(curvature + update)

@@ -167,25 +167,57 @@ class Contradiction:
         )
 
 
-def compare(problem: Problem, fits: Sequence[tuple[FloatArray, Uncertainty]]) -> list[Contradiction]:
-    """Compare the estimates by each recording alone, pair by pair, in units of their joint covariance."""
-    chosen = [i for i, p in enumerate(problem.free) if p.kind not in NOISE]
-    found = []
-    for a in range(len(fits)):
-        for b in range(a + 1, len(fits)):
-            (za, ua), (zb, ub) = fits[a], fits[b]
-            difference = (za - zb)[chosen]
-            covariance = _covariance(ua, chosen) + _covariance(ub, chosen)
-            square = float(difference @ np.linalg.solve(covariance, difference))
-            probability = float(stats.chi2.sf(square, len(chosen)))
-            if probability < SIGNIFICANT:
-                distances = np.abs(difference) / np.sqrt(np.diag(covariance))
-                worst = int(np.argmax(distances))
-                parameter = problem.free[chosen[worst]]
-                values = (parameter.value(za[chosen[worst]]), parameter.value(zb[chosen[worst]]))
-                sources = (problem.logs[a].source, problem.logs[b].source)
-                found.append(Contradiction(sources, parameter.name, values, float(distances[worst]), probability))
-    return found
+@dataclass(frozen=True, eq=False)
+class Alone:
+    """What one of several recordings says by itself.
+
+    Attributes
+    ----------
+    z : (p,)
+        Estimates in tolerances.
+    uncertainty : Uncertainty
+        Theirs.
+    untold : set of str
+        Names of parameters that this recording does not tell.
+    """
+
+    z: FloatArray
+    uncertainty: Uncertainty
+    untold: frozenset[str] = frozenset()
+
+
+def compare(problem: Problem, fits: Sequence[Alone]) -> list[Contradiction]:
+    """Compare the estimates by each recording alone, pair by pair, in units of their joint covariance.
+
+    Only what both recordings tell is compared, away from bounds.
+    """
+    pairs = [(a, b) for a in range(len(fits)) for b in range(a + 1, len(fits))]
+    found = (_between(problem, (a, b), fits[a], fits[b]) for a, b in pairs)
+    return [contradiction for contradiction in found if contradiction is not None]
+
+
+def _between(problem: Problem, logs: tuple[int, int], a: Alone, b: Alone) -> Contradiction | None:
+    chosen = [
+        i
+        for i, p in enumerate(problem.free)
+        if p.kind not in NOISE
+        and p.name not in a.untold | b.untold
+        and not (p.exceeds(float(a.z[i])) or p.exceeds(float(b.z[i])))
+    ]
+    if not chosen:
+        return None
+    difference = (a.z - b.z)[chosen]
+    covariance = _covariance(a.uncertainty, chosen) + _covariance(b.uncertainty, chosen)
+    square = float(difference @ np.linalg.solve(covariance, difference))
+    probability = float(stats.chi2.sf(square, len(chosen)))
+    if probability >= SIGNIFICANT:
+        return None
+    distances = np.abs(difference) / np.sqrt(np.diag(covariance))
+    worst = int(np.argmax(distances))
+    parameter, i = problem.free[chosen[worst]], chosen[worst]
+    values = (parameter.value(float(a.z[i])), parameter.value(float(b.z[i])))
+    sources = (problem.logs[logs[0]].source, problem.logs[logs[1]].source)
+    return Contradiction(sources, parameter.name, values, float(distances[worst]), probability)
 
 
 def _covariance(u: Uncertainty, chosen: list[int]) -> FloatArray:
