@@ -216,7 +216,7 @@ impl Job {
         self,
         py: Python<'_>,
         mut feedback: impl Feedback + Send,
-        controller: &mut (impl Controller + Send),
+        controller: &mut (dyn Controller + Send),
     ) -> Result<Recording, SimulationError> {
         let Self { robot, plan, start, suite } = self;
         py.detach(|| core::simulate(&robot, start, plan, suite, &mut feedback, controller))

@@ -7,6 +7,7 @@ use crate::error::DesignError;
 use crate::estimate::kalman::{ElasticModel, ExtendedKalmanFilter, Inputs, KalmanSample};
 use crate::estimate::observer::{AccelerationObserver, Sample};
 use crate::robot::Robot;
+use crate::simd;
 
 /// What is known at a sample.
 #[derive(Clone, Copy, Debug)]
@@ -92,14 +93,29 @@ impl FilterFeedback {
     }
 }
 
-impl Feedback for FilterFeedback {
+/// A sample of the filter, compiled once for every level of instructions.
+struct Step<'a> {
+    feedback: &'a mut FilterFeedback,
+    known: Known<'a>,
+}
+
+impl simd::Kernel for Step<'_> {
+    type Output = Result<(), DesignError>;
+
     #[inline(always)]
-    fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError> {
-        for (reading, &channel) in self.readings.iter_mut().zip(&self.channels) {
+    fn run(self) -> Self::Output {
+        let Self { feedback: FilterFeedback { filter, channels, readings, .. }, known } = self;
+        for (reading, &channel) in readings.iter_mut().zip(channels) {
             *reading = known.readings[channel];
         }
         let inputs = Inputs { tau: known.tau, ..Inputs::default() };
-        self.filter.step(KalmanSample { dt: known.dt, readings: &self.readings, inputs })?;
+        filter.step(KalmanSample { dt: known.dt, readings, inputs })
+    }
+}
+
+impl Feedback for FilterFeedback {
+    fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError> {
+        simd::dispatch(simd::level(), Step { feedback: self, known })?;
         let (n, mean) = (self.layout.joints, &self.filter.belief().mean);
         out.q.copy_from_slice(&mean[..n]);
         out.dq.copy_from_slice(&mean[n..2 * n]);

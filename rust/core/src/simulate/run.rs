@@ -60,8 +60,8 @@ pub fn simulate(
     start: Start,
     plan: Plan,
     suite: Suite,
-    feedback: &mut impl Feedback,
-    controller: &mut impl Controller,
+    feedback: &mut dyn Feedback,
+    controller: &mut dyn Controller,
 ) -> Result<Recording, SimulationError> {
     plan.check()?;
     let world = World::new(robot, start, plan.stepping)?;
@@ -177,16 +177,16 @@ impl World {
     }
 }
 
-struct Run<'a, F, C> {
+struct Run<'a> {
     robot: &'a Robot,
     plan: Plan,
     world: World,
     suite: Suite,
-    feedback: &'a mut F,
-    controller: &'a mut C,
+    feedback: &'a mut dyn Feedback,
+    controller: &'a mut dyn Controller,
 }
 
-impl<F: Feedback, C: Controller> simd::Kernel for Run<'_, F, C> {
+impl simd::Kernel for Run<'_> {
     type Output = Result<Recording, SimulationError>;
 
     #[inline(always)]
@@ -198,7 +198,7 @@ impl<F: Feedback, C: Controller> simd::Kernel for Run<'_, F, C> {
     }
 }
 
-impl<F: Feedback, C: Controller> Run<'_, F, C> {
+impl Run<'_> {
     #[inline(always)]
     fn sample(&mut self, sample: usize) -> Result<(), SimulationError> {
         let Self { robot, plan, world, suite, feedback, controller } = self;
