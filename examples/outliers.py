@@ -30,12 +30,7 @@ def main() -> None:
     gated = linkside.ExtendedKalmanFilter(robot, gate=5.0)
     normal = linkside.ParticleFilter(robot, particles=500, kernel=1.0)
     student = linkside.ParticleFilter(robot, particles=500, kernel=1.0, outliers={"acceleration": 4.0})
-    mixture = linkside.ParticleFilter(
-        robot, particles=500, kernel=1.0, outliers={"acceleration": linkside.Mixture(SHARE, SIZE)}
-    )
-    kalman_filters = {"EKF": kalman, "EKF, gate of 5": gated}
-    particles = {"particles": normal, "particles, Student's noise": student, "particles, mixture": mixture}
-    methods = kalman_filters | particles
+    methods = {"EKF": kalman, "EKF, gate of 5": gated, "particles": normal, "particles, Student's noise": student}
     spoiled = with_outliers(log)
     print(f"{'tool, offset out, RMS [mm]':28}{'clean':>8}{'spoiled':>9}")
     for name, method in methods.items():

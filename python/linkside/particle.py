@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -21,21 +21,6 @@ FloatArray = npt.NDArray[np.float64]
 
 OUTLIERS = ("motor", "acceleration", "rate", "q", "torque")
 """Kinds of channels whose noise may have heavy tails."""
-
-
-class Mixture(NamedTuple):
-    """Noise that is normal for most readings, and normal but wider for a few: outliers.
-
-    Attributes
-    ----------
-    share
-        Of the readings that are outliers, between 0 and 1.
-    scale
-        Standard deviation of outliers, in multiples of the noise's own; above 1.
-    """
-
-    share: float
-    scale: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -100,8 +85,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         Width of the normal density that then spreads copies, relative to the cloud (Liu and West 2001); mean and
         covariance are kept. None leaves copies where they are, and chance in the mean.
     outliers
-        Noise with heavy tails by kind of channel: degrees of freedom of Student's density, such as
-        ``{"acceleration": 4}``, or a `Mixture`.
+        Degrees of freedom of Student's noise by kind of channel, such as ``{"acceleration": 4}``.
     limits
         Least and largest position by joint [rad]; particles beyond are impossible.
     initial : (k, n)
@@ -139,7 +123,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         resampling: Literal["systematic", "stratified", "residual", "multinomial"] = "systematic",
         threshold: float = 0.5,
         kernel: float | None = 0.5,
-        outliers: Mapping[str, float | Mixture] | None = None,
+        outliers: Mapping[str, float] | None = None,
         limits: Mapping[str, tuple[float, float]] | None = None,
         initial: npt.ArrayLike | None = None,
         collapse: Literal["raise", "recover"] = "raise",
@@ -228,12 +212,14 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         self._front._refuse_late("a particle filter")
         settings = self._front._settings(kinds, noise)
         widths = [self._front._width(kind) for kind in kinds]
-        densities = [self._outliers.get(kind) for kind, width in zip(kinds, widths, strict=True) for _ in range(width)]
+        tails = [
+            self._outliers.get(kind, np.inf) for kind, width in zip(kinds, widths, strict=True) for _ in range(width)
+        ]
         return _core.ParticleFilter(
             self.robot.core,
             **settings,
             marginalised=self._marginalised,
-            settings=self._settings | {"densities": densities},
+            settings=self._settings | {"tails": tails},
         )
 
     def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> ParticleEstimate:
@@ -259,7 +245,7 @@ def _whole(name: str, value: Any) -> int:
     return int(value)
 
 
-def _by_kind(outliers: Mapping[str, float | Mixture]) -> dict[str, float | Mixture]:
+def _by_kind(outliers: Mapping[str, float]) -> dict[str, float]:
     for kind in outliers:
         if kind not in OUTLIERS:
             raise EstimatorError(f"outliers: {kind!r} is not one of {', '.join(map(repr, OUTLIERS))}")

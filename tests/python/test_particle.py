@@ -16,7 +16,6 @@ from linkside import (
     ExtendedKalmanFilter,
     Log,
     MarginalizedParticleFilter,
-    Mixture,
     Noise,
     NumericalError,
     ParticleFilter,
@@ -115,8 +114,7 @@ def spoiled(log, column=0, share=0.02, size=50, std=0.05):
     return replace(log, acceleration=acceleration)
 
 
-@pytest.mark.parametrize("density", [4.0, Mixture(share=0.02, scale=50.0)])
-def test_noise_with_heavy_tails_withstands_outliers(density):
+def test_students_noise_withstands_outliers():
     robot, log = recording()
     truth = Estimate.read(DATA / "arm2_square/truth.parquet")[:2000]
 
@@ -126,7 +124,7 @@ def test_noise_with_heavy_tails_withstands_outliers(density):
         return np.median([estimate.error_against(truth).tool_rms_centred for estimate in run])
 
     clean = error(log[:2000])
-    robust = error(spoiled(log)[:2000], outliers={"acceleration": density})
+    robust = error(spoiled(log)[:2000], outliers={"acceleration": 4.0})
     assert robust < 1.2 * clean, (clean, robust)
 
 
@@ -221,8 +219,6 @@ def test_one_particle_is_enough_to_run():
         ({"threshold": 2}, "threshold"),
         ({"collapse": "magic"}, "collapse"),
         ({"outliers": {"magic": 4}}, "magic"),
-        ({"outliers": {"motor": Mixture(1.0, 3.0)}}, "share between 0 and 1"),
-        ({"outliers": {"motor": Mixture(0.1, 0.5)}}, "wider than the noise"),
         ({"limits": {"magic": (0, 1)}}, "magic"),
         ({"limits": {"axis2": (1, 0)}}, "limits"),
         ({"initial": [[1.0]]}, "initial"),

@@ -7,30 +7,11 @@ use crate::kalman::{Arrays, Live, Noise, into_dict, recording};
 use crate::robot::Robot;
 use linkside_core::error::{DesignError, RunError};
 use linkside_core::estimate::kalman::{Further, JerkDriven, JerkModel, KalmanSample, Keep, Model};
-use linkside_core::estimate::particle::{
-    self, Collapse, Density, ParticleOutput, ParticleSettings, Proposal, Resampling,
-};
+use linkside_core::estimate::particle::{self, Collapse, ParticleOutput, ParticleSettings, Proposal, Resampling};
 use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::Arc;
-
-/// A density of noise as Python spells it: nothing, degrees of freedom, or share and scale of outliers.
-#[derive(FromPyObject)]
-enum Noisy {
-    Mixture(f64, f64),
-    Student(Option<f64>),
-}
-
-impl Noisy {
-    fn density(self) -> Density {
-        match self {
-            Self::Mixture(share, scale) => Density::Mixture { share, scale },
-            Self::Student(Some(dof)) => Density::Student { dof },
-            Self::Student(None) => Density::Normal,
-        }
-    }
-}
 
 /// Settings as Python spells them.
 #[derive(FromPyObject)]
@@ -44,7 +25,7 @@ struct Settings {
     resampling: String,
     threshold: f64,
     kernel: Option<f64>,
-    densities: Vec<Noisy>,
+    tails: Vec<f64>,
     limits: Vec<(f64, f64)>,
     initial: Vec<f64>,
     recover: bool,
@@ -66,7 +47,7 @@ impl Settings {
             "multinomial" => Resampling::Multinomial,
             other => return unknown("resampling", other),
         };
-        let Self { particles, seed, threshold, kernel, densities, limits, initial, quantiles, .. } = self;
+        let Self { particles, seed, threshold, kernel, tails, limits, initial, quantiles, .. } = self;
         let collapse = if self.recover { Collapse::Recover } else { Collapse::Stop };
         Ok(ParticleSettings {
             particles,
@@ -75,7 +56,7 @@ impl Settings {
             resampling,
             threshold,
             kernel,
-            densities: densities.into_iter().map(Noisy::density).collect(),
+            tails,
             limits,
             initial,
             collapse,

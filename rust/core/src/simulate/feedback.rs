@@ -105,7 +105,7 @@ impl simd::Kernel for Step<'_> {
     #[inline(always)]
     fn run(self) -> Self::Output {
         let Self { feedback: FilterFeedback { filter, channels, readings, .. }, known } = self;
-        for (reading, &channel) in readings.iter_mut().zip(channels) {
+        for (reading, &channel) in readings.iter_mut().zip(channels.iter()) {
             *reading = known.readings[channel];
         }
         let inputs = Inputs { tau: known.tau, ..Inputs::default() };

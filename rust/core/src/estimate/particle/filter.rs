@@ -183,9 +183,9 @@ impl ParticleFilter {
             let bias = jerk.biases[channel];
             let noise = model.variance(channel);
             let walk = bias.map_or(0.0, |_| model.noise().bias_walk[channel].powi(2) * sample.dt);
-            let density = settings.densities[channel];
+            let tail = settings.tails[channel];
             let read = !value.is_nan();
-            let drawn_late = *marginalised || (read && settings.proposal != Proposal::Bootstrap && density.is_normal());
+            let drawn_late = *marginalised || (read && settings.proposal != Proposal::Bootstrap && tail.is_infinite());
             let before = if *marginalised || first { bias_variance[channel] } else { 0.0 };
             let prior = before + walk;
             if let (false, Some(bias)) = (drawn_late || prior == 0.0, bias) {
@@ -204,10 +204,10 @@ impl ParticleFilter {
             }
             summary.used += 1;
             let rest = if *marginalised { 0.0 } else { (extra * (1.0 - gain)).sqrt() };
-            let constant = density.log_factor(variance);
+            let constant = Reading::log_factor(variance, tail);
             let draw = sample.draws;
             sample.draws += usize::from(rest > 0.0);
-            sample.readings.push(Reading { channel, value, bias, variance, gain, rest, draw, density, constant });
+            sample.readings.push(Reading { channel, value, bias, variance, gain, rest, draw, tail, constant });
         }
         if summary.used == 0 {
             summary.status |= Status::PREDICTED;

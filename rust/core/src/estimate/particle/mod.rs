@@ -1,7 +1,6 @@
 //! Particle filters: beliefs that are not normal, states with limits, readings with outliers.
 
 mod cloud;
-mod density;
 mod evaluation;
 mod filter;
 mod moves;
@@ -12,7 +11,6 @@ mod resample;
 mod settings;
 mod start;
 
-pub use density::Density;
 pub use filter::ParticleFilter;
 pub use output::{ParticleOutput, Summary};
 pub use settings::{Collapse, MOST_PARTICLES, ParticleSettings, Proposal, Resampling};
