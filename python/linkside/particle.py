@@ -198,13 +198,24 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
     def smooth(self, log: Log, *, covariance: bool = False) -> ParticleEstimate:
         """Estimate each sample of a recording by all of its samples, those after it as well.
 
-        Rauch, Tung and Striebel's pass (1965) back along the clouds' means and covariances: the motion is linear and its
-        noise normal, so nothing is linearised again. What is not normal in a cloud is not carried back, and there is
+        Rauch, Tung and Striebel's pass (1965) back along the clouds' means and covariances: the motion is linear and
+        its noise normal, so nothing is linearised again. What is not normal in a cloud is not carried back, and there is
         neither ``best`` nor ``quantiles``; ``effective``, ``log_likelihood`` and ``status`` are the filter's. Memory is
-        d (d + 3) / 2 numbers a sample, d the number of states.
+        about d²/2 numbers a sample, d the number of states.
 
-        Parameters, errors
-            As of `run`.
+        Parameters
+        ----------
+        log
+            The recording, with motor positions of all joints.
+        covariance
+            Keep the whole state and its covariance.
+
+        Raises
+        ------
+        LogError
+            A column is missing, or a motor position at the first sample.
+        NumericalError
+            No particle explains a sample; names the sample.
         """
         core, kinds = self._prepared(log)
         (outcome,) = core.smooth_all([self._front._arrays(log, kinds)], covariance)
@@ -244,9 +255,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         self._front._refuse_late("a particle filter")
         settings = self._front._settings(kinds, noise)
         widths = [self._front._width(kind) for kind in kinds]
-        outliers = [
-            self._outliers.get(kind) for kind, width in zip(kinds, widths, strict=True) for _ in range(width)
-        ]
+        outliers = [self._outliers.get(kind) for kind, width in zip(kinds, widths, strict=True) for _ in range(width)]
         return _core.ParticleFilter(
             self.robot.core,
             **settings,

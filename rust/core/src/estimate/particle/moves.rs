@@ -138,3 +138,22 @@ impl Kernel for Restore<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_factor_solves_and_leaves_out_what_follows_from_others() {
+        let mut moments = Moments::new(3);
+        // The second entry is twice the first.
+        moments.factorise(&[2.0, 4.0, 1.0, 8.0, 2.0, 3.0], 0.5);
+        assert_eq!(moments.factor[4], 0.0);
+        let x = [0.7, 0.0, -0.4];
+        let mut b = [x[0] + 0.5 * x[2], 2.0 * x[0] + x[2], 0.5 * x[0] + 1.5 * x[2]];
+        moments.solve(&mut b);
+        for (found, expected) in b.iter().zip(x) {
+            assert!((found - expected).abs() < 1e-14, "{b:?}");
+        }
+    }
+}
