@@ -6,6 +6,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -96,3 +97,15 @@ def test_velocity_noise(tmp_path):
     document = (ROOT / "docs/velocity.md").read_text()
     stated = re.search(r"reduced-order, exact model \| \*\*([\d.]+)\*\*", document)
     assert float(stated.group(1)) == pytest.approx(errors["ReducedOrderObserver"], abs=0.02)
+
+
+def test_constraints():
+    done = subprocess.run(
+        [sys.executable, ROOT / "examples/constraints.py"], check=True, capture_output=True, text=True
+    )
+    limited, first, second = (np.abs(list(map(float, line[34:].split()))) for line in done.stdout.splitlines()[1:])
+    assert limited[0] > 0.05
+    assert limited[1:].max() < 0.03
+    assert first[1:].max() < 0.02
+    assert second[0] > 0.5
+    assert second[1:].max() < 0.02

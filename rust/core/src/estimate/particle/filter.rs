@@ -1,7 +1,7 @@
 //! The particle filter: one step, and whole recordings.
 
 use super::cloud::{BLOCK, Cloud, Deviations, Weigh};
-use super::moves::{Moments, Spread};
+use super::moves::{Moments, Restore, Spread};
 use super::output::{ParticleOutput, Summary};
 use super::proposal::{Advance, Reading, Sample, Walk};
 use super::random::{Purpose, Stream};
@@ -181,11 +181,11 @@ impl ParticleFilter {
         sample.draws = jerk.joints();
         for (channel, &value) in readings.iter().enumerate() {
             let bias = jerk.biases[channel];
-            let noise = model.variance(channel);
+            let own = model.variance(channel);
             let walk = bias.map_or(0.0, |_| model.noise().bias_walk[channel].powi(2) * sample.dt);
-            let tail = settings.tails[channel];
+            let density = settings.densities[channel];
             let read = !value.is_nan();
-            let drawn_late = *marginalised || (read && settings.proposal != Proposal::Bootstrap && tail.is_infinite());
+            let drawn_late = *marginalised || (read && settings.proposal != Proposal::Bootstrap && density.is_normal());
             let before = if *marginalised || first { bias_variance[channel] } else { 0.0 };
             let prior = before + walk;
             if let (false, Some(bias)) = (drawn_late || prior == 0.0, bias) {
@@ -193,7 +193,7 @@ impl ParticleFilter {
                 sample.draws += 1;
             }
             let extra = if drawn_late { prior } else { 0.0 };
-            let variance = noise + extra;
+            let variance = own + extra;
             let gain = extra / variance;
             if *marginalised {
                 bias_variance[channel] = if read { prior * (1.0 - gain) } else { prior };
@@ -204,10 +204,10 @@ impl ParticleFilter {
             }
             summary.used += 1;
             let rest = if *marginalised { 0.0 } else { (extra * (1.0 - gain)).sqrt() };
-            let constant = Reading::log_factor(variance, tail);
+            let noise = density.of_variance(variance);
             let draw = sample.draws;
             sample.draws += usize::from(rest > 0.0);
-            sample.readings.push(Reading { channel, value, bias, variance, gain, rest, draw, tail, constant });
+            sample.readings.push(Reading { channel, value, bias, noise, gain, rest, draw });
         }
         if summary.used == 0 {
             summary.status |= Status::PREDICTED;
@@ -255,7 +255,7 @@ impl ParticleFilter {
         out.write_state(i, &summary.mean, &belief.covariance.data, belief.covariance.stride);
     }
 
-    fn take_covariance(&mut self) {
+    pub(super) fn take_covariance(&mut self) {
         let d = self.belief.mean.len();
         self.spread(d);
         let Self { cloud, summary, belief, model, bias_variance, .. } = self;
@@ -279,7 +279,7 @@ impl ParticleFilter {
             return Err(RunError::Impossible { sample: self.taken });
         }
         for reading in self.sample.readings.iter().filter(|_| self.marginalised) {
-            self.bias_variance[reading.channel] = reading.gain * reading.variance;
+            self.bias_variance[reading.channel] = reading.gain * reading.noise.variance;
         }
         self.level();
         self.summarise();
@@ -303,15 +303,26 @@ impl ParticleFilter {
         resample::choose(self.settings.resampling, &stream, weights, &mut self.ancestors);
         self.copy_ancestors();
         if let Some(kernel) = kernel {
-            self.take_moments(false);
             self.move_apart(kernel);
+            self.level();
+            self.take_moments(false);
+            self.restore();
+        } else {
+            self.level();
         }
     }
 
     /// Mean and covariance of the whole state.
+    ///
+    /// A cloud's covariance about its own mean is too small by 1 − Σw² on average. That is little at a sample, but choices
+    /// hand it on from one to the next until there is no spread left where readings say little.
     fn take_moments(&mut self, before: bool) {
         let d = self.belief.mean.len();
-        if !before {
+        let mut scale = 1.0;
+        if before {
+            let effective = self.summary.effective.max(2.0);
+            scale = effective / (effective - 1.0);
+        } else {
             self.summary.weigh(&self.cloud, self.cloud.blocks[0].sums.largest);
         }
         self.spread(d);
@@ -319,7 +330,7 @@ impl ParticleFilter {
         summary.gather_covariance(cloud);
         let moments = if before { wanted } else { found };
         moments.mean.copy_from_slice(&summary.mean);
-        moments.factorise(&summary.products);
+        moments.factorise(&summary.products, scale);
     }
 
     fn copy_ancestors(&mut self) {
@@ -341,7 +352,6 @@ impl ParticleFilter {
         for (block, next) in blocks.iter_mut().zip(next) {
             core::mem::swap(&mut block.state, next);
         }
-        self.level();
     }
 
     /// Gives all particles the same weight.
@@ -356,10 +366,16 @@ impl ParticleFilter {
     }
 
     fn move_apart(&mut self, kernel: f64) {
-        let Self { cloud, wanted, found, settings, threads, .. } = self;
+        let Self { cloud, wanted, settings, threads, .. } = self;
         let stream = Stream::new(settings.seed, self.taken as u32, Purpose::Move);
+        let (wanted, level) = (&*wanted, simd::level());
+        cloud.each(*threads, |block| simd::dispatch(level, Spread { block, wanted, kernel, stream }));
+    }
+
+    fn restore(&mut self) {
+        let Self { cloud, wanted, found, threads, .. } = self;
         let (wanted, found, level) = (&*wanted, &*found, simd::level());
-        cloud.each(*threads, |block| simd::dispatch(level, Spread { block, wanted, found, kernel, stream }));
+        cloud.each(*threads, |block| simd::dispatch(level, Restore { block, wanted, found }));
     }
 
     /// Filters a recording, `count` rows; goes on from where it was, so that it may come in pieces.
@@ -367,6 +383,16 @@ impl ParticleFilter {
     /// # Errors
     /// As [`step`](Self::step), wrong lengths, or a sample after which the estimate is not finite.
     pub fn run(&mut self, recording: KalmanRecording<'_>, keep: Keep) -> Result<ParticleOutput, RunError> {
+        self.run_with(recording, keep, |_| {})
+    }
+
+    /// [`run`](Self::run), calling `after` at each sample.
+    pub(super) fn run_with(
+        &mut self,
+        recording: KalmanRecording<'_>,
+        keep: Keep,
+        mut after: impl FnMut(&mut Self),
+    ) -> Result<ParticleOutput, RunError> {
         self.model.check(&recording)?;
         let count = recording.dt.len();
         let mut out = ParticleOutput::zeros(count, self, keep);
@@ -376,17 +402,25 @@ impl ParticleFilter {
                 return Err(RunError::NotFinite { sample: self.taken - 1 });
             }
             out.report(i, self, keep);
+            after(self);
         }
         Ok(out)
     }
 
     /// Runs each of `recordings` from a fresh start, on all cores.
     pub fn run_all(&self, recordings: &[KalmanRecording<'_>], keep: Keep) -> Vec<Result<ParticleOutput, RunError>> {
-        let one = |&recording: &KalmanRecording<'_>| {
-            let mut filter = self.clone();
+        self.each(recordings, |filter, recording| {
             filter.reset();
             filter.run(recording, keep)
-        };
-        recordings.par_iter().map(one).collect()
+        })
+    }
+
+    /// `one` with a filter of its own for each of `recordings`, on all cores.
+    pub(super) fn each(
+        &self,
+        recordings: &[KalmanRecording<'_>],
+        one: impl Fn(&mut Self, KalmanRecording<'_>) -> Result<ParticleOutput, RunError> + Sync,
+    ) -> Vec<Result<ParticleOutput, RunError>> {
+        recordings.par_iter().map(|&recording| one(&mut self.clone(), recording)).collect()
     }
 }

@@ -1,9 +1,9 @@
 //! After a choice of particles: copies are spread again, and the cloud gets back the mean and covariance that it had.
 //!
 //! A choice at random moves the cloud's mean, and these errors add up where the readings say little; copies of one
-//! particle stay copies where there is no process noise. Both are undone by x ← m + L (a L₁⁻¹ (x − m₁) + h ζ) with
-//! a² + h² = 1: shrunk and spread by a normal kernel (Liu and West 2001), from the moments m₁, L₁ L₁ᵀ that chance left
-//! to those that the weights said.
+//! particle stay copies where there is no process noise. So copies are shrunk and spread by a normal kernel,
+//! x ← m + a (x − m) + h L ζ with a² + h² = 1 (Liu and West 2001), and then x ← m + L L₁⁻¹ (x − m₁) takes the moments
+//! m₁, L₁ L₁ᵀ that chance left to those that the weights said.
 
 use super::cloud::{BLOCK, Block, WIDE, Wide};
 use super::proposal::draw;
@@ -27,14 +27,14 @@ impl Moments {
         Self { mean: vec![0.0; entries], factor: vec![0.0; entries * entries] }
     }
 
-    /// L from the covariance's upper triangle by rows.
-    pub(super) fn factorise(&mut self, covariance: &[f64]) {
+    /// L from the covariance's upper triangle by rows, times `scale`.
+    pub(super) fn factorise(&mut self, covariance: &[f64], scale: f64) {
         let n = self.mean.len();
         let l = &mut self.factor;
         let mut packed = covariance.iter();
         for j in 0..n {
             for i in j..n {
-                l[i * n + j] = packed.next().copied().unwrap_or(0.0);
+                l[i * n + j] = packed.next().map_or(0.0, |product| product * scale);
             }
         }
         for j in 0..n {
@@ -54,15 +54,27 @@ impl Moments {
             }
         }
     }
+
+    /// X of L Lᵀ X = B, in place; zero where L has no column.
+    pub(super) fn solve(&self, b: &mut [f64]) {
+        let (n, l) = (b.len(), &self.factor);
+        let divided = |value: f64, root: f64| if root > 0.0 { value / root } else { 0.0 };
+        for i in 0..n {
+            let known: f64 = (0..i).map(|k| l[i * n + k] * b[k]).sum();
+            b[i] = divided(b[i] - known, l[i * n + i]);
+        }
+        for i in (0..n).rev() {
+            let known: f64 = (i + 1..n).map(|k| l[k * n + i] * b[k]).sum();
+            b[i] = divided(b[i] - known, l[i * n + i]);
+        }
+    }
 }
 
-/// Spreads a block's particles.
+/// Shrinks and spreads a block's particles.
 pub(super) struct Spread<'a> {
     pub(super) block: &'a mut Block,
     /// What the cloud's moments should be.
     pub(super) wanted: &'a Moments,
-    /// What they are.
-    pub(super) found: &'a Moments,
     /// h.
     pub(super) kernel: f64,
     pub(super) stream: Stream,
@@ -73,13 +85,40 @@ impl Kernel for Spread<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { block, wanted, found, kernel, stream } = self;
+        let Self { block, wanted, kernel, stream } = self;
         let shrunk = (1.0 - kernel * kernel).sqrt();
         let d = wanted.mean.len();
         for group in 0..block.groups() {
             let items = block.items(group);
             draw(&stream, items, 0, &mut block.scratch.normal[..d]);
-            let (deviation, normal) = (&mut block.scratch.before, &block.scratch.normal);
+            for (a, row) in block.state.chunks_exact_mut(BLOCK).enumerate() {
+                let entry = &mut row.as_chunks_mut::<WIDE>().0[group];
+                let mut value = (Lanes(*entry) + -wanted.mean[a]) * shrunk + wanted.mean[a];
+                for (normal, factor) in block.scratch.normal.iter().zip(&wanted.factor[a * d..=a * d + a]) {
+                    value += *normal * (factor * kernel);
+                }
+                *entry = value.0;
+            }
+        }
+    }
+}
+
+/// Gives a block's particles, which have the moments `found`, the moments `wanted`.
+pub(super) struct Restore<'a> {
+    pub(super) block: &'a mut Block,
+    pub(super) wanted: &'a Moments,
+    pub(super) found: &'a Moments,
+}
+
+impl Kernel for Restore<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { block, wanted, found } = self;
+        let d = wanted.mean.len();
+        for group in 0..block.groups() {
+            let deviation = &mut block.scratch.before;
             for (a, row) in block.state.chunks_exact(BLOCK).enumerate() {
                 let mut value = Lanes(row.as_chunks::<WIDE>().0[group]) + -found.mean[a];
                 let (earlier, own) = deviation.split_at_mut(a);
@@ -89,9 +128,6 @@ impl Kernel for Spread<'_> {
                 let root = found.factor[a * d + a];
                 own[0] = if root > 0.0 { value * (1.0 / root) } else { Wide::default() };
             }
-            for (standard, normal) in deviation.iter_mut().zip(normal) {
-                *standard = *standard * shrunk + *normal * kernel;
-            }
             for (a, row) in block.state.chunks_exact_mut(BLOCK).enumerate() {
                 let mut value = Wide::constant(wanted.mean[a]);
                 for (b, standard) in deviation[..=a].iter().enumerate() {
@@ -99,6 +135,25 @@ impl Kernel for Spread<'_> {
                 }
                 row.as_chunks_mut::<WIDE>().0[group] = value.0;
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_factor_solves_and_leaves_out_what_follows_from_others() {
+        let mut moments = Moments::new(3);
+        // The second entry is twice the first.
+        moments.factorise(&[2.0, 4.0, 1.0, 8.0, 2.0, 3.0], 0.5);
+        assert_eq!(moments.factor[4], 0.0);
+        let x = [0.7, 0.0, -0.4];
+        let mut b = [x[0] + 0.5 * x[2], 2.0 * x[0] + x[2], 0.5 * x[0] + 1.5 * x[2]];
+        moments.solve(&mut b);
+        for (found, expected) in b.iter().zip(x) {
+            assert!((found - expected).abs() < 1e-14, "{b:?}");
         }
     }
 }
