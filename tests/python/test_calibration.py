@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from linkside import Estimate, ExtendedKalmanFilter, Log, Noise, RauchTungStriebelSmoother, Robot, _core, cli
-from linkside.calibration import calibrate, resume
+from linkside.calibration import calibrate, equations, resume
 from linkside.calibration.equations import better, start_values
 from linkside.calibration.parameters import choose
 from linkside.calibration.problem import Problem, bare
@@ -107,6 +107,14 @@ def test_a_start_that_is_no_better_is_not_taken():
     problem = Problem(robot, [log], Noise(), False, choose(robot, ["stiffness"], False, {}))
     best = dict(zip([p.name for p in problem.free], Search(problem).maximise(np.zeros(2)).tolist(), strict=True))
     assert better(problem, best) == best
+
+
+def test_a_start_that_noise_made_up_is_not_taken(monkeypatch):
+    robot, log = load(DATA / "arm2_square")
+    problem = Problem(robot, [log[:200]], Noise(), False, choose(robot, ["stiffness"], False, {}))
+    assert len(start_values(problem)) == 2
+    monkeypatch.setattr(equations, "_of_joint", lambda *_: {"stiffness": 30 * 4.5e5})
+    assert start_values(problem) == []
 
 
 def test_a_start_for_motor_torques_alone():
