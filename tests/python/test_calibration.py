@@ -259,6 +259,20 @@ def test_contradictory_recordings_are_told():
     assert "contradict each other: stiffness_axis3 is 3e+05 by one and" in str(found)
 
 
+def test_recordings_of_a_robot_that_changed_are_told_to_contradict_each_other():
+    robot, log = load(DATA / "arm2_square")
+    _, changed = load(MISMATCH)
+    found = calibrate(robot, [log[:1500], changed[:1500]], FREE)
+    (contradiction,) = found.contradictions
+    assert "warning: " + str(contradiction) in found.to_text()
+
+
+@pytest.mark.slow
+def test_a_stiffness_that_is_5_percent_lower_is_found_to_1_percent():
+    robot, log = load(DATA / "kr15_long")
+    assert calibrate(robot, log)["stiffness_a1"].value == pytest.approx(0.95 * robot.drives[0].stiffness, rel=0.01)
+
+
 def test_the_long_run_variance_of_correlated_scores():
     rng = np.random.default_rng(5)
     noise = rng.standard_normal((40_000, 1))
