@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from linkside import Estimate, ExtendedKalmanFilter, Log, Noise, RauchTungStriebelSmoother, Robot, _core, cli
-from linkside.calibration import calibrate, resume
+from linkside.calibration import calibrate, equations, resume
 from linkside.calibration.equations import better, start_values
 from linkside.calibration.parameters import choose
 from linkside.calibration.problem import Problem, bare
@@ -107,6 +107,14 @@ def test_a_start_that_is_no_better_is_not_taken():
     problem = Problem(robot, [log], Noise(), False, choose(robot, ["stiffness"], False, {}))
     best = dict(zip([p.name for p in problem.free], Search(problem).maximise(np.zeros(2)).tolist(), strict=True))
     assert better(problem, best) == best
+
+
+def test_a_start_that_noise_made_up_is_not_taken(monkeypatch):
+    robot, log = load(DATA / "arm2_square")
+    problem = Problem(robot, [log[:200]], Noise(), False, choose(robot, ["stiffness"], False, {}))
+    assert len(start_values(problem)) == 2
+    monkeypatch.setattr(equations, "_of_joint", lambda *_: {"stiffness": 30 * 4.5e5})
+    assert start_values(problem) == []
 
 
 def test_a_start_for_motor_torques_alone():
@@ -249,6 +257,20 @@ def test_contradictory_recordings_are_told():
     assert found.name == "stiffness_axis3"
     assert found.distance == pytest.approx(0.1 / np.hypot(0.01, 0.01))
     assert "contradict each other: stiffness_axis3 is 3e+05 by one and" in str(found)
+
+
+def test_recordings_of_a_robot_that_changed_are_told_to_contradict_each_other():
+    robot, log = load(DATA / "arm2_square")
+    _, changed = load(MISMATCH)
+    found = calibrate(robot, [log[:1500], changed[:1500]], FREE)
+    (contradiction,) = found.contradictions
+    assert "warning: " + str(contradiction) in found.to_text()
+
+
+@pytest.mark.slow
+def test_a_stiffness_that_is_5_percent_lower_is_found_to_1_percent():
+    robot, log = load(DATA / "kr15_long")
+    assert calibrate(robot, log)["stiffness_a1"].value == pytest.approx(0.95 * robot.drives[0].stiffness, rel=0.01)
 
 
 def test_the_long_run_variance_of_correlated_scores():

@@ -38,6 +38,9 @@ ROUNDS = 3
 PARTS = {"compliance": "stiffness", "cubic": "cubic_stiffness", "lag": "damping"}
 """Torsion by torque is compliance · torque − cubic · torque³ − lag · its rate, for small hardening and damping."""
 
+PLAUSIBLE = 4.0
+"""Further from robot.yaml, in tolerances, an outcome is that of noise or of the model's errors."""
+
 KINDS = ("stiffness", "cubic_stiffness", "damping", "motor_inertia", "viscous", "coulomb")
 """Kinds that start values are found for."""
 
@@ -76,7 +79,8 @@ def better(problem: Problem, z: Mapping[str, float]) -> dict[str, float]:
 
 
 def start_values(problem: Problem) -> list[dict[str, float]]:
-    """Find springs and motors that fit the equations of motion best: for each joint, its free parameters' z by name.
+    """Find springs and motors that fit the equations of motion best: its free parameters' z by name, for each
+    joint of which the outcome is plausible.
 
     With accelerometers the spring's equation K(θ − q) + K₃(θ − q)³ + D(θ̇ − q̇) = M(q)q̈ + … is solved, with q̈ from what
     they read, then the motor's, B θ̈ + friction + that torque = τ. Without, both as one.
@@ -88,11 +92,11 @@ def start_values(problem: Problem) -> list[dict[str, float]]:
     for _ in range(ROUNDS):
         for joint in np.flatnonzero(robot.elastic).tolist():
             drives[joint] |= _of_joint(sources, joint, {p.kind for p in free[joint]}, drives)
-    return [
+    found = [
         {p.name: p.z(float(np.clip(drive[p.kind], p.low, p.high))) for p in chosen}
         for chosen, drive in zip(free, drives, strict=True)
-        if chosen
     ]
+    return [values for values in found if values and max(map(abs, values.values())) < PLAUSIBLE]
 
 
 def _posterior(problem: Problem, at: Mapping[str, float]) -> float:
