@@ -1,4 +1,4 @@
-"""One accelerometer axis with outliers: what normal noise and Student's make of them.
+"""One accelerometer axis with outliers: what normal noise, Student's and a mixture make of them.
 
 2 % of an axis' readings are off by 50 standard deviations. A Kalman filter believes them unless it has a gate.
 
@@ -30,7 +30,10 @@ def main() -> None:
     gated = linkside.ExtendedKalmanFilter(robot, gate=5.0)
     normal = linkside.ParticleFilter(robot, particles=500, kernel=1.0)
     student = linkside.ParticleFilter(robot, particles=500, kernel=1.0, outliers={"acceleration": 4.0})
-    methods = {"EKF": kalman, "EKF, gate of 5": gated, "particles": normal, "particles, Student's noise": student}
+    mixture = linkside.Mixture(share=SHARE, scale=SIZE)
+    mixed = linkside.ParticleFilter(robot, particles=500, kernel=1.0, outliers={"acceleration": mixture})
+    methods = {"EKF": kalman, "EKF, gate of 5": gated, "particles": normal}
+    methods |= {"particles, Student's noise": student, "particles, a mixture": mixed}
     spoiled = with_outliers(log)
     print(f"{'tool, offset out, RMS [mm]':28}{'clean':>8}{'spoiled':>9}")
     for name, method in methods.items():

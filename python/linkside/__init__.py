@@ -18,7 +18,7 @@ from .kalman import ExtendedKalmanFilter, RauchTungStriebelSmoother
 from .log import Log
 from .noise import Noise
 from .observers import AccelerationObserver
-from .particle import MarginalizedParticleFilter, ParticleEstimate, ParticleFilter
+from .particle import MarginalizedParticleFilter, Mixture, ParticleEstimate, ParticleFilter
 from .robot import Robot
 from .simulate import Sensor, Simulation, simulate
 from .stretches import smooth_file
@@ -41,6 +41,7 @@ __all__ = [
     "Log",
     "LogError",
     "MarginalizedParticleFilter",
+    "Mixture",
     "NicosiaTomeiObserver",
     "Noise",
     "NumericalError",

@@ -23,6 +23,22 @@ OUTLIERS = ("motor", "acceleration", "rate", "q", "torque")
 """Kinds of channels whose noise may have heavy tails."""
 
 
+@dataclass(frozen=True)
+class Mixture:
+    """Normal noise with outliers, (1 - share) N(0, σ²) + share N(0, (scale σ)²), σ what `Noise` or the robot says.
+
+    Attributes
+    ----------
+    share
+        Probability that a reading is an outlier, between 0 and 1.
+    scale
+        Standard deviation of outliers in units of σ, above 1.
+    """
+
+    share: float
+    scale: float
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class ParticleEstimate(Estimate):
     """Means over the particles, with what tells how they fared.
@@ -85,7 +101,8 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         Width of the normal density that then spreads copies, relative to the cloud (Liu and West 2001); mean and
         covariance are kept. None leaves copies where they are, and chance in the mean.
     outliers
-        Degrees of freedom of Student's noise by kind of channel, such as ``{"acceleration": 4}``.
+        Noise that is not normal, by kind of channel: degrees of freedom of Student's density, or a `Mixture`, such as
+        ``{"acceleration": 4.0}`` or ``{"acceleration": Mixture(share=0.02, scale=50)}``.
     limits
         Least and largest position by joint [rad]; particles beyond are impossible.
     initial : (k, n)
@@ -123,7 +140,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         resampling: Literal["systematic", "stratified", "residual", "multinomial"] = "systematic",
         threshold: float = 0.5,
         kernel: float | None = 0.5,
-        outliers: Mapping[str, float] | None = None,
+        outliers: Mapping[str, float | Mixture] | None = None,
         limits: Mapping[str, tuple[float, float]] | None = None,
         initial: npt.ArrayLike | None = None,
         collapse: Literal["raise", "recover"] = "raise",
@@ -178,6 +195,32 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         (outcome,) = core.run_all([self._front._arrays(log, kinds)], covariance)
         return self._estimate(log, kinds, result_of(log.source, outcome))
 
+    def smooth(self, log: Log, *, covariance: bool = False) -> ParticleEstimate:
+        """Estimate each sample of a recording by all of its samples, those after it as well.
+
+        Rauch, Tung and Striebel's pass (1965) back along the clouds' means and covariances: the motion is linear and
+        its noise normal, so nothing is linearised again. What is not normal in a cloud is not carried back, and there is
+        neither ``best`` nor ``quantiles``; ``effective``, ``log_likelihood`` and ``status`` are the filter's. Memory is
+        about d²/2 numbers a sample, d the number of states.
+
+        Parameters
+        ----------
+        log
+            The recording, with motor positions of all joints.
+        covariance
+            Keep the whole state and its covariance.
+
+        Raises
+        ------
+        LogError
+            A column is missing, or a motor position at the first sample.
+        NumericalError
+            No particle explains a sample; names the sample.
+        """
+        core, kinds = self._prepared(log)
+        (outcome,) = core.smooth_all([self._front._arrays(log, kinds)], covariance)
+        return self._estimate(log, kinds, result_of(log.source, outcome))
+
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[ParticleEstimate]:
         """Estimate a recording that comes piece by piece, in bounded memory.
 
@@ -212,14 +255,12 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         self._front._refuse_late("a particle filter")
         settings = self._front._settings(kinds, noise)
         widths = [self._front._width(kind) for kind in kinds]
-        tails = [
-            self._outliers.get(kind, np.inf) for kind, width in zip(kinds, widths, strict=True) for _ in range(width)
-        ]
+        outliers = [self._outliers.get(kind) for kind, width in zip(kinds, widths, strict=True) for _ in range(width)]
         return _core.ParticleFilter(
             self.robot.core,
             **settings,
             marginalised=self._marginalised,
-            settings=self._settings | {"tails": tails},
+            settings=self._settings | {"outliers": outliers},
         )
 
     def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> ParticleEstimate:
@@ -245,11 +286,11 @@ def _whole(name: str, value: Any) -> int:
     return int(value)
 
 
-def _by_kind(outliers: Mapping[str, float]) -> dict[str, float]:
+def _by_kind(outliers: Mapping[str, float | Mixture]) -> dict[str, float | tuple[float, float]]:
     for kind in outliers:
         if kind not in OUTLIERS:
             raise EstimatorError(f"outliers: {kind!r} is not one of {', '.join(map(repr, OUTLIERS))}")
-    return dict(outliers)
+    return {kind: (o.share, o.scale) if isinstance(o, Mixture) else float(o) for kind, o in outliers.items()}
 
 
 def _by_joint(robot: Robot, limits: Mapping[str, tuple[float, float]]) -> list[tuple[float, float]]:

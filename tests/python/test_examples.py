@@ -6,6 +6,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -82,3 +83,15 @@ def test_velocity_two_links(tmp_path):
     assert (float(up), float(down)) == pytest.approx((0.024, 3.871), abs=5e-3)
     ends = [float(x) for x in re.findall(r"-?\d+\.\d+", said.rsplit("q(2) = ", 1)[1])]
     assert ends == pytest.approx([-0.35243, -0.80150, 1.00723, -0.60681], abs=1e-3)
+
+
+def test_constraints():
+    done = subprocess.run(
+        [sys.executable, ROOT / "examples/constraints.py"], check=True, capture_output=True, text=True
+    )
+    limited, first, second = (np.abs(list(map(float, line[34:].split()))) for line in done.stdout.splitlines()[1:])
+    assert limited[0] > 0.05
+    assert limited[1:].max() < 0.03
+    assert first[1:].max() < 0.02
+    assert second[0] > 0.5
+    assert second[1:].max() < 0.02

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from linkside import (
     Estimate,
@@ -16,9 +17,11 @@ from linkside import (
     ExtendedKalmanFilter,
     Log,
     MarginalizedParticleFilter,
+    Mixture,
     Noise,
     NumericalError,
     ParticleFilter,
+    RauchTungStriebelSmoother,
     Robot,
     Status,
 )
@@ -50,13 +53,15 @@ def recording(name="arm2_square"):
     return robot, Log.read(DATA / name / "log.parquet", robot)
 
 
-def errors(method, count, seeds, **settings):
+def errors(method, count, seeds, run="run", **settings):
     """Deviations from the Kalman filter, in its standard deviations: of the mean, the deviation, the likelihood."""
     robot, log = slide()
-    exact = ExtendedKalmanFilter(robot, LINEAR).run(log, covariance=True)
+    reference = {"run": ExtendedKalmanFilter, "smooth": RauchTungStriebelSmoother}[run]
+    exact = reference(robot, LINEAR).run(log, covariance=True)
     out = []
     for seed in range(seeds):
-        ours = method(robot, LINEAR, particles=count, seed=seed, **settings).run(log, covariance=True)
+        filter_ = method(robot, LINEAR, particles=count, seed=seed, **settings)
+        ours = getattr(filter_, run)(log, covariance=True)
         std = np.sqrt(np.diagonal(exact.covariance, axis1=1, axis2=2))
         ours_std = np.sqrt(np.diagonal(ours.covariance, axis1=1, axis2=2))
         mean = np.sqrt(np.mean(((ours.state - exact.state) / std) ** 2))
@@ -75,6 +80,28 @@ def test_on_a_linear_model_errors_shrink_with_the_root_of_n(method, settings):
     assert (few / many < (16, 16, 32)).all(), (few, many)
     assert many[0] < 0.1
     assert many[1] < 0.1
+
+
+@pytest.mark.parametrize("method", [ParticleFilter, MarginalizedParticleFilter])
+def test_on_a_linear_model_smoothing_tends_to_rauch_tung_and_striebels(method):
+    few, many = errors(method, 200, 12, "smooth"), errors(method, 200 * 64, 12, "smooth")
+    assert (few[:2] / many[:2] > 4).all(), (few, many)
+    assert (many[:2] < 0.1).all(), many
+
+
+def test_smoothing_knows_more_than_filtering():
+    robot, log = recording()
+    method = MarginalizedParticleFilter(robot, particles=300, quantiles=(0.5,))
+    truth = Estimate.read(DATA / "arm2_square/truth.parquet")
+    log, truth = log[:2000], truth[:2000]
+    filtered, smoothed = method.run(log), method.smooth(log)
+    ours, before = (e.error_against(truth).tool_rms_centred for e in (smoothed, filtered))
+    assert ours < before
+    assert (smoothed.effective == filtered.effective).all()
+    assert (smoothed.q_std[:-1] <= filtered.q_std[:-1] * 1.001).mean() > 0.99
+    assert np.allclose(smoothed.theta, filtered.theta, atol=1e-4)
+    assert smoothed.best is None
+    assert smoothed.quantiles is None
 
 
 def test_marginalising_biases_makes_the_likelihood_less_random():
@@ -114,7 +141,8 @@ def spoiled(log, column=0, share=0.02, size=50, std=0.05):
     return replace(log, acceleration=acceleration)
 
 
-def test_students_noise_withstands_outliers():
+@pytest.mark.parametrize("outliers", [4.0, Mixture(share=0.02, scale=50.0)])
+def test_noise_that_expects_outliers_withstands_them(outliers):
     robot, log = recording()
     truth = Estimate.read(DATA / "arm2_square/truth.parquet")[:2000]
 
@@ -126,6 +154,27 @@ def test_students_noise_withstands_outliers():
     clean = error(log[:2000])
     robust = error(spoiled(log)[:2000], outliers={"acceleration": 4.0})
     assert robust < 1.2 * clean, (clean, robust)
+
+
+@pytest.mark.parametrize("outliers", [4.0, Mixture(share=0.1, scale=20.0)])
+def test_densities_are_scipys(outliers):
+    robot, log = slide()
+    acceleration = log.acceleration.copy()
+    acceleration[5::7] += 9.0
+    log = replace(log, acceleration=acceleration)
+    settings = {"particles": 1, "proposal": "bootstrap", "biases": ()}  # one path, whatever its weight
+    normal = ParticleFilter(robot, LINEAR, **settings).run(log)
+    ours = ParticleFilter(robot, LINEAR, outliers={"acceleration": outliers}, **settings).run(log)
+    assert (ours.q == normal.q).all()
+    error, std = log.acceleration[:, 0] - normal.ddq[:, 0], 0.3
+    density = stats.norm.pdf(error, scale=std)
+    if isinstance(outliers, Mixture):
+        wide = stats.norm.pdf(error, scale=outliers.scale * std)
+        expected = (1 - outliers.share) * density + outliers.share * wide
+    else:
+        expected = stats.t.pdf(error, outliers, scale=std)
+    difference = np.log(expected) - stats.norm.logpdf(error, scale=std)
+    assert np.allclose(ours.log_likelihood - normal.log_likelihood, difference, rtol=1e-10, atol=1e-9)
 
 
 def test_a_belief_of_two_peaks_is_resolved():
@@ -219,6 +268,9 @@ def test_one_particle_is_enough_to_run():
         ({"threshold": 2}, "threshold"),
         ({"collapse": "magic"}, "collapse"),
         ({"outliers": {"magic": 4}}, "magic"),
+        ({"outliers": {"acceleration": 0.5}}, "degree of freedom"),
+        ({"outliers": {"acceleration": Mixture(share=1.5, scale=50)}}, "share between 0 and 1"),
+        ({"outliers": {"acceleration": Mixture(share=0.1, scale=0.5)}}, "scale above 1"),
         ({"limits": {"magic": (0, 1)}}, "magic"),
         ({"limits": {"axis2": (1, 0)}}, "limits"),
         ({"initial": [[1.0]]}, "initial"),

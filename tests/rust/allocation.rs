@@ -13,7 +13,7 @@ use linkside_core::estimate::kalman::{
 use linkside_core::estimate::observer::{
     AccelerationObserver, AccelerationSource, Complex, Form, Sample, Settings, link_position_at_rest,
 };
-use linkside_core::estimate::particle::{Collapse, ParticleFilter, ParticleSettings, Proposal, Resampling};
+use linkside_core::estimate::particle::{Collapse, Density, ParticleFilter, ParticleSettings, Proposal, Resampling};
 use linkside_core::robot::{Drive, Robot};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::Arc;
@@ -160,7 +160,7 @@ fn a_particle_filters_step_allocates_nothing() {
             resampling: Resampling::Residual,
             threshold: 1.0, // particles are chosen at every step
             kernel: Some(0.5),
-            tails: vec![f64::INFINITY; 12],
+            densities: vec![Density::Normal; 12],
             limits: vec![(-1e3, 1e3); 6],
             initial: vec![],
             collapse: Collapse::Recover,

@@ -10,7 +10,7 @@ use linkside_core::estimate::kalman::{
     Noise,
 };
 use linkside_core::estimate::particle::{
-    Collapse, MOST_PARTICLES, ParticleFilter, ParticleOutput, ParticleSettings, Proposal, Resampling,
+    Collapse, Density, MOST_PARTICLES, ParticleFilter, ParticleOutput, ParticleSettings, Proposal, Resampling,
 };
 use linkside_core::robot::{Drive, Robot, Sensor, SoftWindup};
 use linkside_core::spatial::{Mat3, Vec3};
@@ -69,7 +69,7 @@ fn settings(particles: usize, proposal: Proposal) -> ParticleSettings {
         resampling: Resampling::Systematic,
         threshold: 0.5,
         kernel: Some(0.5),
-        tails: vec![f64::INFINITY; CHANNELS],
+        densities: vec![Density::Normal; CHANNELS],
         limits: vec![(f64::NEG_INFINITY, f64::INFINITY); JOINTS],
         initial: vec![],
         collapse: Collapse::Stop,
@@ -201,7 +201,8 @@ fn students_noise_of_many_degrees_is_normal_noise() {
     let signals = signals(5);
     let noise = Noise { bias_walk: vec![0.0; CHANNELS], initial_bias: vec![0.0; CHANNELS], ..noise() };
     let normal = run(noise.clone(), settings(50, LINEARISED), false, &signals);
-    let many = ParticleSettings { tails: vec![1e7; CHANNELS], ..settings(50, LINEARISED) };
+    let many =
+        ParticleSettings { densities: vec![Density::Student { freedom: 1e7 }; CHANNELS], ..settings(50, LINEARISED) };
     let students = run(noise, many, false, &signals);
     for (a, b) in normal.links.log_likelihood.iter().zip(&students.links.log_likelihood) {
         assert!((a - b).abs() < 1e-3, "{a} {b}");
@@ -255,15 +256,17 @@ fn settings_out_of_range_are_named() {
         }
     };
     type Case<'a> = (&'a str, &'a dyn Fn(&mut ParticleSettings));
-    let cases: [Case<'_>; 14] = [
+    let cases: [Case<'_>; 16] = [
         ("particles", &|s| s.particles = 0),
         ("particles", &|s| s.particles = MOST_PARTICLES + 1),
         ("threshold", &|s| s.threshold = 1.5),
         ("kernel", &|s| s.kernel = Some(0.0)),
         ("iterations", &|s| s.proposal = Proposal::Linearised { iterations: 0, tail: None }),
         ("proposal_tail", &|s| s.proposal = Proposal::Linearised { iterations: 1, tail: Some(3) }),
-        ("tails", &|s| s.tails.truncate(2)),
-        ("outliers", &|s| s.tails[0] = 0.5),
+        ("densities", &|s| s.densities.truncate(2)),
+        ("outliers", &|s| s.densities[0] = Density::Student { freedom: 0.5 }),
+        ("outliers", &|s| s.densities[0] = Density::Mixture { share: 1.0, scale: 50.0 }),
+        ("outliers", &|s| s.densities[0] = Density::Mixture { share: 0.02, scale: 1.0 }),
         ("limits", &|s| s.limits.truncate(1)),
         ("limits", &|s| s.limits[0] = (1.0, 1.0)),
         ("initial", &|s| s.initial = vec![0.0; 4]),
@@ -274,7 +277,7 @@ fn settings_out_of_range_are_named() {
     for (what, change) in cases {
         assert_eq!(refused(change, false), what);
     }
-    assert_eq!(refused(&|s| s.tails[0] = 4.0, true), "outliers");
+    assert_eq!(refused(&|s| s.densities[0] = Density::Student { freedom: 4.0 }, true), "outliers");
     let further = Further { motor_velocities: true, rates: true, links: true, torques: true };
     let channels = CHANNELS + JOINTS;
     let model = JerkModel::new(Arc::new(robot()), further, &vec![true; channels]).unwrap();

@@ -6,12 +6,30 @@ use crate::gil::Release;
 use crate::kalman::{Arrays, Live, Noise, into_dict, recording};
 use crate::robot::Robot;
 use linkside_core::error::{DesignError, RunError};
-use linkside_core::estimate::kalman::{Further, JerkDriven, JerkModel, KalmanSample, Keep, Model};
-use linkside_core::estimate::particle::{self, Collapse, ParticleOutput, ParticleSettings, Proposal, Resampling};
+use linkside_core::estimate::kalman::{Further, JerkDriven, JerkModel, KalmanRecording, KalmanSample, Keep, Model};
+use linkside_core::estimate::particle::{
+    self, Collapse, Density, ParticleOutput, ParticleSettings, Proposal, Resampling,
+};
 use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::Arc;
+
+/// Degrees of freedom of Student's noise, or share and scale of outliers.
+#[derive(FromPyObject)]
+enum Outliers {
+    Student(f64),
+    Mixture(f64, f64),
+}
+
+impl From<Outliers> for Density {
+    fn from(outliers: Outliers) -> Self {
+        match outliers {
+            Outliers::Student(freedom) => Self::Student { freedom },
+            Outliers::Mixture(share, scale) => Self::Mixture { share, scale },
+        }
+    }
+}
 
 /// Settings as Python spells them.
 #[derive(FromPyObject)]
@@ -25,7 +43,7 @@ struct Settings {
     resampling: String,
     threshold: f64,
     kernel: Option<f64>,
-    tails: Vec<f64>,
+    outliers: Vec<Option<Outliers>>,
     limits: Vec<(f64, f64)>,
     initial: Vec<f64>,
     recover: bool,
@@ -47,7 +65,7 @@ impl Settings {
             "multinomial" => Resampling::Multinomial,
             other => return unknown("resampling", other),
         };
-        let Self { particles, seed, threshold, kernel, tails, limits, initial, quantiles, .. } = self;
+        let Self { particles, seed, threshold, kernel, outliers, limits, initial, quantiles, .. } = self;
         let collapse = if self.recover { Collapse::Recover } else { Collapse::Stop };
         Ok(ParticleSettings {
             particles,
@@ -56,7 +74,7 @@ impl Settings {
             resampling,
             threshold,
             kernel,
-            tails,
+            densities: outliers.into_iter().map(|kind| kind.map_or(Density::Normal, Into::into)).collect(),
             limits,
             initial,
             collapse,
@@ -168,24 +186,48 @@ impl ParticleFilter {
         logs: Vec<Arrays<'py>>,
         covariance: bool,
     ) -> PyResult<Vec<Bound<'py, PyAny>>> {
+        self.each(py, &logs, covariance, particle::ParticleFilter::run_all)
+    }
+
+    /// Each log by all of its samples, as `run_all`.
+    fn smooth_all<'py>(
+        &self,
+        py: Python<'py>,
+        logs: Vec<Arrays<'py>>,
+        covariance: bool,
+    ) -> PyResult<Vec<Bound<'py, PyAny>>> {
+        self.each(py, &logs, covariance, particle::ParticleFilter::smooth_all)
+    }
+}
+
+type Outcome = Result<ParticleOutput, RunError>;
+
+impl ParticleFilter {
+    fn each<'py>(
+        &self,
+        py: Python<'py>,
+        logs: &[Arrays<'py>],
+        covariance: bool,
+        all: impl Fn(&particle::ParticleFilter, &[KalmanRecording<'_>], Keep) -> Vec<Outcome> + Sync,
+    ) -> PyResult<Vec<Bound<'py, PyAny>>> {
         let model = self.filter.model();
         let recordings = logs.iter().map(|arrays| recording(model, arrays)).collect::<PyResult<Vec<_>>>()?;
         let filter = &self.filter;
         let keep = Keep { covariance, innovations: false };
-        let results = py.release(|| Ok::<_, RunError>(filter.run_all(&recordings, keep)))?;
+        let results = py.release(|| Ok::<_, RunError>(all(filter, &recordings, keep)))?;
         results.into_iter().map(|result| outcome(py, result, |out| self.convert(py, out))).collect()
     }
-}
 
-impl ParticleFilter {
     fn convert<'py>(&self, py: Python<'py>, o: ParticleOutput) -> PyResult<Bound<'py, PyDict>> {
         let ParticleOutput { links, effective, best, quantiles } = o;
         let (count, n) = (effective.len(), self.filter.model().robot().len());
         let out = into_dict(py, links, self.filter.model(), self.tool)?;
         out.del_item("nis")?;
         out.set_item("effective", shaped(py, effective, vec![count])?)?;
-        out.set_item("best", shaped(py, best, vec![count, n])?)?;
-        if self.levels > 0 {
+        if !best.is_empty() {
+            out.set_item("best", shaped(py, best, vec![count, n])?)?;
+        }
+        if !quantiles.is_empty() {
             out.set_item("quantiles", shaped(py, quantiles, vec![count, self.levels, n])?)?;
         }
         Ok(out)

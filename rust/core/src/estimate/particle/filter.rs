@@ -181,11 +181,11 @@ impl ParticleFilter {
         sample.draws = jerk.joints();
         for (channel, &value) in readings.iter().enumerate() {
             let bias = jerk.biases[channel];
-            let noise = model.variance(channel);
+            let own = model.variance(channel);
             let walk = bias.map_or(0.0, |_| model.noise().bias_walk[channel].powi(2) * sample.dt);
-            let tail = settings.tails[channel];
+            let density = settings.densities[channel];
             let read = !value.is_nan();
-            let drawn_late = *marginalised || (read && settings.proposal != Proposal::Bootstrap && tail.is_infinite());
+            let drawn_late = *marginalised || (read && settings.proposal != Proposal::Bootstrap && density.is_normal());
             let before = if *marginalised || first { bias_variance[channel] } else { 0.0 };
             let prior = before + walk;
             if let (false, Some(bias)) = (drawn_late || prior == 0.0, bias) {
@@ -193,7 +193,7 @@ impl ParticleFilter {
                 sample.draws += 1;
             }
             let extra = if drawn_late { prior } else { 0.0 };
-            let variance = noise + extra;
+            let variance = own + extra;
             let gain = extra / variance;
             if *marginalised {
                 bias_variance[channel] = if read { prior * (1.0 - gain) } else { prior };
@@ -204,10 +204,10 @@ impl ParticleFilter {
             }
             summary.used += 1;
             let rest = if *marginalised { 0.0 } else { (extra * (1.0 - gain)).sqrt() };
-            let constant = Reading::log_factor(variance, tail);
+            let noise = density.of_variance(variance);
             let draw = sample.draws;
             sample.draws += usize::from(rest > 0.0);
-            sample.readings.push(Reading { channel, value, bias, variance, gain, rest, draw, tail, constant });
+            sample.readings.push(Reading { channel, value, bias, noise, gain, rest, draw });
         }
         if summary.used == 0 {
             summary.status |= Status::PREDICTED;
@@ -255,7 +255,7 @@ impl ParticleFilter {
         out.write_state(i, &summary.mean, &belief.covariance.data, belief.covariance.stride);
     }
 
-    fn take_covariance(&mut self) {
+    pub(super) fn take_covariance(&mut self) {
         let d = self.belief.mean.len();
         self.spread(d);
         let Self { cloud, summary, belief, model, bias_variance, .. } = self;
@@ -279,7 +279,7 @@ impl ParticleFilter {
             return Err(RunError::Impossible { sample: self.taken });
         }
         for reading in self.sample.readings.iter().filter(|_| self.marginalised) {
-            self.bias_variance[reading.channel] = reading.gain * reading.variance;
+            self.bias_variance[reading.channel] = reading.gain * reading.noise.variance;
         }
         self.level();
         self.summarise();
@@ -367,6 +367,16 @@ impl ParticleFilter {
     /// # Errors
     /// As [`step`](Self::step), wrong lengths, or a sample after which the estimate is not finite.
     pub fn run(&mut self, recording: KalmanRecording<'_>, keep: Keep) -> Result<ParticleOutput, RunError> {
+        self.run_with(recording, keep, |_| {})
+    }
+
+    /// [`run`](Self::run), calling `after` at each sample.
+    pub(super) fn run_with(
+        &mut self,
+        recording: KalmanRecording<'_>,
+        keep: Keep,
+        mut after: impl FnMut(&mut Self),
+    ) -> Result<ParticleOutput, RunError> {
         self.model.check(&recording)?;
         let count = recording.dt.len();
         let mut out = ParticleOutput::zeros(count, self, keep);
@@ -376,17 +386,25 @@ impl ParticleFilter {
                 return Err(RunError::NotFinite { sample: self.taken - 1 });
             }
             out.report(i, self, keep);
+            after(self);
         }
         Ok(out)
     }
 
     /// Runs each of `recordings` from a fresh start, on all cores.
     pub fn run_all(&self, recordings: &[KalmanRecording<'_>], keep: Keep) -> Vec<Result<ParticleOutput, RunError>> {
-        let one = |&recording: &KalmanRecording<'_>| {
-            let mut filter = self.clone();
+        self.each(recordings, |filter, recording| {
             filter.reset();
             filter.run(recording, keep)
-        };
-        recordings.par_iter().map(one).collect()
+        })
+    }
+
+    /// `one` with a filter of its own for each of `recordings`, on all cores.
+    pub(super) fn each(
+        &self,
+        recordings: &[KalmanRecording<'_>],
+        one: impl Fn(&mut Self, KalmanRecording<'_>) -> Result<ParticleOutput, RunError> + Sync,
+    ) -> Vec<Result<ParticleOutput, RunError>> {
+        recordings.par_iter().map(|&recording| one(&mut self.clone(), recording)).collect()
     }
 }

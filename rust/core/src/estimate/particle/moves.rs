@@ -54,6 +54,20 @@ impl Moments {
             }
         }
     }
+
+    /// X of L Lᵀ X = B, in place; zero where L has no column.
+    pub(super) fn solve(&self, b: &mut [f64]) {
+        let (n, l) = (b.len(), &self.factor);
+        let divided = |value: f64, root: f64| if root > 0.0 { value / root } else { 0.0 };
+        for i in 0..n {
+            let known: f64 = (0..i).map(|k| l[i * n + k] * b[k]).sum();
+            b[i] = divided(b[i] - known, l[i * n + i]);
+        }
+        for i in (0..n).rev() {
+            let known: f64 = (i + 1..n).map(|k| l[k * n + i] * b[k]).sum();
+            b[i] = divided(b[i] - known, l[i * n + i]);
+        }
+    }
 }
 
 /// Spreads a block's particles.
@@ -99,6 +113,25 @@ impl Kernel for Spread<'_> {
                 }
                 row.as_chunks_mut::<WIDE>().0[group] = value.0;
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_factor_solves_and_leaves_out_what_follows_from_others() {
+        let mut moments = Moments::new(3);
+        // The second entry is twice the first.
+        moments.factorise(&[1.0, 2.0, 0.5, 4.0, 1.0, 1.5]);
+        assert_eq!(moments.factor[4], 0.0);
+        let x = [0.7, 0.0, -0.4];
+        let mut b = [x[0] + 0.5 * x[2], 2.0 * x[0] + x[2], 0.5 * x[0] + 1.5 * x[2]];
+        moments.solve(&mut b);
+        for (found, expected) in b.iter().zip(x) {
+            assert!((found - expected).abs() < 1e-14, "{b:?}");
         }
     }
 }

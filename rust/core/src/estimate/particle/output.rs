@@ -2,7 +2,7 @@
 
 use super::cloud::{BLOCK, Cloud};
 use super::filter::ParticleFilter;
-use crate::estimate::kalman::{FilterOutput, JerkModel, Keep, Model};
+use crate::estimate::kalman::{FilterOutput, Gaussian, JerkModel, Keep, Model};
 use crate::scalar::ln;
 
 /// The cloud after a sample, in a few numbers.
@@ -164,6 +164,24 @@ impl ParticleOutput {
         self.links.status[i] = summary.status;
         self.links.used[i] = summary.used;
         self.links.log_likelihood[i] = summary.log_likelihood;
+    }
+
+    /// Writes `belief` into row `i`, its motors by what the model remembered of that sample.
+    pub(super) fn report_belief(
+        &mut self,
+        i: usize,
+        filter: &mut ParticleFilter,
+        motors: &[f64],
+        belief: &Gaussian,
+        keep: Keep,
+    ) {
+        let ParticleFilter { model, tool, .. } = filter;
+        let Gaussian { mean, covariance } = belief;
+        model.report(motors, mean, i, &mut self.links);
+        self.links.write_links(i, model.robot(), mean, |r, c| covariance.at(r, c), tool);
+        if keep.covariance {
+            self.links.write_state(i, mean, &covariance.data, covariance.stride);
+        }
     }
 }
 

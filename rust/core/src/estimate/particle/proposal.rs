@@ -1,6 +1,7 @@
 //! One step of a block of particles: where they go, and what that does to their weights.
 
 use super::cloud::{BLOCK, Block, Scratch, WIDE, Weigh, Wide};
+use super::density::{Noise, log_gamma};
 use super::evaluation::Reach;
 use super::random::{Purpose, Stream};
 use super::settings::Proposal;
@@ -36,17 +37,13 @@ pub(super) struct Reading {
     pub(super) channel: usize,
     pub(super) value: f64,
     pub(super) bias: Option<usize>,
-    /// Variance of the reading for a given path of the links: of its noise, and of a marginalised or undrawn bias.
-    pub(super) variance: f64,
+    /// Of the reading for a given path of the links: its own noise, and a marginalised or undrawn bias.
+    pub(super) noise: Noise,
     /// By which part of the innovation the bias moves, and the standard deviation of what is then drawn around it.
     pub(super) gain: f64,
     pub(super) rest: f64,
     /// Which normal number that is.
     pub(super) draw: usize,
-    /// Degrees of freedom of its noise.
-    pub(super) tail: f64,
-    /// Logarithm of the density's factor.
-    pub(super) constant: f64,
 }
 
 /// A bias that is drawn before readings are looked at.
@@ -203,7 +200,7 @@ impl Scratch {
         for reading in &sample.readings {
             let row = &mut sensed.by_increment[reading.channel * n..][..n];
             let mut error = reading.error(after, &sensed.prediction);
-            let precision = reading.precision(error);
+            let precision = reading.noise.precision(error);
             for j in 0..n {
                 row[j] = row[j] * sample.increments[j];
                 if again {
@@ -275,7 +272,7 @@ impl Scratch {
         let mut change = Wide::default();
         for reading in &sample.readings {
             let error = reading.error(&self.after, &self.sensed.prediction);
-            change += reading.log_density(error);
+            change += reading.noise.log_density(error);
             if let Some(bias) = reading.bias {
                 self.after[bias] += error * reading.gain;
                 if reading.rest > 0.0 {
@@ -321,49 +318,11 @@ fn student_term(square: Wide, dof: f64, n: usize) -> Wide {
     (square * (1.0 / dof) + 1.0).map(ln) * (0.5 * (dof + n)) + -constant
 }
 
-/// ln Γ(x) by Stirling's series above 12 and recurrence below.
-pub(super) fn log_gamma(x: f64) -> f64 {
-    let (mut y, mut product) = (x, 1.0);
-    while y < 12.0 {
-        product *= y;
-        y += 1.0;
-    }
-    let z = 1.0 / (y * y);
-    let series = (1.0 / 12.0 - z * (1.0 / 360.0 - z * (1.0 / 1260.0 - z / 1680.0))) / y;
-    (y - 0.5) * ln(y) - y + 0.5 * ln(core::f64::consts::TAU) + series - ln(product)
-}
-
 impl Reading {
     /// y − h(x) − b.
     #[inline(always)]
     fn error(&self, state: &[Wide], prediction: &[Wide]) -> Wide {
         let error = -prediction[self.channel] + self.value;
         self.bias.map_or(error, |b| error - state[b])
-    }
-
-    /// 1/S; of Student's noise that of the normal density with the same slope at `error`.
-    #[inline(always)]
-    fn precision(&self, error: Wide) -> Wide {
-        if self.tail.is_infinite() {
-            return Wide::constant(1.0 / self.variance);
-        }
-        Wide::constant(self.tail + 1.0) / (error * error + self.tail * self.variance)
-    }
-
-    #[inline(always)]
-    fn log_density(&self, error: Wide) -> Wide {
-        let square = error * error * (1.0 / self.variance);
-        if self.tail.is_infinite() {
-            return square * -0.5 + self.constant;
-        }
-        (square * (1.0 / self.tail) + 1.0).map(ln) * (-0.5 * (self.tail + 1.0)) + self.constant
-    }
-
-    /// Logarithm of the density's factor, for `variance` and `tail`.
-    pub(super) fn log_factor(variance: f64, tail: f64) -> f64 {
-        if tail.is_infinite() {
-            return -0.5 * ln(core::f64::consts::TAU * variance);
-        }
-        log_gamma(0.5 * (tail + 1.0)) - log_gamma(0.5 * tail) - 0.5 * ln(core::f64::consts::PI * tail * variance)
     }
 }

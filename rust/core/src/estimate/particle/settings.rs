@@ -1,5 +1,6 @@
 //! How a particle filter goes about it.
 
+use super::density::Density;
 use crate::error::DesignError;
 use crate::estimate::kalman::{Channel, JerkModel};
 
@@ -59,8 +60,8 @@ pub struct ParticleSettings {
     /// Width of the normal density around each chosen particle, in units of the cloud's own (Liu and West 2001); mean and
     /// covariance of the cloud stay what they were. None leaves copies where they are.
     pub kernel: Option<f64>,
-    /// Degrees of freedom of Student's density of each channel's noise (channels); infinite where it is normal.
-    pub tails: Vec<f64>,
+    /// Of each channel's noise (channels).
+    pub densities: Vec<Density>,
     /// Least and largest position of each joint (n).
     pub limits: Vec<(f64, f64)>,
     /// Link positions that particles start from in turn, at rest (any number of rows of n); empty for one at rest.
@@ -94,11 +95,11 @@ impl ParticleSettings {
             let dof = tail.unwrap_or(2);
             range(dof >= 2 && dof % 2 == 0, "proposal_tail", f64::from(dof), "an even number of at least 2")?;
         }
-        length("tails", self.tails.len(), model.channels())?;
-        for &tail in &self.tails {
-            range(tail >= 1.0, "outliers", tail, "at least 1 degree of freedom")?;
-            let fits = tail.is_infinite() || !marginalised;
-            range(fits, "outliers", tail, "normal noise where biases are marginalised")?;
+        length("densities", self.densities.len(), model.channels())?;
+        for density in &self.densities {
+            density.check()?;
+            let fits = density.is_normal() || !marginalised;
+            range(fits, "outliers", 1.0, "normal noise where biases are marginalised")?;
         }
         length("limits", self.limits.len(), model.joints())?;
         for &(low, high) in &self.limits {

@@ -34,7 +34,7 @@ impl<'a> Start<'a> {
             let bias = reading.bias.map_or(0.0, |b| belief.mean[b]);
             let error = reading.value - linearised.prediction[reading.channel] - bias;
             for a in 0..entries {
-                let weighted = row[a] * std(a) / reading.variance;
+                let weighted = row[a] * std(a) / reading.noise.variance;
                 start.mode[a] += weighted * error;
                 for b in 0..=a {
                     start.factor[a * entries + b] += weighted * row[b] * std(b);
