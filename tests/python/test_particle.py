@@ -252,6 +252,15 @@ def test_a_sample_that_no_particle_explains():
     assert np.isfinite(estimate.q).all()
 
 
+def test_particles_out_of_the_numbers_lose_their_weight_and_no_more():
+    robot, log = recording()
+    start = ExtendedKalmanFilter(robot).run(log[:1]).q[0]
+    lost = [start, [1e200, 0.0]]
+    estimate = ParticleFilter(robot, particles=200, initial=lost).run(log[:50], covariance=True)
+    assert np.isfinite(estimate.covariance).all()
+    assert np.abs(estimate.q - ExtendedKalmanFilter(robot).run(log[:50]).q).max() < 1e-3
+
+
 def test_one_particle_is_enough_to_run():
     robot, log = recording()
     assert np.isfinite(ParticleFilter(robot, particles=1).run(log[:50]).q).all()

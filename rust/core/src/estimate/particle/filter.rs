@@ -309,9 +309,16 @@ impl ParticleFilter {
     }
 
     /// Mean and covariance of the whole state.
+    ///
+    /// A weighted covariance about its own mean is too small by 1 − Σw² on average. That is little at a sample, but each
+    /// choice hands it on to the next, until a cloud of many states has no spread left where readings say little.
     fn take_moments(&mut self, before: bool) {
         let d = self.belief.mean.len();
-        if !before {
+        let mut scale = 1.0;
+        if before {
+            let effective = self.summary.effective.max(2.0);
+            scale = effective / (effective - 1.0);
+        } else {
             self.summary.weigh(&self.cloud, self.cloud.blocks[0].sums.largest);
         }
         self.spread(d);
@@ -319,7 +326,7 @@ impl ParticleFilter {
         summary.gather_covariance(cloud);
         let moments = if before { wanted } else { found };
         moments.mean.copy_from_slice(&summary.mean);
-        moments.factorise(&summary.products);
+        moments.factorise(&summary.products, scale);
     }
 
     fn copy_ancestors(&mut self) {

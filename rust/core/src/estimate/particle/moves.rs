@@ -27,14 +27,14 @@ impl Moments {
         Self { mean: vec![0.0; entries], factor: vec![0.0; entries * entries] }
     }
 
-    /// L from the covariance's upper triangle by rows.
-    pub(super) fn factorise(&mut self, covariance: &[f64]) {
+    /// L from the covariance's upper triangle by rows, times `scale`.
+    pub(super) fn factorise(&mut self, covariance: &[f64], scale: f64) {
         let n = self.mean.len();
         let l = &mut self.factor;
         let mut packed = covariance.iter();
         for j in 0..n {
             for i in j..n {
-                l[i * n + j] = packed.next().copied().unwrap_or(0.0);
+                l[i * n + j] = packed.next().map_or(0.0, |product| product * scale);
             }
         }
         for j in 0..n {
@@ -125,7 +125,7 @@ mod tests {
     fn a_factor_solves_and_leaves_out_what_follows_from_others() {
         let mut moments = Moments::new(3);
         // The second entry is twice the first.
-        moments.factorise(&[1.0, 2.0, 0.5, 4.0, 1.0, 1.5]);
+        moments.factorise(&[2.0, 4.0, 1.0, 8.0, 2.0, 3.0], 0.5);
         assert_eq!(moments.factor[4], 0.0);
         let x = [0.7, 0.0, -0.4];
         let mut b = [x[0] + 0.5 * x[2], 2.0 * x[0] + x[2], 0.5 * x[0] + 1.5 * x[2]];

@@ -73,7 +73,7 @@ impl Kernel for Advance<'_> {
             load(block, group);
             let increment = block.scratch.step(model, sample, items);
             if !increment.0.iter().all(|x| x.is_finite()) {
-                block.scratch.keep_finite();
+                block.scratch.bring_back();
             }
             store(block, group, increment, sample.offset);
         }
@@ -97,7 +97,7 @@ fn store(block: &mut Block, group: usize, increment: Wide, offset: f64) {
     }
     for (log_weight, more) in block.log_weights.as_chunks_mut::<WIDE>().0[group].iter_mut().zip(increment.0) {
         let sum = *log_weight - offset + more;
-        *log_weight = if sum.is_nan() { f64::NEG_INFINITY } else { sum };
+        *log_weight = if sum.is_finite() { sum } else { f64::NEG_INFINITY };
     }
 }
 
@@ -127,13 +127,16 @@ impl Scratch {
         change
     }
 
-    /// Particles that absurd readings drove out of the numbers stay where they would be without them.
-    fn keep_finite(&mut self) {
+    /// Particles that went out of the numbers, or so far that their squares would, stay where they would be without
+    /// the readings. They have no weight, but zero times infinity would be in every sum.
+    fn bring_back(&mut self) {
+        let near = |x: &Wide, l: usize| x.0[l].abs() < FAR;
         for l in 0..WIDE {
-            if !self.after.iter().all(|x| x.0[l].is_finite()) {
-                for (after, before) in self.after.iter_mut().zip(&self.before) {
-                    after.0[l] = before.0[l];
-                }
+            if self.after.iter().all(|x| near(x, l)) {
+                continue;
+            }
+            for (after, before) in self.after.iter_mut().zip(&self.before) {
+                after.0[l] = if near(before, l) { before.0[l] } else { 0.0 };
             }
         }
     }
@@ -283,6 +286,9 @@ impl Scratch {
         change
     }
 }
+
+/// No state of a robot is as large as this, and four of them still multiply.
+const FAR: f64 = 1e75;
 
 #[inline(always)]
 fn reach(dt: f64) -> Reach {

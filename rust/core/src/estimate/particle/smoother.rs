@@ -85,7 +85,7 @@ impl Back {
             }
             lambda[r] = smoothed.mean[r] - predicted.mean[r];
         }
-        factor.factorise(products);
+        factor.factorise(products, 1.0);
         factor.solve(lambda);
         for r in 0..d {
             for c in 0..d {
