@@ -199,7 +199,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         """Estimate each sample of a recording by all of its samples, those after it as well.
 
         Rauch, Tung and Striebel's pass (1965) back along the clouds' means and covariances: the motion is linear and
-        its noise normal, so nothing is linearised again. What is not normal in a cloud is not carried back, and there is
+        its noise normal, so nothing is linearised again. What is not normal in a cloud is not carried back. There is
         neither ``best`` nor ``quantiles``; ``effective``, ``log_likelihood`` and ``status`` are the filter's. Memory is
         about d²/2 numbers a sample, d the number of states.
 

@@ -115,9 +115,9 @@ def test_every_way_of_resampling_finds_the_same(resampling):
     assert errors(MarginalizedParticleFilter, 2000, 3, kernel=None, resampling=resampling)[0] < 0.3
 
 
-def tool_error(name, **settings):
+def tool_error(name, method=MarginalizedParticleFilter, **settings):
     robot, log = recording(name)
-    estimate = MarginalizedParticleFilter(robot, particles=500, **settings).run(log)
+    estimate = method(robot, particles=500, **settings).run(log)
     return estimate.error_against(DATA / name / "truth.parquet").tool_rms_centred
 
 
@@ -130,6 +130,7 @@ def test_tool_error_on_recordings():
 def test_six_joints_do_not_diverge():
     for seed in range(20):
         assert tool_error("kr15_six_axes", seed=seed) < 0.05
+        assert tool_error("kr15_six_axes", ParticleFilter, seed=seed, kernel=1.0) < 0.05
 
 
 def spoiled(log, column=0, share=0.02, size=50, std=0.05):

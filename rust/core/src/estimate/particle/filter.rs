@@ -1,7 +1,7 @@
 //! The particle filter: one step, and whole recordings.
 
 use super::cloud::{BLOCK, Cloud, Deviations, Weigh};
-use super::moves::{Moments, Restore, Spread};
+use super::moves::{Moments, Spread};
 use super::output::{ParticleOutput, Summary};
 use super::proposal::{Advance, Reading, Sample, Walk};
 use super::random::{Purpose, Stream};
@@ -303,19 +303,15 @@ impl ParticleFilter {
         resample::choose(self.settings.resampling, &stream, weights, &mut self.ancestors);
         self.copy_ancestors();
         if let Some(kernel) = kernel {
-            self.move_apart(kernel);
-            self.level();
             self.take_moments(false);
-            self.restore();
-        } else {
-            self.level();
+            self.move_apart(kernel);
         }
     }
 
     /// Mean and covariance of the whole state.
     ///
-    /// A cloud's covariance about its own mean is too small by 1 − Σw² on average. That is little at a sample, but choices
-    /// hand it on from one to the next until there is no spread left where readings say little.
+    /// A weighted covariance about its own mean is too small by 1 − Σw² on average. That is little at a sample, but each
+    /// choice hands it on to the next, until a cloud of many states has no spread left where readings say little.
     fn take_moments(&mut self, before: bool) {
         let d = self.belief.mean.len();
         let mut scale = 1.0;
@@ -352,6 +348,7 @@ impl ParticleFilter {
         for (block, next) in blocks.iter_mut().zip(next) {
             core::mem::swap(&mut block.state, next);
         }
+        self.level();
     }
 
     /// Gives all particles the same weight.
@@ -366,16 +363,10 @@ impl ParticleFilter {
     }
 
     fn move_apart(&mut self, kernel: f64) {
-        let Self { cloud, wanted, settings, threads, .. } = self;
+        let Self { cloud, wanted, found, settings, threads, .. } = self;
         let stream = Stream::new(settings.seed, self.taken as u32, Purpose::Move);
-        let (wanted, level) = (&*wanted, simd::level());
-        cloud.each(*threads, |block| simd::dispatch(level, Spread { block, wanted, kernel, stream }));
-    }
-
-    fn restore(&mut self) {
-        let Self { cloud, wanted, found, threads, .. } = self;
         let (wanted, found, level) = (&*wanted, &*found, simd::level());
-        cloud.each(*threads, |block| simd::dispatch(level, Restore { block, wanted, found }));
+        cloud.each(*threads, |block| simd::dispatch(level, Spread { block, wanted, found, kernel, stream }));
     }
 
     /// Filters a recording, `count` rows; goes on from where it was, so that it may come in pieces.

@@ -1,9 +1,9 @@
 //! After a choice of particles: copies are spread again, and the cloud gets back the mean and covariance that it had.
 //!
 //! A choice at random moves the cloud's mean, and these errors add up where the readings say little; copies of one
-//! particle stay copies where there is no process noise. So copies are shrunk and spread by a normal kernel,
-//! x ← m + a (x − m) + h L ζ with a² + h² = 1 (Liu and West 2001), and then x ← m + L L₁⁻¹ (x − m₁) takes the moments
-//! m₁, L₁ L₁ᵀ that chance left to those that the weights said.
+//! particle stay copies where there is no process noise. Both are undone by x ← m + L (a L₁⁻¹ (x − m₁) + h ζ) with
+//! a² + h² = 1: shrunk and spread by a normal kernel (Liu and West 2001), from the moments m₁, L₁ L₁ᵀ that chance left
+//! to those that the weights said.
 
 use super::cloud::{BLOCK, Block, WIDE, Wide};
 use super::proposal::draw;
@@ -70,11 +70,13 @@ impl Moments {
     }
 }
 
-/// Shrinks and spreads a block's particles.
+/// Spreads a block's particles.
 pub(super) struct Spread<'a> {
     pub(super) block: &'a mut Block,
     /// What the cloud's moments should be.
     pub(super) wanted: &'a Moments,
+    /// What they are.
+    pub(super) found: &'a Moments,
     /// h.
     pub(super) kernel: f64,
     pub(super) stream: Stream,
@@ -85,40 +87,13 @@ impl Kernel for Spread<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { block, wanted, kernel, stream } = self;
+        let Self { block, wanted, found, kernel, stream } = self;
         let shrunk = (1.0 - kernel * kernel).sqrt();
         let d = wanted.mean.len();
         for group in 0..block.groups() {
             let items = block.items(group);
             draw(&stream, items, 0, &mut block.scratch.normal[..d]);
-            for (a, row) in block.state.chunks_exact_mut(BLOCK).enumerate() {
-                let entry = &mut row.as_chunks_mut::<WIDE>().0[group];
-                let mut value = (Lanes(*entry) + -wanted.mean[a]) * shrunk + wanted.mean[a];
-                for (normal, factor) in block.scratch.normal.iter().zip(&wanted.factor[a * d..=a * d + a]) {
-                    value += *normal * (factor * kernel);
-                }
-                *entry = value.0;
-            }
-        }
-    }
-}
-
-/// Gives a block's particles, which have the moments `found`, the moments `wanted`.
-pub(super) struct Restore<'a> {
-    pub(super) block: &'a mut Block,
-    pub(super) wanted: &'a Moments,
-    pub(super) found: &'a Moments,
-}
-
-impl Kernel for Restore<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let Self { block, wanted, found } = self;
-        let d = wanted.mean.len();
-        for group in 0..block.groups() {
-            let deviation = &mut block.scratch.before;
+            let (deviation, normal) = (&mut block.scratch.before, &block.scratch.normal);
             for (a, row) in block.state.chunks_exact(BLOCK).enumerate() {
                 let mut value = Lanes(row.as_chunks::<WIDE>().0[group]) + -found.mean[a];
                 let (earlier, own) = deviation.split_at_mut(a);
@@ -127,6 +102,9 @@ impl Kernel for Restore<'_> {
                 }
                 let root = found.factor[a * d + a];
                 own[0] = if root > 0.0 { value * (1.0 / root) } else { Wide::default() };
+            }
+            for (standard, normal) in deviation.iter_mut().zip(normal) {
+                *standard = *standard * shrunk + *normal * kernel;
             }
             for (a, row) in block.state.chunks_exact_mut(BLOCK).enumerate() {
                 let mut value = Wide::constant(wanted.mean[a]);

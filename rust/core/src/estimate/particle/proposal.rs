@@ -127,16 +127,15 @@ impl Scratch {
         change
     }
 
-    /// Particles that went out of the numbers, or so far that their squares would, stay where they would be without
-    /// the readings. They have no weight, but zero times infinity would be in every sum.
+    /// Particles that went out of the numbers stay where they would be without the readings. They have no weight, but
+    /// zero times infinity would be in every sum.
     fn bring_back(&mut self) {
-        let near = |x: &Wide, l: usize| x.0[l].abs() < FAR;
         for l in 0..WIDE {
-            if self.after.iter().all(|x| near(x, l)) {
+            if self.after.iter().all(|x| x.0[l].is_finite()) {
                 continue;
             }
             for (after, before) in self.after.iter_mut().zip(&self.before) {
-                after.0[l] = if near(before, l) { before.0[l] } else { 0.0 };
+                after.0[l] = if before.0[l].is_finite() { before.0[l] } else { 0.0 };
             }
         }
     }
@@ -286,9 +285,6 @@ impl Scratch {
         change
     }
 }
-
-/// No state of a robot is as large as this, and four of them still multiply.
-const FAR: f64 = 1e75;
 
 #[inline(always)]
 fn reach(dt: f64) -> Reach {
