@@ -3,7 +3,6 @@
 import re
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +12,8 @@ ROOT = Path(__file__).parents[2]
 
 
 def test_square_path(tmp_path):
-    start = time.perf_counter()
     command = [sys.executable, ROOT / "examples/square_path.py", "--out", tmp_path / "figures"]
     done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=tmp_path)
-    assert time.perf_counter() - start < 30
     for name in ("path", "sides", "error"):
         assert (tmp_path / f"figures/{name}.png").read_bytes().startswith(b"\x89PNG")
     ratios = {name: list(map(float, re.findall(r"[\d.]+", cells))) for name, cells in rows(done.stdout)}
