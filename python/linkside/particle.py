@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -191,9 +191,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         NumericalError
             No particle explains a sample; names the sample.
         """
-        core, kinds = self._prepared(log)
-        (outcome,) = core.run_all([self._front._arrays(log, kinds)], covariance)
-        return self._estimate(log, kinds, result_of(log.source, outcome))
+        return self._recorded(log, _core.ParticleFilter.run_all, covariance)
 
     def smooth(self, log: Log, *, covariance: bool = False) -> ParticleEstimate:
         """Estimate each sample of a recording by all of its samples, those after it as well.
@@ -201,25 +199,9 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         Rauch, Tung and Striebel's pass (1965) back along the clouds' means and covariances: the motion is linear and
         its noise normal, so nothing is linearised again. What is not normal in a cloud is not carried back. There is
         neither ``best`` nor ``quantiles``; ``effective``, ``log_likelihood`` and ``status`` are the filter's. Memory is
-        about d²/2 numbers a sample, d the number of states.
-
-        Parameters
-        ----------
-        log
-            The recording, with motor positions of all joints.
-        covariance
-            Keep the whole state and its covariance.
-
-        Raises
-        ------
-        LogError
-            A column is missing, or a motor position at the first sample.
-        NumericalError
-            No particle explains a sample; names the sample.
+        about d²/2 numbers a sample, d the number of states. Parameters and errors are those of `run`.
         """
-        core, kinds = self._prepared(log)
-        (outcome,) = core.smooth_all([self._front._arrays(log, kinds)], covariance)
-        return self._estimate(log, kinds, result_of(log.source, outcome))
+        return self._recorded(log, _core.ParticleFilter.smooth_all, covariance)
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[ParticleEstimate]:
         """Estimate a recording that comes piece by piece, in bounded memory.
@@ -246,6 +228,11 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
 
     def _start(self) -> _core.ParticleFilter:
         return self._core(self._front._live_kinds, self.noise)
+
+    def _recorded(self, log: Log, run: Callable[..., Any], covariance: bool) -> ParticleEstimate:
+        core, kinds = self._prepared(log)
+        (outcome,) = run(core, [self._front._arrays(log, kinds)], covariance)
+        return self._estimate(log, kinds, result_of(log.source, outcome))
 
     def _prepared(self, log: Log) -> tuple[_core.ParticleFilter, tuple[str, ...]]:
         kinds = self._front._kinds(log)

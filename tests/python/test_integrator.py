@@ -1,9 +1,6 @@
 """The adaptive integrator against SciPy on Pinocchio's dynamics, the rigid limit, energy, and its own tolerance."""
 
 import itertools
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pinocchio as pin
@@ -13,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 from linkside import EstimatorError, NumericalError, Robot, Sensor, simulate
 
+from .processors import outputs
 from .robots import ARM, spring
 
 NAMES = ("q", "dq", "theta", "dtheta")
@@ -155,9 +153,7 @@ def test_results_do_not_depend_on_the_processors_instructions():
         "run = simulate(r, lambda t, state: 1.1 * hold, 0.1, 500.0, q=[0.3] * r.n, integrator='adaptive');"
         "print(hashlib.sha256(run.truth['q'].tobytes() + run.log.acceleration.tobytes()).hexdigest())"
     )
-    runs = [os.environ | {"LINKSIDE_SIMD": level} for level in ("baseline", "widest")]
-    outputs = [subprocess.check_output([sys.executable, "-c", program], env=env, text=True) for env in runs]
-    assert outputs[0] == outputs[1]
+    assert len(outputs(program)) == 1
 
 
 def bad(match, error=EstimatorError, robot=None, controller=still, **settings):

@@ -1,9 +1,6 @@
 """The Kalman filter and the smoother against a textbook in NumPy, against themselves, and against chance."""
 
 import dataclasses
-import os
-import subprocess
-import sys
 from decimal import Decimal, localcontext
 from pathlib import Path
 
@@ -25,6 +22,8 @@ from linkside import (
     Status,
     demo,
 )
+
+from .processors import outputs
 
 DATA = Path(__file__).parents[1] / "data"
 SLIDE = """<robot name="slide"><link name="base"/><link name="cart"><inertial><mass value="30"/>
@@ -353,9 +352,7 @@ def test_results_do_not_depend_on_the_processors_instructions():
         "e = [m(r).run(l) for m in (ExtendedKalmanFilter, RauchTungStriebelSmoother, AccelerationObserver)];"
         "print([hashlib.sha256(x.q.tobytes() + x.dq.tobytes()).hexdigest() for x in e])"
     )
-    runs = [os.environ | {"LINKSIDE_SIMD": level} for level in ("baseline", "widest")]
-    outputs = [subprocess.check_output([sys.executable, "-c", program], env=env, text=True) for env in runs]
-    assert outputs[0] == outputs[1]
+    assert len(outputs(program)) == 1
 
 
 def with_nan(log, rows, channel):

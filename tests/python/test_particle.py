@@ -1,8 +1,5 @@
 """Particle filters: towards the Kalman filter as N grows, on recordings, and with what only particles can do."""
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -25,6 +22,8 @@ from linkside import (
     Robot,
     Status,
 )
+
+from .processors import outputs
 
 DATA = Path(__file__).parents[1] / "data"
 SLIDE = """<robot name="slide"><link name="base"/>
@@ -215,10 +214,9 @@ def test_steps_and_pieces_are_the_run(method):
 
 
 SCRIPT = """
-import sys; sys.path.insert(0, "tests/python")
-from test_particle import recording
-from linkside import MarginalizedParticleFilter
-robot, log = recording()
+from linkside import Log, MarginalizedParticleFilter, Robot
+robot = Robot.load("tests/data/arm2_square/robot.yaml")
+log = Log.read("tests/data/arm2_square/log.parquet", robot)
 estimate = MarginalizedParticleFilter(robot, particles=2500, seed=2).run(log[:50], covariance=True)
 print(estimate.state.tobytes().hex()[-4000:], estimate.covariance.sum().hex())
 """
@@ -227,17 +225,8 @@ print(estimate.state.tobytes().hex()[-4000:], estimate.covariance.sum().hex())
 def test_processors_and_threads_do_not_change_a_bit():
     root = DATA.parents[1]
     choices = [("baseline", "1"), ("avx2", "2"), ("widest", "2")]
-    outputs = {
-        subprocess.run(
-            [sys.executable, "-c", SCRIPT],
-            env=os.environ | {"LINKSIDE_SIMD": level, "RAYON_NUM_THREADS": threads},
-            cwd=root,
-            capture_output=True,
-            check=True,
-        ).stdout
-        for level, threads in choices
-    }
-    assert len(outputs) == 1
+    environments = [{"LINKSIDE_SIMD": level, "RAYON_NUM_THREADS": threads} for level, threads in choices]
+    assert len(outputs(SCRIPT, environments, cwd=root)) == 1
 
 
 def test_a_sample_that_no_particle_explains():
