@@ -3,12 +3,12 @@
 use super::{Scalar, trig};
 use core::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
-/// `L` independent numbers that go through a kernel together, one vector register or two.
+/// `L` independent numbers that go through a kernel together, one vector register or two, never across lines of the cache.
 ///
 /// A plain array: the compiler chooses the instructions of whatever target the caller was compiled for.
 /// Every lane holds the same bits that `f64` alone would.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[repr(align(32))]
+#[repr(align(64))]
 pub struct Lanes<const L: usize>(pub [f64; L]);
 
 impl<const L: usize> Lanes<L> {

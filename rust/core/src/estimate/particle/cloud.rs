@@ -13,6 +13,30 @@ pub(super) const WIDE: usize = 8;
 
 pub(super) type Wide = Lanes<WIDE>;
 
+/// A number of each particle of a block, by groups of [`WIDE`].
+///
+/// One group more than there are particles: rows a whole page apart would all want the same few lines of the cache.
+#[derive(Clone, Debug)]
+#[repr(align(64))]
+pub(super) struct Row(pub(super) [[f64; WIDE]; BLOCK / WIDE + 1]);
+
+impl Row {
+    fn of(value: f64) -> Self {
+        Self([[value; WIDE]; BLOCK / WIDE + 1])
+    }
+
+    /// Particle by particle.
+    #[inline(always)]
+    pub(super) fn each(&self) -> &[f64] {
+        self.0.as_flattened()
+    }
+
+    #[inline(always)]
+    pub(super) fn each_mut(&mut self) -> &mut [f64] {
+        self.0.as_flattened_mut()
+    }
+}
+
 /// Some particles, and the scratch to move them.
 #[derive(Clone, Debug)]
 pub(super) struct Block {
@@ -20,12 +44,12 @@ pub(super) struct Block {
     pub(super) first: usize,
     /// Particles in use.
     pub(super) count: usize,
-    /// Entry d of particle i at d · [`BLOCK`] + i.
-    pub(super) state: Vec<f64>,
+    /// Entries of the state.
+    pub(super) state: Vec<Row>,
     /// Logarithms of weights, −∞ for what is not in use.
-    pub(super) log_weights: Vec<f64>,
+    pub(super) log_weights: Row,
     /// Weights as multiples of the block's largest.
-    pub(super) weights: Vec<f64>,
+    pub(super) weights: Row,
     pub(super) sums: Sums,
     pub(super) scratch: Scratch,
 }
@@ -82,9 +106,9 @@ impl Block {
         Self {
             first,
             count,
-            state: vec![0.0; d * BLOCK],
-            log_weights: vec![f64::NEG_INFINITY; BLOCK],
-            weights: vec![0.0; BLOCK],
+            state: vec![Row::of(0.0); d],
+            log_weights: Row::of(f64::NEG_INFINITY),
+            weights: Row::of(0.0),
             sums: Sums {
                 largest: f64::NEG_INFINITY,
                 best: 0,
@@ -101,9 +125,9 @@ impl Block {
     #[inline(always)]
     fn sum_state(&mut self) {
         let Self { weights, sums, state, count, .. } = self;
-        let used = count.next_multiple_of(WIDE);
-        for (sum, row) in sums.state.iter_mut().zip(state.chunks_exact(BLOCK)) {
-            *sum = dot(&weights[..used], &row[..used]);
+        let used = count.div_ceil(WIDE);
+        for (sum, row) in sums.state.iter_mut().zip(state) {
+            *sum = dot(&weights.0[..used], &row.0[..used]);
         }
     }
 
@@ -132,8 +156,8 @@ impl Kernel for Weigh<'_> {
     #[inline(always)]
     fn run(self) {
         let Block { log_weights, weights, sums, count, .. } = &mut *self.block;
-        let used = count.next_multiple_of(WIDE);
-        let logs = log_weights[..used].as_chunks::<WIDE>().0;
+        let used = count.div_ceil(WIDE);
+        let logs = &log_weights.0[..used];
         let mut most = [f64::NEG_INFINITY; WIDE];
         for logs in logs {
             for (most, log) in most.iter_mut().zip(logs) {
@@ -141,10 +165,11 @@ impl Kernel for Weigh<'_> {
             }
         }
         sums.largest = most.into_iter().fold(f64::NEG_INFINITY, f64::max);
-        sums.best = log_weights[..*count].iter().position(|log| *log == sums.largest).unwrap_or(0);
+        let group = logs.iter().position(|logs| logs.contains(&sums.largest)).unwrap_or(0);
+        sums.best = group * WIDE + logs[group].iter().position(|log| *log == sums.largest).unwrap_or(0);
         let largest = if sums.largest.is_finite() { sums.largest } else { 0.0 };
         let [mut weight, mut square] = [Wide::default(); 2];
-        for (out, logs) in weights[..used].as_chunks_mut::<WIDE>().0.iter_mut().zip(logs) {
+        for (out, logs) in weights.0.iter_mut().zip(logs) {
             let w = (Lanes(*logs) + -largest).exp();
             *out = w.0;
             weight += w;
@@ -160,7 +185,7 @@ pub(super) struct Gather<'a> {
     pub(super) source: &'a [Block],
     pub(super) ancestors: &'a [u32],
     /// As [`Block::state`].
-    pub(super) next: &'a mut [f64],
+    pub(super) next: &'a mut [Row],
 }
 
 impl Kernel for Gather<'_> {
@@ -172,9 +197,10 @@ impl Kernel for Gather<'_> {
         let mut from = 0;
         // Ancestors come in order, so that hardly ever more than two blocks take part.
         for run in ancestors.chunk_by(|a, b| *a as usize / BLOCK == *b as usize / BLOCK) {
-            let rows = source[run[0] as usize / BLOCK].state.as_chunks::<BLOCK>().0;
-            for (next, row) in next.chunks_exact_mut(BLOCK).zip(rows) {
-                for (slot, &a) in next[from..].iter_mut().zip(run) {
+            let rows = &source[run[0] as usize / BLOCK].state;
+            for (next, row) in next.iter_mut().zip(rows) {
+                let row = &row.each()[..BLOCK];
+                for (slot, &a) in next.each_mut()[from..].iter_mut().zip(run) {
                     *slot = row[a as usize % BLOCK];
                 }
             }
@@ -195,9 +221,9 @@ impl Kernel for Level<'_> {
     #[inline(always)]
     fn run(self) {
         let Self { block: Block { log_weights, weights, sums, count, .. }, log_weight } = self;
-        log_weights[..*count].fill(log_weight);
-        weights[..*count].fill(1.0);
-        weights[*count..].fill(0.0);
+        log_weights.each_mut()[..*count].fill(log_weight);
+        weights.each_mut()[..*count].fill(1.0);
+        weights.each_mut()[*count..].fill(0.0);
         (sums.largest, sums.best, sums.weight, sums.square) = (log_weight, 0, *count as f64, *count as f64);
         self.block.sum_state();
     }
@@ -216,9 +242,9 @@ impl Kernel for Deviations<'_> {
     #[inline(always)]
     fn run(self) {
         let Self { block: Block { weights, sums, state, count, .. }, mean, entries } = self;
-        let used = count.next_multiple_of(WIDE);
-        let row = |d: usize| state[d * BLOCK..][..used].as_chunks::<WIDE>().0;
-        let weights = weights[..used].as_chunks::<WIDE>().0;
+        let used = count.div_ceil(WIDE);
+        let row = |d: usize| &state[d].0[..used];
+        let weights = &weights.0[..used];
         let mut products = sums.products.iter_mut();
         for a in 0..entries {
             for (b, product) in (a..entries).zip(&mut products) {
@@ -232,13 +258,21 @@ impl Kernel for Deviations<'_> {
     }
 }
 
+/// Four sums side by side, so that one addition need not wait for the other.
 #[inline(always)]
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let mut sum = Wide::default();
-    for (a, b) in a.as_chunks::<WIDE>().0.iter().zip(b.as_chunks::<WIDE>().0) {
-        sum += Lanes(*a) * Lanes(*b);
+fn dot(a: &[[f64; WIDE]], b: &[[f64; WIDE]]) -> f64 {
+    let mut sums = [Wide::default(); 4];
+    let (fours, rest) = a.as_chunks::<4>();
+    let (others, other_rest) = b.as_chunks::<4>();
+    for (a, b) in fours.iter().zip(others) {
+        for k in 0..4 {
+            sums[k] += Lanes(a[k]) * Lanes(b[k]);
+        }
     }
-    total(sum)
+    for (a, b) in rest.iter().zip(other_rest) {
+        sums[0] += Lanes(*a) * Lanes(*b);
+    }
+    total((sums[0] + sums[1]) + (sums[2] + sums[3]))
 }
 
 /// Sum of all lanes, always in the same order.
@@ -260,14 +294,14 @@ fn total(x: Wide) -> f64 {
 pub(super) struct Cloud {
     pub(super) blocks: Vec<Block>,
     /// Where chosen particles are copied to.
-    pub(super) next: Vec<Vec<f64>>,
+    pub(super) next: Vec<Vec<Row>>,
 }
 
 impl Cloud {
     pub(super) fn new(model: &JerkModel, particles: usize) -> Self {
         let blocks: Vec<Block> =
             (0..particles).step_by(BLOCK).map(|first| Block::new(model, first, BLOCK.min(particles - first))).collect();
-        let next = vec![vec![0.0; model.states() * BLOCK]; blocks.len()];
+        let next = vec![vec![Row::of(0.0); model.states()]; blocks.len()];
         Self { blocks, next }
     }
 
@@ -283,6 +317,6 @@ impl Cloud {
     /// Entry `d` of particle `i`.
     #[inline(always)]
     pub(super) fn at(&self, i: usize, d: usize) -> f64 {
-        self.blocks[i / BLOCK].state[d * BLOCK + i % BLOCK]
+        self.blocks[i / BLOCK].state[d].each()[i % BLOCK]
     }
 }

@@ -1,6 +1,6 @@
 //! The particle filter: one step, and whole recordings.
 
-use super::cloud::{BLOCK, Cloud, Deviations, Gather, Level};
+use super::cloud::{BLOCK, Cloud, Deviations, Gather, Level, Row};
 use super::density::Density;
 use super::moves::{Moments, Spread};
 use super::output::{ParticleOutput, Summary};
@@ -354,7 +354,7 @@ impl ParticleFilter {
     fn copy_ancestors(&mut self) {
         let Self { cloud: Cloud { blocks, next }, ancestors, threads, .. } = self;
         let (source, level) = (&*blocks, simd::level());
-        let copy = |(next, ancestors): (&mut Vec<f64>, &[u32])| {
+        let copy = |(next, ancestors): (&mut Vec<Row>, &[u32])| {
             simd::dispatch_lanes(level, Gather { source, ancestors, next })
         };
         if *threads {

@@ -5,7 +5,7 @@
 //! a² + h² = 1: shrunk and spread by a normal kernel (Liu and West 2001), from the moments m₁, L₁ L₁ᵀ that chance left
 //! to those that the weights said.
 
-use super::cloud::{BLOCK, Block, WIDE, Wide};
+use super::cloud::{Block, Wide};
 use super::proposal::draw;
 use super::random::Stream;
 use crate::scalar::{Lanes, Scalar};
@@ -94,8 +94,8 @@ impl Kernel for Spread<'_> {
             let items = block.items(group);
             draw(&stream, items, 0, &mut block.scratch.normal[..d]);
             let (deviation, normal) = (&mut block.scratch.before, &block.scratch.normal);
-            for (a, row) in block.state.chunks_exact(BLOCK).enumerate() {
-                let mut value = Lanes(row.as_chunks::<WIDE>().0[group]) + -found.mean[a];
+            for (a, row) in block.state.iter().enumerate() {
+                let mut value = Lanes(row.0[group]) + -found.mean[a];
                 let (earlier, own) = deviation.split_at_mut(a);
                 for (b, other) in earlier.iter().enumerate() {
                     value -= *other * found.factor[a * d + b];
@@ -106,12 +106,12 @@ impl Kernel for Spread<'_> {
             for (standard, normal) in deviation.iter_mut().zip(normal) {
                 *standard = *standard * shrunk + *normal * kernel;
             }
-            for (a, row) in block.state.chunks_exact_mut(BLOCK).enumerate() {
+            for (a, row) in block.state.iter_mut().enumerate() {
                 let mut value = Wide::constant(wanted.mean[a]);
                 for (b, standard) in deviation[..=a].iter().enumerate() {
                     value += *standard * wanted.factor[a * d + b];
                 }
-                row.as_chunks_mut::<WIDE>().0[group] = value.0;
+                row.0[group] = value.0;
             }
         }
     }

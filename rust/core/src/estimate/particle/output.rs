@@ -83,7 +83,7 @@ impl Summary {
     /// Normalised weights of all particles, in order.
     pub(super) fn weights<'a>(&'a self, cloud: &'a Cloud) -> impl Iterator<Item = f64> + Clone + 'a {
         let one = |(share, block): (&'a f64, &'a super::cloud::Block)| {
-            block.weights[..block.count].iter().map(move |w| w * share)
+            block.weights.each()[..block.count].iter().map(move |w| w * share)
         };
         self.shares.iter().zip(&cloud.blocks).flat_map(one)
     }
@@ -99,7 +99,7 @@ impl Summary {
             let mut sum = 0.0;
             let reached = |&&i: &&u32| {
                 let i = i as usize;
-                sum += self.shares[i / BLOCK] * cloud.blocks[i / BLOCK].weights[i % BLOCK];
+                sum += self.shares[i / BLOCK] * cloud.blocks[i / BLOCK].weights.each()[i % BLOCK];
                 sum >= share
             };
             out(k, order.iter().find(reached).or(order.last()).map_or(f64::NAN, position));

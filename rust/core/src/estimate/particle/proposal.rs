@@ -1,6 +1,6 @@
 //! One step of a block of particles: where they go, and what that does to their weights.
 
-use super::cloud::{BLOCK, Block, Scratch, WIDE, Weigh, Wide};
+use super::cloud::{Block, Scratch, WIDE, Weigh, Wide};
 use super::density::{Noise, log_gamma};
 use super::evaluation::Reach;
 use super::random::{Purpose, Stream};
@@ -80,25 +80,24 @@ impl Kernel for Advance<'_> {
             }
             store(block, group, increment, sample.offset);
         }
-        let used = block.groups() * WIDE;
-        block.log_weights[block.count..used].fill(f64::NEG_INFINITY);
+        block.log_weights.each_mut()[block.count..].fill(f64::NEG_INFINITY);
         Weigh { block }.run();
     }
 }
 
 #[inline(always)]
 fn load(block: &mut Block, group: usize) {
-    for (entry, row) in block.scratch.before.iter_mut().zip(block.state.chunks_exact(BLOCK)) {
-        *entry = Lanes(row.as_chunks::<WIDE>().0[group]);
+    for (entry, row) in block.scratch.before.iter_mut().zip(&block.state) {
+        *entry = Lanes(row.0[group]);
     }
 }
 
 #[inline(always)]
 fn store(block: &mut Block, group: usize, increment: Wide, offset: f64) {
-    for (entry, row) in block.scratch.after.iter().zip(block.state.chunks_exact_mut(BLOCK)) {
-        row.as_chunks_mut::<WIDE>().0[group] = entry.0;
+    for (entry, row) in block.scratch.after.iter().zip(&mut block.state) {
+        row.0[group] = entry.0;
     }
-    for (log_weight, more) in block.log_weights.as_chunks_mut::<WIDE>().0[group].iter_mut().zip(increment.0) {
+    for (log_weight, more) in block.log_weights.0[group].iter_mut().zip(increment.0) {
         let sum = *log_weight - offset + more;
         *log_weight = if sum.is_finite() { sum } else { f64::NEG_INFINITY };
     }
@@ -320,8 +319,11 @@ pub(super) fn reach(dt: f64) -> Reach {
 #[inline(always)]
 pub(super) fn draw(stream: &Stream, items: [u32; WIDE], from: u32, out: &mut [Wide]) {
     for (k, pair) in out.chunks_mut(2).enumerate() {
-        let normals = stream.normals(items, from + k as u32);
-        pair.copy_from_slice(&normals[..pair.len()]);
+        let [first, second] = stream.normals(items, from + k as u32);
+        pair[0] = first;
+        if let [_, last] = pair {
+            *last = second;
+        }
     }
 }
 

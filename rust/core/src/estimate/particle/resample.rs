@@ -14,14 +14,38 @@ pub(super) fn choose(
     let count = ancestors.len();
     match method {
         Resampling::Systematic => {
-            let shift = stream.uniform(0);
-            walk(weights, count, ancestors, |k| (k as f64 + shift) / count as f64);
+            systematic(weights, stream.uniform(0), ancestors);
         }
         Resampling::Stratified => {
             walk(weights, count, ancestors, |k| (k as f64 + stream.uniform(k as u32)) / count as f64);
         }
         Resampling::Residual => residual(stream, weights, ancestors),
         Resampling::Multinomial => multinomial(stream, weights, ancestors),
+    }
+}
+
+/// For k = 0, 1, …, N − 1 the first particle up to which the weights sum to more than (k + shift)/N.
+///
+/// Without a branch on how many copies there are of each, which a processor could not foresee.
+fn systematic(weights: impl Iterator<Item = f64> + Clone, shift: f64, ancestors: &mut [u32]) {
+    let count = ancestors.len();
+    let scale = count as f64 / weights.clone().sum::<f64>();
+    let (mut sum, mut from) = (0.0, 0);
+    ancestors.fill(0);
+    weights.enumerate().for_each(|(i, w)| {
+        // Whoever has no copies leaves the mark to the next; behind the last copy there is no place for one.
+        if let Some(mark) = ancestors.get_mut(from) {
+            *mark = i as u32;
+        }
+        sum += w;
+        let end = sum * scale - shift;
+        let whole = end as i32; // below 2²², see MOST_PARTICLES
+        from = whole as usize + usize::from(f64::from(whole) < end);
+    });
+    let mut last = 0;
+    for ancestor in ancestors {
+        last = last.max(*ancestor);
+        *ancestor = last;
     }
 }
 
@@ -37,9 +61,8 @@ fn residual(stream: &Stream, weights: impl Iterator<Item = f64> + Clone, ancesto
     }
     let rest = count - taken;
     if rest > 0 {
-        let shift = stream.uniform(0);
         let fractions = weights.map(|w| (count as f64 * w - whole(w)) / rest as f64);
-        walk(fractions, rest, &mut ancestors[taken..], |k| (k as f64 + shift) / rest as f64);
+        systematic(fractions, stream.uniform(0), &mut ancestors[taken..]);
     }
 }
 

@@ -1,6 +1,6 @@
 //! The first cloud.
 
-use super::cloud::{BLOCK, Cloud, WIDE, Wide};
+use super::cloud::{Cloud, Wide};
 use super::proposal::{Sample, draw};
 use super::random::{Purpose, Stream};
 use crate::estimate::kalman::{Gaussian, Linearised};
@@ -60,8 +60,8 @@ impl<'a> Start<'a> {
                 let normal = &mut block.scratch.normal[..n];
                 draw(&stream, items, 0, normal);
                 let change = self.around_mode(normal) + (even - determinant);
-                block.log_weights.as_chunks_mut::<WIDE>().0[group] = change.0;
-                for (d, row) in block.state.chunks_exact_mut(BLOCK).enumerate() {
+                block.log_weights.0[group] = change.0;
+                for (d, row) in block.state.iter_mut().enumerate() {
                     let mut value = Wide::constant(self.belief.mean[d]);
                     if d < joints && !origins.is_empty() {
                         let rows = origins.len() / joints;
@@ -70,7 +70,7 @@ impl<'a> Start<'a> {
                     if d < n {
                         value += normal[d] * self.belief.covariance.at(d, d).sqrt();
                     }
-                    row.as_chunks_mut::<WIDE>().0[group] = value.0;
+                    row.0[group] = value.0;
                 }
             }
         }
