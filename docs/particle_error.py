@@ -8,6 +8,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
+from PIL import Image
 
 from linkside import Estimate, ExtendedKalmanFilter, Log, MarginalizedParticleFilter, Noise, ParticleFilter, Robot
 from linkside.tune import tune
@@ -17,20 +18,23 @@ FloatArray = npt.NDArray[np.float64]
 HERE = Path(__file__).parent
 RECORDINGS = ("arm2_square", "arm2_square_mismatch")
 METHODS = {"plain": ParticleFilter, "marginalised": MarginalizedParticleFilter}
+MEASURES = ("error", "from the Kalman filter", "q_std / its q_std")
 TUNED = ("transmission", "acceleration")
 
 
 def main() -> None:
     """Estimate both recordings with every number of particles and seed, and draw the medians."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--particles", type=int, nargs="+", default=[100, 250, 500, 1000, 2000])
+    parser.add_argument("--particles", type=int, nargs="+", default=[100, 250, 500, 1000, 2000, 4000, 8000])
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--kernel", type=float, default=1.0)
     options = parser.parse_args()
-    figure, all_axes = plt.subplots(2, 2, figsize=(7, 5.5), sharex=True, layout="constrained")
+    figure, all_axes = plt.subplots(2, 2, figsize=(8, 6), dpi=100, sharex=True, layout="constrained")
     for name, axes in zip(RECORDINGS, all_axes.T, strict=True):
         draw(axes, name, options)
-    figure.savefig(HERE / "particle_error.png", dpi=80)
+    figure.canvas.draw()
+    pixels = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())).convert("RGB")  # type: ignore[attr-defined]
+    pixels.quantize(32).save(HERE / "particle_error.png", optimize=True)
 
 
 def draw(axes: Any, name: str, options: argparse.Namespace) -> None:
@@ -43,17 +47,17 @@ def draw(axes: Any, name: str, options: argparse.Namespace) -> None:
     axes[0].axhline(motors, color="grey", linewidth=1, label="motor positions")
     print(f"{name}: motor positions {motors:.4f} mm, then medians over seeds (and the worst)")
     for label, noise, style in noises(robot, log):
-        kalman = ExtendedKalmanFilter(robot, noise).run(log).tool_position
-        level = apart(kalman, truth)
+        kalman = ExtendedKalmanFilter(robot, noise).run(log)
+        level = apart(kalman.tool_position, truth)
         axes[0].axhline(level, color="black", linestyle=style, linewidth=1, label=f"Kalman filter{label}")
         print(f"  Kalman filter{label} {level:.4f}, {noise.transmission=}, {noise.acceleration=}")
         for color, method in enumerate(METHODS):
-            tools = estimated(method, robot, noise, log, options)
-            for one, what, other in zip(axes, ("error", "distance to it"), (truth, kalman), strict=True):
-                found = np.array([[apart(tool, other) for tool in row] for row in tools])
-                say(f"  {method}, {what}", options.particles, found)
-                curve = one.loglog(options.particles, np.median(found, axis=1), f"C{color}.", linestyle=style)
-                curve[0].set_label(f"{method}{label}")
+            found = compared(method, robot, noise, log, options, truth, kalman)
+            for what, values in zip(MEASURES, found, strict=True):
+                say(f"{method}, {what}", options.particles, values)
+            for one, values in zip(axes, found, strict=False):
+                (curve,) = one.loglog(options.particles, np.median(values, axis=1), f"C{color}.", linestyle=style)
+                curve.set_label(f"{method}{label}")
     finish(axes, name, options.particles)
 
 
@@ -63,17 +67,31 @@ def noises(robot: Robot, log: Log) -> Iterator[tuple[str, Noise, str]]:
     yield ", tuned", tune(robot, log, free=TUNED).after, "--"
 
 
-def estimated(
-    method: str, robot: Robot, noise: Noise, log: Log, options: argparse.Namespace
-) -> list[list[FloatArray | None]]:
-    """Where the tool was, by number of particles and seed."""
-    return [
-        [
-            METHODS[method](robot, noise, particles=count, seed=seed, kernel=options.kernel).run(log).tool_position
-            for seed in range(options.seeds)
-        ]
-        for count in options.particles
-    ]
+def compared(
+    method: str,
+    robot: Robot,
+    noise: Noise,
+    log: Log,
+    options: argparse.Namespace,
+    truth: FloatArray | None,
+    kalman: Estimate,
+) -> FloatArray:
+    """Each of `MEASURES`, by number of particles and by seed."""
+    found = np.empty((len(MEASURES), len(options.particles), options.seeds))
+    for i, count in enumerate(options.particles):
+        for seed in range(options.seeds):
+            estimator = METHODS[method](robot, noise, particles=count, seed=seed, kernel=options.kernel)
+            estimate = estimator.run(log)
+            tool = estimate.tool_position
+            found[:, i, seed] = apart(tool, truth), apart(tool, kalman.tool_position), spread(estimate, kalman)
+    return found
+
+
+def spread(estimate: Estimate, kalman: Estimate) -> float:
+    """How sure of the links' positions, beside the Kalman filter: ratio of standard deviations, median over time."""
+    assert estimate.q_std is not None
+    assert kalman.q_std is not None
+    return float(np.median(estimate.q_std / kalman.q_std))
 
 
 def apart(tool: FloatArray | None, other: FloatArray | None) -> float:
@@ -89,18 +107,18 @@ def say(what: str, counts: list[int], found: FloatArray) -> None:
     medians = np.median(found, axis=1)
     power = np.polyfit(np.log(counts), np.log(medians), 1)[0]
     row = "  ".join(f"{n}: {m:.4f} ({f.max():.3f})" for n, m, f in zip(counts, medians, found, strict=True))
-    print(f"  {what:30} {row}  N^{power:.2f}", flush=True)
+    print(f"  {what:36} {row}  N^{power:.2f}", flush=True)
 
 
 def finish(axes: Any, name: str, counts: list[int]) -> None:
     """Labels, and the slope of chance."""
     axes[0].set(title=name, ylabel="tool error [mm]")
-    start = axes[1].lines[0].get_ydata()[0]
-    axes[1].loglog(counts, start * np.sqrt(counts[0] / np.array(counts)), ":", color="grey", label="1/√N")
+    end = axes[1].lines[0].get_ydata()[-1]
+    axes[1].loglog(counts, end * np.sqrt(counts[-1] / np.array(counts)), ":", color="grey", label="1/√N")
     axes[1].set(xlabel="particles", ylabel="from the Kalman filter [mm]")
-    axes[1].legend(fontsize=7)
-    if name == RECORDINGS[0]:
+    if name == RECORDINGS[-1]:
         axes[0].legend(fontsize=7)
+        axes[1].legend(fontsize=7)
     for one in axes:
         one.grid(alpha=0.3)
 
