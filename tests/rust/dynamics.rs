@@ -87,6 +87,15 @@ proptest! {
     }
 
     #[test]
+    fn loads_and_readings_are_the_same_in_the_bodies_own_axes(case in cases()) {
+        let frame = case.frame();
+        let mut kernels = Kernels::new(&case.tree, case.state());
+        let [_, force, rate] = kernels.sensed(&frame);
+        let expected: Vec<_> = kernels.torque().into_iter().chain(force.0).chain(rate.0).collect();
+        check_close(&kernels.in_own_axes(&frame), &expected)?;
+    }
+
+    #[test]
     fn lanes_hold_the_bits_of_one_sample_alone(case in cases()) {
         check_lanes::<4>(&case)?;
         check_lanes::<8>(&case)?;

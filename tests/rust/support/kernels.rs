@@ -1,7 +1,7 @@
 //! Every kernel for any kind of number, its answers in vectors.
 
 use super::trees::MOST;
-use linkside_core::dynamics::{Kinematics, Loads};
+use linkside_core::dynamics::{Kinematics, Loads, NewtonEuler};
 use linkside_core::robot::{Frame, Tree};
 use linkside_core::scalar::{Dual, Lanes, Scalar};
 use linkside_core::spatial::Vec3;
@@ -70,17 +70,24 @@ pub(crate) struct Kernels<'a, T> {
     tree: &'a Tree,
     kinematics: Kinematics<T>,
     loads: Loads<T>,
+    newton_euler: NewtonEuler<T>,
 }
 
 impl<'a, T: Scalar> Kernels<'a, T> {
     pub(crate) fn new(tree: &'a Tree, state: &State<T>) -> Self {
-        let mut kernels = Self { tree, kinematics: Kinematics::new(tree), loads: Loads::new(tree) };
+        let mut kernels = Self {
+            tree,
+            kinematics: Kinematics::new(tree),
+            loads: Loads::new(tree),
+            newton_euler: NewtonEuler::new(tree),
+        };
         kernels.set(state);
         kernels
     }
 
     pub(crate) fn set(&mut self, state: &State<T>) {
         self.kinematics.set(self.tree, &state.q, &state.dq, &state.ddq);
+        self.newton_euler.set(self.tree, &state.q, &state.dq, &state.ddq);
     }
 
     /// Room for an answer that must be overwritten.
@@ -93,6 +100,15 @@ impl<'a, T: Scalar> Kernels<'a, T> {
         let mut tau = self.blank(self.tree.len());
         self.loads.inverse_dynamics_into(self.tree, &self.kinematics, &mut tau);
         tau
+    }
+
+    /// τ, specific force and angular rate of a frame, computed in the bodies' own axes.
+    pub(crate) fn in_own_axes(&mut self, frame: &Frame) -> Vec<T> {
+        let mut out = self.blank(self.tree.len());
+        self.newton_euler.inverse_dynamics_into(self.tree, &mut out);
+        out.extend(self.newton_euler.specific_force(frame).0);
+        out.extend(self.newton_euler.angular_rate(frame).0);
+        out
     }
 
     /// M.
@@ -161,7 +177,7 @@ impl<'a, T: Scalar> Kernels<'a, T> {
             vec![tau, self.torque(), self.mass(), self.coriolis()],
             derivatives.to_vec(),
             self.sensed(frame).map(|v| v.0.to_vec()).to_vec(),
-            vec![self.position_jacobian(frame), self.acceleration_map(frame)],
+            vec![self.in_own_axes(frame), self.position_jacobian(frame), self.acceleration_map(frame)],
             self.force_derivatives(frame).to_vec(),
             self.rate_derivatives(frame).to_vec(),
         ];

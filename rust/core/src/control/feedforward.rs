@@ -7,7 +7,7 @@
 //! Schröder and Thümmel (2007).
 
 use super::transmission::{Moment, SMOOTHEST, advance, damped, undamped};
-use crate::dynamics::{Kinematics, Loads};
+use crate::dynamics::NewtonEuler;
 use crate::error::DesignError;
 use crate::robot::Robot;
 use crate::scalar::Series;
@@ -114,8 +114,7 @@ struct Run<'a, const P: usize> {
     order: usize,
     /// Derivatives of a damped transmission's load that are known.
     known: usize,
-    kinematics: Kinematics<Series<P>>,
-    loads: Loads<Series<P>>,
+    motion: NewtonEuler<Series<P>>,
     /// q, q̇, q̈.
     link: [Vec<Series<P>>; 3],
     /// τ_J, and then what each transmission carries.
@@ -151,8 +150,7 @@ impl<'a, const P: usize> Run<'a, P> {
             path,
             order: derivative_order(robot) + further,
             known: 1 + further,
-            kinematics: Kinematics::new(&robot.tree),
-            loads: Loads::new(&robot.tree),
+            motion: NewtonEuler::new(&robot.tree),
             link: [zero(), zero(), zero()],
             load: zero(),
             theta: zero(),
@@ -172,8 +170,8 @@ impl<'a, const P: usize> Run<'a, P> {
             ddq[joint] = dq[joint].rate();
         }
         let tree = &self.robot.tree;
-        self.kinematics.set_motion(tree, q, dq, ddq);
-        self.loads.inverse_dynamics_into(tree, &self.kinematics, &mut self.load);
+        self.motion.set(tree, q, dq, ddq);
+        self.motion.inverse_dynamics_into(tree, &mut self.load);
         for ((load, drive), &dq) in self.load.iter_mut().zip(&self.robot.drives).zip(dq.iter()) {
             *load += drive.link_friction(dq).0;
         }

@@ -1,6 +1,6 @@
 //! Whole arrays at once: one row a sample, `count` rows, row-major.
 
-use super::{ElasticState, ForwardDynamics, Kinematics, Loads};
+use super::{ElasticState, ForwardDynamics, Kinematics, Loads, NewtonEuler};
 use crate::robot::{Drive, Robot, Sensor};
 use crate::spatial::Vec3;
 
@@ -10,6 +10,7 @@ pub struct Batch<'a> {
     robot: &'a Robot,
     kinematics: Kinematics<f64>,
     loads: Loads<f64>,
+    newton_euler: NewtonEuler<f64>,
     zero: Vec<f64>,
 }
 
@@ -43,7 +44,13 @@ impl<'a> Batch<'a> {
     /// Scratch for `robot`.
     pub fn new(robot: &'a Robot) -> Self {
         let tree = &robot.tree;
-        Self { robot, kinematics: Kinematics::new(tree), loads: Loads::new(tree), zero: vec![0.0; tree.len()] }
+        Self {
+            robot,
+            kinematics: Kinematics::new(tree),
+            loads: Loads::new(tree),
+            newton_euler: NewtonEuler::new(tree),
+            zero: vec![0.0; tree.len()],
+        }
     }
 
     /// Calls `f` with every sample's kinematics and its slice of `out`; `width` entries a sample.
@@ -65,11 +72,25 @@ impl<'a> Batch<'a> {
         }
     }
 
+    /// Calls `f` with every sample's loads and sensors and its slice of `out`; `width` entries a sample.
+    fn each_motion(
+        &mut self,
+        s: States<'_>,
+        out: &mut [f64],
+        width: usize,
+        mut f: impl FnMut(&Robot, &mut NewtonEuler<f64>, &mut [f64]),
+    ) {
+        let n = self.robot.len();
+        let rows = s.q.chunks_exact(n).zip(s.dq.chunks_exact(n)).zip(s.ddq.chunks_exact(n));
+        for (((q, dq), ddq), out) in rows.zip(out.chunks_exact_mut(width.max(1))) {
+            self.newton_euler.set(&self.robot.tree, q, dq, ddq);
+            f(self.robot, &mut self.newton_euler, out);
+        }
+    }
+
     /// τ: n a sample.
     pub fn inverse_dynamics(&mut self, s: States<'_>, out: &mut [f64]) {
-        self.each(s, out, self.robot.len(), |b, tau| {
-            b.loads.inverse_dynamics_into(&b.robot.tree, &b.kinematics, tau);
-        });
+        self.each_motion(s, out, self.robot.len(), |robot, motion, tau| motion.inverse_dynamics_into(&robot.tree, tau));
     }
 
     /// q̈ and θ̈ one after the other: 2 n a sample.
@@ -102,9 +123,11 @@ impl<'a> Batch<'a> {
 
     /// g(q): n a sample.
     pub fn gravity_torque(&mut self, q: &[f64], out: &mut [f64]) {
-        self.each_position(q, out, self.robot.len(), |b, tau| {
-            b.loads.inverse_dynamics_into(&b.robot.tree, &b.kinematics, tau);
-        });
+        let n = self.robot.len();
+        for (q, tau) in q.chunks_exact(n).zip(out.chunks_exact_mut(n)) {
+            self.newton_euler.set(&self.robot.tree, q, &self.zero, &self.zero);
+            self.newton_euler.inverse_dynamics_into(&self.robot.tree, tau);
+        }
     }
 
     /// M(q): n × n a sample.
@@ -135,8 +158,8 @@ impl<'a> Batch<'a> {
 
     /// Specific force at every recorded accelerometer axis.
     pub fn specific_force(&mut self, s: States<'_>, out: &mut [f64]) {
-        self.each(s, out, self.robot.acceleration_channels(), |b, out| {
-            read(&b.robot.accelerometers, out, |sensor| b.kinematics.specific_force(&sensor.frame));
+        self.each_motion(s, out, self.robot.acceleration_channels(), |robot, motion, out| {
+            read(&robot.accelerometers, out, |sensor| motion.specific_force(&sensor.frame));
         });
     }
 
@@ -161,8 +184,8 @@ impl<'a> Batch<'a> {
 
     /// Angular rate at every recorded gyroscope axis.
     pub fn angular_rate(&mut self, s: States<'_>, out: &mut [f64]) {
-        self.each(s, out, self.robot.gyroscope_channels(), |b, out| {
-            read(&b.robot.gyroscopes, out, |sensor| b.kinematics.angular_rate(&sensor.frame));
+        self.each_motion(s, out, self.robot.gyroscope_channels(), |robot, motion, out| {
+            read(&robot.gyroscopes, out, |sensor| motion.angular_rate(&sensor.frame));
         });
     }
 

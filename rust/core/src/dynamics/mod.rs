@@ -1,7 +1,7 @@
 //! Rigid-body dynamics of the links and kinematics of the sensors, with exact first derivatives.
 //!
 //! Set a state on a [`Kinematics`], then ask: every answer is read off the same per-body quantities in the base frame.
-//! Matrices are row-major slices. Nothing allocates after construction.
+//! Where loads and readings alone are wanted, [`NewtonEuler`] gives them with half the work. Matrices are row-major slices. Nothing allocates after construction.
 
 mod batch;
 mod definite;
@@ -9,6 +9,7 @@ mod elastic;
 mod forward;
 mod kinematics;
 mod loads;
+mod newton_euler;
 mod sensing;
 
 pub use batch::{Batch, DrivenStates, States};
@@ -17,4 +18,5 @@ pub use elastic::{ElasticDynamics, ElasticLayout};
 pub use forward::{ElasticJacobian, ElasticState, ForwardDynamics};
 pub use kinematics::Kinematics;
 pub use loads::Loads;
+pub use newton_euler::NewtonEuler;
 pub(crate) use sensing::Placed;

@@ -43,6 +43,8 @@ pub struct Body {
     pub(crate) joint: usize,
     pub(crate) kind: JointKind,
     pub(crate) rotation: Mat3<f64>,
+    /// Whether the rotation is none, as between parallel joints.
+    pub(crate) straight: bool,
     pub(crate) translation: Vec3<f64>,
     pub(crate) inertia: Inertia<f64>,
     /// From the modeller's body frame to ours.
@@ -138,6 +140,7 @@ impl Tree {
             joint,
             kind: JointKind::Revolute,
             rotation: axis,
+            straight: axis == Mat3::IDENTITY,
             translation: Vec3([0.0; 3]),
             // tr(Σ)·1 − Σ is then the spin inertia about z, and nothing about x and y.
             inertia: Inertia {
@@ -172,11 +175,13 @@ fn compile(body: usize, spec: &BodySpec, carrier: &Mat3<f64>) -> Result<Body, Ro
     }
     let z_to_axis = Mat3::z_to(&spec.axis);
     let align = z_to_axis.transpose();
+    let rotation = carrier.mul_constant(&spec.rotation).mul_constant(&z_to_axis);
     Ok(Body {
         parent: spec.parent,
         joint: spec.joint,
         kind: spec.kind,
-        rotation: carrier.mul_constant(&spec.rotation).mul_constant(&z_to_axis),
+        rotation,
+        straight: rotation == Mat3::IDENTITY,
         translation: carrier.apply(&spec.translation),
         inertia: moments(spec, &align),
         align,

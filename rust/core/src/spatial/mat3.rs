@@ -63,6 +63,20 @@ impl Mat3<f64> {
     /// The unit matrix.
     pub const IDENTITY: Self = Self([Vec3([1.0, 0.0, 0.0]), Vec3([0.0, 1.0, 0.0]), Vec3([0.0, 0.0, 1.0])]);
 
+    /// `self · v`.
+    #[inline(always)]
+    pub fn turn<T: Scalar>(&self, v: &Vec3<T>) -> Vec3<T> {
+        let [x, y, z] = v.0;
+        let [a, b, c] = self.0.map(|column| column.0);
+        Vec3([x * a[0] + y * b[0] + z * c[0], x * a[1] + y * b[1] + z * c[1], x * a[2] + y * b[2] + z * c[2]])
+    }
+
+    /// `selfᵀ · v`.
+    #[inline(always)]
+    pub fn turn_back<T: Scalar>(&self, v: &Vec3<T>) -> Vec3<T> {
+        Vec3([v.dot_constant(&self.0[0]), v.dot_constant(&self.0[1]), v.dot_constant(&self.0[2])])
+    }
+
     /// From rows, as people and NumPy write it.
     pub fn from_rows(r: [[f64; 3]; 3]) -> Self {
         Self(core::array::from_fn(|c| Vec3([r[0][c], r[1][c], r[2][c]])))

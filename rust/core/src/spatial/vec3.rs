@@ -23,6 +23,12 @@ impl<T: Scalar> Vec3<T> {
         self.0[0] * o.0[0] + self.0[1] * o.0[1] + self.0[2] * o.0[2]
     }
 
+    /// Scalar product with a constant vector.
+    #[inline(always)]
+    pub fn dot_constant(&self, o: &Vec3<f64>) -> T {
+        self.0[0] * o.0[0] + self.0[1] * o.0[1] + self.0[2] * o.0[2]
+    }
+
     /// Vector product `self × o`.
     #[inline(always)]
     pub fn cross(&self, o: &Self) -> Self {

@@ -45,7 +45,7 @@ pub(super) struct Sums {
 }
 
 /// Room for [`WIDE`] particles on their way.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Scratch {
     pub(super) sensed: Sensed<Wide>,
     /// q, q̇, q̈ and biases before the noise, and after it.
@@ -97,6 +97,16 @@ impl Block {
         }
     }
 
+    /// Sums of the state's entries by weights.
+    #[inline(always)]
+    fn sum_state(&mut self) {
+        let Self { weights, sums, state, count, .. } = self;
+        let used = count.next_multiple_of(WIDE);
+        for (sum, row) in sums.state.iter_mut().zip(state.chunks_exact(BLOCK)) {
+            *sum = dot(&weights[..used], &row[..used]);
+        }
+    }
+
     /// Groups of [`WIDE`] that hold a particle in use.
     #[inline(always)]
     pub(super) fn groups(&self) -> usize {
@@ -121,7 +131,7 @@ impl Kernel for Weigh<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Block { log_weights, weights, sums, state, count, .. } = self.block;
+        let Block { log_weights, weights, sums, count, .. } = &mut *self.block;
         let used = count.next_multiple_of(WIDE);
         let logs = log_weights[..used].as_chunks::<WIDE>().0;
         let mut most = [f64::NEG_INFINITY; WIDE];
@@ -141,9 +151,55 @@ impl Kernel for Weigh<'_> {
             square += w * w;
         }
         (sums.weight, sums.square) = (total(weight), total(square));
-        for (sum, row) in sums.state.iter_mut().zip(state.chunks_exact(BLOCK)) {
-            *sum = dot(&weights[..used], &row[..used]);
+        self.block.sum_state();
+    }
+}
+
+/// A block of copies of particles.
+pub(super) struct Gather<'a> {
+    pub(super) source: &'a [Block],
+    pub(super) ancestors: &'a [u32],
+    /// As [`Block::state`].
+    pub(super) next: &'a mut [f64],
+}
+
+impl Kernel for Gather<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { source, ancestors, next } = self;
+        let mut from = 0;
+        // Ancestors come in order, so that hardly ever more than two blocks take part.
+        for run in ancestors.chunk_by(|a, b| *a as usize / BLOCK == *b as usize / BLOCK) {
+            let rows = source[run[0] as usize / BLOCK].state.as_chunks::<BLOCK>().0;
+            for (next, row) in next.chunks_exact_mut(BLOCK).zip(rows) {
+                for (slot, &a) in next[from..].iter_mut().zip(run) {
+                    *slot = row[a as usize % BLOCK];
+                }
+            }
+            from += run.len();
         }
+    }
+}
+
+/// Gives all particles of a block one weight.
+pub(super) struct Level<'a> {
+    pub(super) block: &'a mut Block,
+    pub(super) log_weight: f64,
+}
+
+impl Kernel for Level<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { block: Block { log_weights, weights, sums, count, .. }, log_weight } = self;
+        log_weights[..*count].fill(log_weight);
+        weights[..*count].fill(1.0);
+        weights[*count..].fill(0.0);
+        (sums.largest, sums.best, sums.weight, sums.square) = (log_weight, 0, *count as f64, *count as f64);
+        self.block.sum_state();
     }
 }
 

@@ -1,18 +1,19 @@
 //! The channels of several particles at once: predictions, and how they change with an increment of acceleration.
 
-use crate::dynamics::{Kinematics, Loads};
+use crate::dynamics::{Kinematics, Loads, NewtonEuler};
 use crate::estimate::kalman::{Channel, JerkModel};
 use crate::robot::{Drive, Sensor};
 use crate::scalar::Scalar;
 use crate::spatial::Vec3;
 
 /// Scratch and results of an evaluation.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Sensed<T> {
     /// h (channels), without bias.
     pub(super) prediction: Vec<T>,
     /// ∂h/∂w (channels × n) for an increment w of acceleration that acts from the start of the interval.
     pub(super) by_increment: Vec<T>,
+    motion: NewtonEuler<T>,
     kinematics: Kinematics<T>,
     loads: Loads<T>,
     tau: Vec<T>,
@@ -31,6 +32,7 @@ impl<T: Scalar> Sensed<T> {
         Self {
             prediction: room(m),
             by_increment: room(m * n),
+            motion: NewtonEuler::new(tree),
             kinematics: Kinematics::new(tree),
             loads: Loads::new(tree),
             tau: room(n),
@@ -44,8 +46,8 @@ impl<T: Scalar> Sensed<T> {
     #[inline(always)]
     pub(super) fn predict(&mut self, model: &JerkModel, state: &[T], dtheta: &[f64]) {
         let (tree, n) = (&model.robot.tree, model.joints());
-        self.kinematics.set_motion(tree, &state[..n], &state[n..2 * n], &state[2 * n..3 * n]);
-        self.loads.inverse_dynamics_into(tree, &self.kinematics, &mut self.tau);
+        self.motion.set(tree, &state[..n], &state[n..2 * n], &state[2 * n..3 * n]);
+        self.motion.inverse_dynamics_into(tree, &mut self.tau);
         let mut row = 0;
         while row < model.channels.len() {
             row += self.read(model, row, state, dtheta);
@@ -63,13 +65,13 @@ impl<T: Scalar> Sensed<T> {
             Channel::MotorVelocity(_) => T::default(),
             Channel::Acceleration { sensor, .. } => {
                 let sensor = &robot.accelerometers[sensor];
-                let force = self.kinematics.specific_force(&sensor.frame);
-                return sensor.record(&force, &mut self.prediction[row..]);
+                let force = self.motion.specific_force_of_body(&sensor.frame);
+                return sensor.record_of_body(&force, &mut self.prediction[row..]);
             }
             Channel::Rate { sensor, .. } => {
                 let sensor = &robot.gyroscopes[sensor];
-                let rate = self.kinematics.angular_rate(&sensor.frame);
-                return sensor.record(&rate, &mut self.prediction[row..]);
+                let rate = self.motion.angular_rate_of_body(&sensor.frame);
+                return sensor.record_of_body(&rate, &mut self.prediction[row..]);
             }
         };
         1

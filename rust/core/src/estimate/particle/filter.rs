@@ -1,12 +1,14 @@
 //! The particle filter: one step, and whole recordings.
 
-use super::cloud::{BLOCK, Cloud, Deviations, Weigh};
+use super::cloud::{BLOCK, Cloud, Deviations, Gather, Level};
+use super::density::Density;
 use super::moves::{Moments, Spread};
 use super::output::{ParticleOutput, Summary};
 use super::proposal::{Advance, Reading, Sample, Walk};
 use super::random::{Purpose, Stream};
 use super::resample;
 use super::settings::{Collapse, ParticleSettings, Proposal};
+use super::shared::{Probe, Shared};
 use super::start::Start;
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
@@ -31,6 +33,9 @@ pub struct ParticleFilter {
     pub(super) belief: Gaussian,
     pub(super) cloud: Cloud,
     pub(super) sample: Sample,
+    shared: Shared,
+    /// Whether the shared linearisation is that of each particle.
+    sharing: bool,
     /// Variance of each channel's bias for a given path of the links (channels), where biases are marginalised.
     pub(super) bias_variance: Vec<f64>,
     pub(super) summary: Summary,
@@ -71,6 +76,8 @@ impl ParticleFilter {
             belief: Gaussian::independent(&vec![0.0; d]),
             cloud: Cloud::new(jerk, settings.particles),
             sample,
+            shared: Shared::new(jerk),
+            sharing: false,
             bias_variance: vec![0.0; m],
             summary: Summary::new(jerk, settings.particles),
             wanted: Moments::new(d),
@@ -117,6 +124,7 @@ impl ParticleFilter {
         if !self.started {
             self.scatter();
         }
+        self.share();
         self.advance();
         if !self.summarise() {
             self.recover()?;
@@ -214,10 +222,24 @@ impl ParticleFilter {
         }
     }
 
+    /// Linearises once for all particles, if that is what each would find.
+    fn share(&mut self) {
+        let Self { model, sample, shared, sharing, cloud, settings, belief, .. } = self;
+        let once = matches!(settings.proposal, Proposal::Linearised { iterations: 1, .. });
+        *sharing = self.started && once && settings.densities.iter().all(Density::is_normal);
+        if *sharing {
+            let linearised = model.linearised();
+            shared.set(sample, linearised, &belief.mean);
+            let probe = Probe { model: model.jerk_model(), sample, shared, linearised, cloud };
+            *sharing = simd::dispatch_lanes(simd::level(), probe);
+        }
+    }
+
     fn advance(&mut self) {
-        let Self { model, sample, cloud, threads, .. } = self;
+        let Self { model, sample, shared, sharing, cloud, threads, .. } = self;
         let (model, sample, level) = (model.jerk_model(), &*sample, simd::level());
-        cloud.each(*threads, |block| simd::dispatch_lanes(level, Advance { model, sample, block }));
+        let shared = sharing.then_some(&*shared);
+        cloud.each(*threads, |block| simd::dispatch_lanes(level, Advance { model, sample, shared, block }));
     }
 
     /// Mean, spread, likelihood and effective number; false when no particle has a weight.
@@ -331,14 +353,9 @@ impl ParticleFilter {
 
     fn copy_ancestors(&mut self) {
         let Self { cloud: Cloud { blocks, next }, ancestors, threads, .. } = self;
-        let source = &*blocks;
+        let (source, level) = (&*blocks, simd::level());
         let copy = |(next, ancestors): (&mut Vec<f64>, &[u32])| {
-            for (d, row) in next.chunks_exact_mut(BLOCK).enumerate() {
-                for (slot, &a) in row.iter_mut().zip(ancestors) {
-                    let a = a as usize;
-                    *slot = source[a / BLOCK].state[d * BLOCK + a % BLOCK];
-                }
-            }
+            simd::dispatch_lanes(level, Gather { source, ancestors, next })
         };
         if *threads {
             next.par_iter_mut().zip(ancestors.par_chunks(BLOCK)).for_each(copy);
@@ -354,11 +371,8 @@ impl ParticleFilter {
     /// Gives all particles the same weight.
     fn level(&mut self) {
         let Self { cloud, settings, sample, threads, .. } = self;
-        let (even, level) = (-ln(settings.particles as f64), simd::level());
-        cloud.each(*threads, |block| {
-            block.log_weights[..block.count].fill(even);
-            simd::dispatch_lanes(level, Weigh { block });
-        });
+        let (log_weight, level) = (-ln(settings.particles as f64), simd::level());
+        cloud.each(*threads, |block| simd::dispatch_lanes(level, Level { block, log_weight }));
         sample.offset = 0.0;
     }
 

@@ -10,6 +10,7 @@ mod proposal;
 mod random;
 mod resample;
 mod settings;
+mod shared;
 mod smoother;
 mod start;
 

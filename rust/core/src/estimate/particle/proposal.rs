@@ -5,6 +5,7 @@ use super::density::{Noise, log_gamma};
 use super::evaluation::Reach;
 use super::random::{Purpose, Stream};
 use super::settings::Proposal;
+use super::shared::Shared;
 use crate::estimate::kalman::JerkModel;
 use crate::linear;
 use crate::scalar::{Lanes, Scalar, ln};
@@ -59,6 +60,8 @@ pub(super) struct Walk {
 pub(super) struct Advance<'a> {
     pub(super) model: &'a JerkModel,
     pub(super) sample: &'a Sample,
+    /// None where each particle linearises its own readings.
+    pub(super) shared: Option<&'a Shared>,
     pub(super) block: &'a mut Block,
 }
 
@@ -67,11 +70,11 @@ impl Kernel for Advance<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { model, sample, block } = self;
+        let Self { model, sample, shared, block } = self;
         for group in 0..block.groups() {
             let items = block.items(group);
             load(block, group);
-            let increment = block.scratch.step(model, sample, items);
+            let increment = block.scratch.step(model, sample, shared, items);
             if !increment.0.iter().all(|x| x.is_finite()) {
                 block.scratch.bring_back();
             }
@@ -104,7 +107,7 @@ fn store(block: &mut Block, group: usize, increment: Wide, offset: f64) {
 impl Scratch {
     /// From `before` to `after`; returns by how much the logarithms of the weights change.
     #[inline(always)]
-    fn step(&mut self, model: &JerkModel, sample: &Sample, items: [u32; WIDE]) -> Wide {
+    fn step(&mut self, model: &JerkModel, sample: &Sample, shared: Option<&Shared>, items: [u32; WIDE]) -> Wide {
         let n = model.joints();
         let motion = Stream::new(sample.seed, sample.step, Purpose::Motion);
         draw(&motion, items, 0, &mut self.normal[..sample.draws]);
@@ -115,7 +118,7 @@ impl Scratch {
                 self.noise.copy_from_slice(&self.normal[..n]);
                 Wide::default()
             }
-            Proposal::Linearised { iterations, tail } => self.propose(model, sample, items, iterations, tail),
+            Proposal::Linearised { iterations, tail } => self.propose(model, sample, shared, items, iterations, tail),
         };
         self.apply_noise(sample);
         self.sensed.predict(model, &self.after, &sample.dtheta);
@@ -142,7 +145,7 @@ impl Scratch {
 
     /// Motion without noise: x ← F x + G u (Axelsson, Karlsson and Norrlöf 2012, eq. (10)).
     #[inline(always)]
-    fn coast(&mut self, n: usize, sample: &Sample) {
+    pub(super) fn coast(&mut self, n: usize, sample: &Sample) {
         let (dt, half) = (sample.dt, 0.5 * sample.dt * sample.dt);
         for j in 0..n {
             let (dq, ddq, u) = (self.before[n + j], self.before[2 * n + j], sample.jerk[j]);
@@ -170,10 +173,22 @@ impl Scratch {
         &mut self,
         model: &JerkModel,
         sample: &Sample,
+        shared: Option<&Shared>,
         items: [u32; WIDE],
         iterations: usize,
         tail: Option<u32>,
     ) -> Wide {
+        match shared {
+            Some(shared) => self.seek(shared),
+            None => self.linearise(model, sample, iterations),
+        }
+        let stretch = tail.map(|dof| stretch(sample, items, dof));
+        self.draw_around_mode(shared, stretch.zip(tail))
+    }
+
+    /// ŵ into `mode` and L with Λ = L Lᵀ into `factor`, of this particle's own readings.
+    #[inline(always)]
+    fn linearise(&mut self, model: &JerkModel, sample: &Sample, iterations: usize) {
         let n = self.mode.len();
         self.mode.fill(Wide::default());
         for iteration in 0..iterations {
@@ -185,8 +200,6 @@ impl Scratch {
             linear::solve(&self.factor, n, &mut self.mode, 1);
         }
         linear::root(&mut self.factor, n);
-        let stretch = tail.map(|dof| stretch(sample, items, dof));
-        self.draw_around_mode(stretch.zip(tail))
     }
 
     /// Λ into `factor` and AᵀS⁻¹(ε + A ŵ) into `mode`, ε taken at ŵ.
@@ -222,36 +235,29 @@ impl Scratch {
     /// w = ŵ + L⁻ᵀζ with Λ = L Lᵀ, ζ normal or Student's; returns log p(w) − log q(w) but for a constant that is the
     /// same for all particles where ζ is normal.
     #[inline(always)]
-    fn draw_around_mode(&mut self, heavy: Option<(Wide, u32)>) -> Wide {
+    fn draw_around_mode(&mut self, shared: Option<&Shared>, heavy: Option<(Wide, u32)>) -> Wide {
         let n = self.mode.len();
-        let mut change = Wide::default();
-        let mut square = Wide::default();
-        let mut determinant = Wide::constant(1.0);
-        for j in 0..n {
-            if let Some((stretch, _)) = heavy {
-                self.normal[j] = self.normal[j] * stretch;
-            }
-            square += self.normal[j] * self.normal[j];
-            determinant = determinant * self.factor[j * n + j];
+        if let Some((stretch, _)) = heavy {
+            self.normal[..n].iter_mut().for_each(|normal| *normal = *normal * stretch);
         }
-        change += match heavy {
-            None => square * 0.5,
-            Some((_, dof)) => student_term(square, f64::from(dof), n),
+        let length = square(&self.normal[..n]);
+        let mut change = match heavy {
+            None => length * 0.5,
+            Some((_, dof)) => student_term(length, f64::from(dof), n),
         };
-        change -= determinant.map(ln);
         self.noise.copy_from_slice(&self.normal[..n]);
-        for j in (0..n).rev() {
-            let mut value = self.noise[j];
-            for k in j + 1..n {
-                value -= self.factor[k * n + j] * self.noise[k];
-            }
-            self.noise[j] = value / self.factor[j * n + j];
+        if let Some(shared) = shared {
+            unwind(&mut self.noise, |i| Wide::constant(shared.factor[i]));
+            change += Wide::constant(shared.constant);
+        } else {
+            unwind(&mut self.noise, |i| self.factor[i]);
+            let diagonal = self.factor.iter().step_by(n + 1);
+            change -= diagonal.fold(Wide::constant(1.0), |product, &root| product * root).map(ln);
         }
-        for j in 0..n {
-            self.noise[j] += self.mode[j];
-            change -= self.noise[j] * self.noise[j] * 0.5;
+        for (noise, mode) in self.noise.iter_mut().zip(&self.mode) {
+            *noise += *mode;
         }
-        change
+        change - square(&self.noise) * 0.5
     }
 
     /// x = x⁻ + G w.
@@ -286,8 +292,27 @@ impl Scratch {
     }
 }
 
+/// ζ to L⁻ᵀζ, entry i of L by rows being `factor(i)`.
 #[inline(always)]
-fn reach(dt: f64) -> Reach {
+fn unwind(zeta: &mut [Wide], factor: impl Fn(usize) -> Wide) {
+    let n = zeta.len();
+    for j in (0..n).rev() {
+        let mut value = zeta[j];
+        for k in j + 1..n {
+            value -= factor(k * n + j) * zeta[k];
+        }
+        zeta[j] = value / factor(j * n + j);
+    }
+}
+
+#[inline(always)]
+fn square(x: &[Wide]) -> Wide {
+    x.iter().fold(Wide::default(), |sum, &x| sum + x * x)
+}
+
+/// How far an increment of acceleration reaches in `dt`.
+#[inline(always)]
+pub(super) fn reach(dt: f64) -> Reach {
     [0.5 * dt * dt, dt, 1.0]
 }
 

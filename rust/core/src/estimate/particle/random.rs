@@ -5,8 +5,9 @@
 use crate::scalar::{Lanes, Scalar, ln};
 
 const MULTIPLIERS: [u64; 2] = [0xD251_1F53, 0xCD9E_8D57];
-const WEYL: [u32; 2] = [0x9E37_79B9, 0xBB67_AE85];
+const WEYL: [u64; 2] = [0x9E37_79B9, 0xBB67_AE85];
 const ROUNDS: u32 = 10;
+const WORD: u64 = 0xFFFF_FFFF;
 
 /// What a number is drawn for; streams of different purposes never meet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,7 +35,8 @@ impl Stream {
     /// The `draw`-th two uniform numbers in (0, 1) of each of `items`.
     #[inline(always)]
     pub(super) fn uniforms<const L: usize>(&self, items: [u32; L], draw: u32) -> [Lanes<L>; 2] {
-        let mut words = [items, [draw; L], [self.step; L], [self.purpose; L]];
+        let wide = |word: u32| [u64::from(word); L];
+        let mut words = [items.map(u64::from), wide(draw), wide(self.step), wide(self.purpose)];
         philox(&mut words, self.seed);
         [open_unit(&words[0], &words[1]), open_unit(&words[2], &words[3])]
     }
@@ -55,33 +57,29 @@ impl Stream {
 }
 
 /// Ten rounds on L counters at once.
+///
+/// Each word of 32 bits is the lower half of 64, as the instruction that multiplies wants it; what is in the upper half
+/// does not matter before the end.
 #[inline(always)]
-fn philox<const L: usize>(words: &mut [[u32; L]; 4], seed: u64) {
-    let mut key = [seed as u32, (seed >> 32) as u32];
+fn philox<const L: usize>(words: &mut [[u64; L]; 4], seed: u64) {
+    let mut key = [seed & WORD, seed >> 32];
     for _ in 0..ROUNDS {
-        let [mut high, mut low] = [[[0_u32; L]; 2]; 2];
-        for half in 0..2 {
-            for l in 0..L {
-                let product = u64::from(words[2 * half][l]) * MULTIPLIERS[half];
-                (high[half][l], low[half][l]) = ((product >> 32) as u32, product as u32);
-            }
-        }
         for l in 0..L {
-            words[0][l] = high[1][l] ^ words[1][l] ^ key[0];
-            words[1][l] = low[1][l];
-            words[2][l] = high[0][l] ^ words[3][l] ^ key[1];
-            words[3][l] = low[0][l];
+            let products = [(words[0][l] & WORD) * MULTIPLIERS[0], (words[2][l] & WORD) * MULTIPLIERS[1]];
+            words[0][l] = (products[1] >> 32) ^ words[1][l] ^ key[0];
+            words[2][l] = (products[0] >> 32) ^ words[3][l] ^ key[1];
+            (words[1][l], words[3][l]) = (products[1], products[0]);
         }
-        key = [key[0].wrapping_add(WEYL[0]), key[1].wrapping_add(WEYL[1])];
+        key = [(key[0] + WEYL[0]) & WORD, (key[1] + WEYL[1]) & WORD];
     }
 }
 
-/// 52 bits as the middle of one of 2⁵² equal parts of (0, 1).
+/// 52 bits of two words as the middle of one of 2⁵² equal parts of (0, 1).
 #[inline(always)]
-fn open_unit<const L: usize>(high: &[u32; L], low: &[u32; L]) -> Lanes<L> {
+fn open_unit<const L: usize>(high: &[u64; L], low: &[u64; L]) -> Lanes<L> {
     let mut out = Lanes([0.0; L]);
     for l in 0..L {
-        let bits = (u64::from(high[l]) << 32 | u64::from(low[l])) >> 12;
+        let bits = (high[l] << 32 | (low[l] & WORD)) >> 12;
         out.0[l] = f64::from_bits(bits | 0x3FF0_0000_0000_0000) - (1.0 - 0.5 * f64::EPSILON);
     }
     out
@@ -104,9 +102,9 @@ mod tests {
             ),
         ];
         for (counter, seed, expected) in cases {
-            let mut words = counter.map(|word| [word]);
+            let mut words = counter.map(|word| [u64::from(word)]);
             philox(&mut words, seed);
-            assert_eq!(words.map(|[word]| word), expected);
+            assert_eq!(words.map(|[word]| word as u32), expected);
         }
     }
 

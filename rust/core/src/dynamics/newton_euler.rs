@@ -1,0 +1,194 @@
+//! Inverse dynamics and sensors alone, each body in its own axes: half the work of [`Kinematics`](super::Kinematics) with
+//! [`Loads`](super::Loads), which derivatives and matrices need.
+
+use crate::robot::{Body, Frame, JointKind, Tree};
+use crate::scalar::Scalar;
+use crate::spatial::{Inertia, Mat3, Vec3};
+
+/// How a body moves, and what that takes, in its own axes.
+#[derive(Clone, Copy, Debug, Default)]
+struct Moving<T> {
+    /// Sine and cosine of a revolute joint's position; a prismatic one's position, and 1.
+    turn: (T, T),
+    angular_velocity: Vec3<T>,
+    angular_acceleration: Vec3<T>,
+    /// Of the origin, against free fall.
+    acceleration: Vec3<T>,
+    /// Γ = [α]× + ω ωᵀ − ω² 1: the point at r accelerates by Γ r more than the origin.
+    gradient: Mat3<T>,
+    force: Vec3<T>,
+    moment: Vec3<T>,
+}
+
+/// Scratch of the recursive Newton–Euler algorithm for one robot.
+///
+/// Luh, Walker and Paul (1980), written in moments of mass: with Γ constant over a body its momentum changes by
+/// m a + Γ∫r dm, and its moment of momentum by ∫r dm × a and the skew part of Γ∫r rᵀ dm.
+#[derive(Clone, Debug, Default)]
+pub struct NewtonEuler<T> {
+    bodies: Vec<Moving<T>>,
+}
+
+impl<T: Scalar> NewtonEuler<T> {
+    /// Room for `tree`.
+    pub fn new(tree: &Tree) -> Self {
+        Self { bodies: vec![Moving::default(); tree.len()] }
+    }
+
+    /// Moves all bodies; positions, velocities and accelerations of length n, in the order of the log.
+    #[inline(always)]
+    pub fn set(&mut self, tree: &Tree, q: &[T], dq: &[T], ddq: &[T]) {
+        for (i, body) in tree.bodies.iter().enumerate() {
+            let j = body.joint;
+            let mut moving = match body.parent {
+                Some(p) => self.bodies[p].carry(body),
+                None => Moving {
+                    acceleration: Vec3::constant(&-body.rotation.apply_transposed(&tree.gravity)),
+                    ..Moving::default()
+                },
+            };
+            match body.kind {
+                JointKind::Revolute => moving.revolve(q[j], dq[j], ddq[j]),
+                JointKind::Prismatic => moving.slide(q[j], dq[j], ddq[j]),
+            }
+            self.bodies[i] = moving;
+        }
+    }
+
+    /// τ (n) for the state that was set.
+    #[inline(always)]
+    pub fn inverse_dynamics_into(&mut self, tree: &Tree, tau: &mut [T]) {
+        for (moving, body) in self.bodies.iter_mut().zip(&tree.bodies) {
+            moving.load(&body.inertia);
+        }
+        for (i, body) in tree.bodies.iter().enumerate().rev() {
+            let Moving { force, moment, .. } = &self.bodies[i];
+            tau[body.joint] = match body.kind {
+                JointKind::Revolute => moment.0[2],
+                JointKind::Prismatic => force.0[2],
+            };
+            if let Some(p) = body.parent {
+                let (force, moment) = self.bodies[i].hand_over(body);
+                self.bodies[p].force += force;
+                self.bodies[p].moment += moment;
+            }
+        }
+    }
+
+    /// Specific force of an ideal accelerometer, as [`Kinematics::specific_force`](super::Kinematics::specific_force)
+    /// [m/s²].
+    #[inline(always)]
+    pub fn specific_force(&self, frame: &Frame) -> Vec3<T> {
+        frame.rotation.turn_back(&self.specific_force_of_body(frame))
+    }
+
+    /// The same in the axes of the body.
+    #[inline(always)]
+    pub(crate) fn specific_force_of_body(&self, frame: &Frame) -> Vec3<T> {
+        let body = &self.bodies[frame.body];
+        body.acceleration + body.gradient.apply_constant(&frame.translation)
+    }
+
+    /// Angular velocity in the frame's own axes [rad/s]: an ideal gyroscope.
+    #[inline(always)]
+    pub fn angular_rate(&self, frame: &Frame) -> Vec3<T> {
+        frame.rotation.turn_back(&self.angular_rate_of_body(frame))
+    }
+
+    /// The same in the axes of the body.
+    #[inline(always)]
+    pub(crate) fn angular_rate_of_body(&self, frame: &Frame) -> Vec3<T> {
+        self.bodies[frame.body].angular_velocity
+    }
+}
+
+impl<T: Scalar> Moving<T> {
+    /// A body that this one carries, its joint held at zero.
+    #[inline(always)]
+    fn carry(&self, body: &Body) -> Self {
+        let acceleration = self.acceleration + self.gradient.apply_constant(&body.translation);
+        let [angular_velocity, angular_acceleration, acceleration] = if body.straight {
+            [self.angular_velocity, self.angular_acceleration, acceleration]
+        } else {
+            [
+                body.rotation.turn_back(&self.angular_velocity),
+                body.rotation.turn_back(&self.angular_acceleration),
+                body.rotation.turn_back(&acceleration),
+            ]
+        };
+        Self { angular_velocity, angular_acceleration, acceleration, ..Self::default() }
+    }
+
+    #[inline(always)]
+    fn revolve(&mut self, q: T, dq: T, ddq: T) {
+        let (sin, cos) = q.sin_cos();
+        let back = |v: &Vec3<T>| Vec3([v.0[0] * cos + v.0[1] * sin, v.0[1] * cos - v.0[0] * sin, v.0[2]]);
+        let [x, y, z] = back(&self.angular_velocity).0;
+        let [dx, dy, dz] = back(&self.angular_acceleration).0;
+        self.turn = (sin, cos);
+        self.angular_velocity = Vec3([x, y, z + dq]);
+        self.angular_acceleration = Vec3([dx + y * dq, dy - x * dq, dz + ddq]);
+        self.acceleration = back(&self.acceleration);
+        self.set_gradient();
+    }
+
+    #[inline(always)]
+    fn slide(&mut self, q: T, dq: T, ddq: T) {
+        self.set_gradient();
+        self.turn = (q, T::constant(1.0));
+        let [x, y, _] = self.angular_velocity.0;
+        let twice = dq + dq;
+        self.acceleration += self.gradient.0[2].scale(q) + Vec3([y * twice, -(x * twice), ddq]);
+    }
+
+    #[inline(always)]
+    fn set_gradient(&mut self) {
+        let ([x, y, z], [a, b, c]) = (self.angular_velocity.0, self.angular_acceleration.0);
+        let (xx, yy, zz) = (x * x, y * y, z * z);
+        let (xy, xz, yz) = (x * y, x * z, y * z);
+        self.gradient = Mat3([
+            Vec3([-(yy + zz), xy + c, xz - b]),
+            Vec3([xy - c, -(xx + zz), yz + a]),
+            Vec3([xz + b, yz - a, -(xx + yy)]),
+        ]);
+    }
+
+    /// What the body's own mass takes.
+    #[inline(always)]
+    fn load(&mut self, mass: &Inertia<f64>) {
+        let [x, y, z] = self.gradient.0.map(|column| column.0);
+        let [sx, sy, sz] = mass.second.columns().map(|column| column.0);
+        // Entry (row, column) of Γ∫r rᵀ dm.
+        let entry = |row: usize, s: &[f64; 3]| x[row] * s[0] + y[row] * s[1] + z[row] * s[2];
+        let [a, b, c] = self.acceleration.0;
+        let [fx, fy, fz] = mass.first.0;
+        self.force = self.acceleration * mass.mass + self.gradient.apply_constant(&mass.first);
+        self.moment = Vec3([
+            c * fy - b * fz + entry(2, &sy) - entry(1, &sz),
+            a * fz - c * fx + entry(0, &sz) - entry(2, &sx),
+            b * fx - a * fy + entry(1, &sx) - entry(0, &sy),
+        ]);
+    }
+
+    /// Force and moment, in the axes of the carrying body and about its origin.
+    #[inline(always)]
+    fn hand_over(&self, body: &Body) -> (Vec3<T>, Vec3<T>) {
+        let (mut force, mut moment) = (self.force, self.moment);
+        match body.kind {
+            JointKind::Revolute => {
+                let (sin, cos) = self.turn;
+                let turn = |v: &Vec3<T>| Vec3([v.0[0] * cos - v.0[1] * sin, v.0[1] * cos + v.0[0] * sin, v.0[2]]);
+                (force, moment) = (turn(&force), turn(&moment));
+            }
+            JointKind::Prismatic => {
+                let q = self.turn.0;
+                moment += Vec3([-(q * force.0[1]), q * force.0[0], T::default()]);
+            }
+        }
+        if !body.straight {
+            (force, moment) = (body.rotation.turn(&force), body.rotation.turn(&moment));
+        }
+        let ([x, y, z], [a, b, c]) = (force.0, body.translation.0);
+        (force, moment + Vec3([z * b - y * c, x * c - z * a, y * a - x * b]))
+    }
+}
