@@ -17,6 +17,7 @@ FloatArray = npt.NDArray[np.float64]
 
 HERE = Path(__file__).parent
 RECORDINGS = ("arm2_square", "arm2_square_mismatch")
+COUNTS = [100, 250, 500, 1000, 2000, 4000, 8000]
 METHODS = {"plain": ParticleFilter, "marginalised": MarginalizedParticleFilter}
 MEASURES = ("error", "from the Kalman filter", "q_std / its q_std")
 TUNED = ("transmission", "acceleration")
@@ -25,7 +26,7 @@ TUNED = ("transmission", "acceleration")
 def main() -> None:
     """Estimate both recordings with every number of particles and seed, and draw the medians."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--particles", type=int, nargs="+", default=[100, 250, 500, 1000, 2000, 4000, 8000])
+    parser.add_argument("--particles", type=int, nargs="+", default=COUNTS, help="two at least")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--kernel", type=float, default=1.0)
     options = parser.parse_args()
@@ -103,9 +104,10 @@ def apart(tool: FloatArray | None, other: FloatArray | None) -> float:
 
 
 def say(what: str, counts: list[int], found: FloatArray) -> None:
-    """Medians over seeds, the worst in brackets, and the power of N with which the median falls."""
+    """Medians over seeds, the worst in brackets, and the power of N with which the median goes in the upper half."""
     medians = np.median(found, axis=1)
-    power = np.polyfit(np.log(counts), np.log(medians), 1)[0]
+    upper = slice(len(counts) // 2, None)
+    power = np.polyfit(np.log(counts[upper]), np.log(medians[upper]), 1)[0]
     row = "  ".join(f"{n}: {m:.4f} ({f.max():.3f})" for n, m, f in zip(counts, medians, found, strict=True))
     print(f"  {what:36} {row}  N^{power:.2f}", flush=True)
 
