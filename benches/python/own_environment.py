@@ -14,8 +14,8 @@ def interpreter(name: str, *requirements: str) -> Path | None:
     complete = folder / "complete"
     if complete.exists():
         return python
-    make = [sys.executable, "-m", "venv", "--clear", folder]
-    fill = [python, "-m", "pip", "install", "--quiet", "--retries", "1", "--timeout", "10", *requirements]
+    make = [sys.executable, "-m", "venv", "--clear", str(folder)]
+    fill = [str(python), "-m", "pip", "install", "--quiet", "--retries", "1", "--timeout", "10", *requirements]
     try:
         for command in (make, fill):
             subprocess.run(command, check=True, capture_output=True)

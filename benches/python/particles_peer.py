@@ -21,7 +21,7 @@ SAMPLES = 400
 REST = np.zeros((1, 10))
 
 
-class Motion(distributions.ProbDist):  # type: ignore[misc]
+class Motion(distributions.ProbDist):
     """Where a particle goes, by the noise that takes it there: noise enters six of ten entries of the state."""
 
     dim = 10
@@ -39,7 +39,7 @@ class Motion(distributions.ProbDist):  # type: ignore[misc]
         return density
 
 
-class Arm(state_space_models.StateSpaceModel):  # type: ignore[misc]
+class Arm(state_space_models.StateSpaceModel):
     """Two joints; the names are those of the package."""
 
     def PX0(self) -> Motion:
