@@ -1,7 +1,7 @@
 """The whole-array particle filter in NumPy; derivatives by complex steps, exact."""
 
 import numpy as np
-from array_particle import EPSILON, Draws, reading, step
+from array_particle import EPSILON, READING, Draws, reading, step
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -23,3 +23,9 @@ def slopes(x: Array) -> Array:
     """Readings by the noise of the two accelerations (N, 4, 2)."""
     directions = 1j * EPSILON * np.eye(6)[:2]
     return np.stack([reading(np, x, np.tile(d, (len(x), 1))).imag / EPSILON for d in directions], axis=2)
+
+
+def at_rest(samples: int) -> Array:
+    """Readings (T, 4) of an arm that does not move."""
+    noise = np.random.default_rng(1).standard_normal((samples, 4))
+    return reading(np, np.zeros((1, 10)), np.zeros((1, 6))) + np.array(READING) * noise

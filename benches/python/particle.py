@@ -1,6 +1,7 @@
-"""Particle filters beside whole arrays in NumPy and JAX: two joints, N = 1000, time for a particle and step.
+"""Particle filters beside whole arrays in NumPy and JAX, and `particles`: two joints, N = 1000, a particle and step.
 
-The package `particles` is not beside them: it needs NumPy 1, and cannot be installed where JAX is.
+The package `particles` needs NumPy 1, and cannot be installed where JAX is: it gets an environment of its own. Its
+matrices are small; with more than one thread of BLAS it takes several times as long.
 """
 
 import os
@@ -8,10 +9,11 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from importlib import import_module
+from pathlib import Path
 
-import numpy as np
-from array_particle import READING, reading
 from kalman import load
+from numpy_particle import at_rest
+from own_environment import interpreter
 from timing import Result, microseconds
 
 from linkside import MarginalizedParticleFilter, ParticleFilter
@@ -54,8 +56,7 @@ def in_process(threads: int) -> float:
 
 def against(linearised: bool) -> Iterator[tuple[str, float | None]]:
     """A step of each peer, on the readings of an arm at rest."""
-    noise = np.random.default_rng(1).standard_normal((SAMPLES, 4))
-    y = reading(np, np.zeros((1, 10)), np.zeros((1, 6))) + np.array(READING) * noise
+    y = at_rest(SAMPLES)
     for name, file in PEERS.items():
         try:
             run = import_module(file).run
@@ -63,6 +64,17 @@ def against(linearised: bool) -> Iterator[tuple[str, float | None]]:
             yield f"{error.name} is not installed", None
         else:
             yield name, microseconds(lambda run=run: run(y, COUNT, linearised), SAMPLES, repeats=3)
+    yield in_own_environment(linearised)
+
+
+def in_own_environment(linearised: bool) -> tuple[str, float | None]:
+    """A step of the package `particles`."""
+    python = interpreter("particles", "particles==0.4", "numpy<2")
+    if python is None:
+        return "particles is not installed", None
+    command = [python, Path(__file__).with_name("particles_peer.py"), str(COUNT), *["--linearised"] * linearised]
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    return "particles", float(subprocess.run(command, env=environment, capture_output=True, check=True).stdout)
 
 
 if __name__ == "__main__":

@@ -106,3 +106,14 @@ def test_constraints():
     assert first[1:].max() < 0.02
     assert second[0] > 0.5
     assert second[1:].max() < 0.02
+
+
+def test_coulomb():
+    done = subprocess.run([sys.executable, ROOT / "examples/coulomb.py"], check=True, capture_output=True, text=True)
+    rows = [re.findall(r"([\d.]+) \(([\d.]+)\)", line) for line in done.stdout.splitlines()[1:]]
+    kalman, particles, wide = (np.array(row, float) for row in rows)
+    assert len(kalman) == 3
+    assert (kalman[:, 0] > 80).all()
+    assert (wide[:, 0] > 50).all()
+    assert (particles[:, 0] < 20).all()
+    assert (particles[:, 1] < kalman[:, 1] / 10).all()
