@@ -22,6 +22,9 @@ PositiveStd = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 JERK_TIME = 0.02
 """Over this time jerk is taken to stay the same, where its size is read off a log [s]."""
 
+LINK_WALKS = ("position_walk", "velocity_walk")
+"""What lets links wander, in the order of the core."""
+
 LEAST_JERK = 10.0
 """A log in which nothing moves still leaves this density of jerk [rad/s³/√Hz]."""
 
@@ -38,6 +41,10 @@ class Noise(BaseModel):
     jerk
         Density of the links' jerk beside the commanded one: acceleration wanders by this in a second
         [rad/s³/√Hz]. None: read off the log.
+    position_walk, velocity_walk
+        By how much the links' positions and velocities wander in one second beside what their acceleration does
+        [rad/√s, rad/s/√s]. Zero is mechanics; more is room for what no acceleration explains, such as samples that are
+        not quite in time.
     transmission
         Error of a motor's predicted position beside encoder and damping, as of gear teeth [rad].
     torsion
@@ -62,6 +69,8 @@ class Noise(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     jerk: PositiveStd | tuple[PositiveStd, ...] | None = None
+    position_walk: Std | tuple[Std, ...] = 0.0
+    velocity_walk: Std | tuple[Std, ...] = 0.0
     transmission: Std | tuple[Std, ...] = 1e-5
     torsion: Std = 3e-3
     motor_velocity: Std = 1e-3
@@ -103,6 +112,7 @@ class Noise(BaseModel):
         initial = np.repeat([self.position, self.velocity, self.initial_acceleration], robot.n)
         return {name: values.tolist() for name, values in channels.items()} | {
             "jerk": per_joint("jerk", LEAST_JERK if self.jerk is None else self.jerk, robot.n).tolist(),
+            "link_walk": np.concatenate([per_joint(k, getattr(self, k), robot.n) for k in LINK_WALKS]).tolist(),
             "torsion": self.torsion,
             "initial": initial.tolist(),
         }

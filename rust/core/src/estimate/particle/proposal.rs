@@ -23,7 +23,7 @@ pub(super) struct Sample {
     pub(super) increments: Vec<f64>,
     pub(super) readings: Vec<Reading>,
     pub(super) walks: Vec<Walk>,
-    /// Normal numbers that a particle needs: of increments first, then of biases.
+    /// Normal numbers that a particle needs: of increments first, then of walks and biases.
     pub(super) draws: usize,
     /// Logarithm of the total weight before.
     pub(super) offset: f64,
@@ -46,10 +46,10 @@ pub(super) struct Reading {
     pub(super) draw: usize,
 }
 
-/// A bias that is drawn before readings are looked at.
+/// An entry of the state that is drawn before readings are looked at.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Walk {
-    pub(super) bias: usize,
+    pub(super) entry: usize,
     pub(super) std: f64,
     /// Which normal number it is drawn by.
     pub(super) draw: usize,
@@ -84,14 +84,14 @@ impl Kernel for Advance<'_> {
 }
 
 #[inline(always)]
-fn load(block: &mut Block, group: usize) {
+pub(super) fn load(block: &mut Block, group: usize) {
     for (entry, row) in block.scratch.before.iter_mut().zip(block.state.chunks_exact(BLOCK)) {
         *entry = Lanes(row.as_chunks::<WIDE>().0[group]);
     }
 }
 
 #[inline(always)]
-fn store(block: &mut Block, group: usize, increment: Wide, offset: f64) {
+pub(super) fn store(block: &mut Block, group: usize, increment: Wide, offset: f64) {
     for (entry, row) in block.scratch.after.iter().zip(block.state.chunks_exact_mut(BLOCK)) {
         row.as_chunks_mut::<WIDE>().0[group] = entry.0;
     }
@@ -120,6 +120,13 @@ impl Scratch {
         self.apply_noise(sample);
         self.sensed.predict(model, &self.after, &sample.dtheta);
         change += self.weigh_and_learn(sample);
+        change + self.within_limits(sample)
+    }
+
+    /// Zero, or −∞ for particles beyond limits.
+    #[inline(always)]
+    pub(super) fn within_limits(&self, sample: &Sample) -> Wide {
+        let mut change = Wide::default();
         for (j, &(low, high)) in sample.limits.iter().enumerate() {
             let outside = |q: f64| if q < low || q > high { f64::NEG_INFINITY } else { 0.0 };
             change += self.after[j].map(outside);
@@ -129,7 +136,7 @@ impl Scratch {
 
     /// Particles that went out of the numbers stay where they would be without the readings. They have no weight, but
     /// zero times infinity would be in every sum.
-    fn bring_back(&mut self) {
+    pub(super) fn bring_back(&mut self) {
         for l in 0..WIDE {
             if self.after.iter().all(|x| x.0[l].is_finite()) {
                 continue;
@@ -142,7 +149,7 @@ impl Scratch {
 
     /// Motion without noise: x ← F x + G u (Axelsson, Karlsson and Norrlöf 2012, eq. (10)).
     #[inline(always)]
-    fn coast(&mut self, n: usize, sample: &Sample) {
+    pub(super) fn coast(&mut self, n: usize, sample: &Sample) {
         let (dt, half) = (sample.dt, 0.5 * sample.dt * sample.dt);
         for j in 0..n {
             let (dq, ddq, u) = (self.before[n + j], self.before[2 * n + j], sample.jerk[j]);
@@ -152,11 +159,11 @@ impl Scratch {
         }
     }
 
-    /// Biases that wander whatever the readings say.
+    /// Positions, velocities and biases that wander whatever the readings say.
     #[inline(always)]
     fn walk(&mut self, sample: &Sample) {
         for walk in &sample.walks {
-            self.before[walk.bias] += self.normal[walk.draw] * walk.std;
+            self.before[walk.entry] += self.normal[walk.draw] * walk.std;
         }
     }
 
@@ -184,7 +191,13 @@ impl Scratch {
             linear::factorise(&mut self.factor, n);
             linear::solve(&self.factor, n, &mut self.mode, 1);
         }
-        linear::root(&mut self.factor, n);
+        self.draw_proposal(sample, items, tail)
+    }
+
+    /// Draws around the mode by Λ = L D Lᵀ; returns log p(w) − log q(w).
+    #[inline(always)]
+    pub(super) fn draw_proposal(&mut self, sample: &Sample, items: [u32; WIDE], tail: Option<u32>) -> Wide {
+        linear::root(&mut self.factor, self.mode.len());
         let stretch = tail.map(|dof| stretch(sample, items, dof));
         self.draw_around_mode(stretch.zip(tail))
     }
@@ -323,7 +336,7 @@ fn student_term(square: Wide, dof: f64, n: usize) -> Wide {
 impl Reading {
     /// y − h(x) − b.
     #[inline(always)]
-    fn error(&self, state: &[Wide], prediction: &[Wide]) -> Wide {
+    pub(super) fn error(&self, state: &[Wide], prediction: &[Wide]) -> Wide {
         let error = -prediction[self.channel] + self.value;
         self.bias.map_or(error, |b| error - state[b])
     }
