@@ -12,8 +12,7 @@ WANDERING = LINEAR.updated(position_walk=1e-2, velocity_walk=3.0)
 """Over a sample of the slide, links wander about as much as their acceleration moves them."""
 
 
-@pytest.mark.parametrize("proposal", ["linearised", "bootstrap"])
-@pytest.mark.parametrize("kernel", [None, 0.5])
+@pytest.mark.parametrize(("proposal", "kernel"), [("linearised", None), ("linearised", 0.5), ("bootstrap", None)])
 def test_on_a_linear_model_errors_shrink_with_the_root_of_n(proposal, kernel):
     settings = {"accelerations": True, "proposal": proposal, "kernel": kernel, "noise": WANDERING}
     few, many = (errors(MarginalizedParticleFilter, count, 12, **settings) for count in (200, 200 * 64))
@@ -25,14 +24,14 @@ def test_on_a_linear_model_errors_shrink_with_the_root_of_n(proposal, kernel):
 
 def test_on_a_linear_model_smoothing_tends_to_rauch_tung_and_striebels():
     settings = {"accelerations": True, "noise": WANDERING}
-    few, many = (errors(MarginalizedParticleFilter, count, 12, "smooth", **settings) for count in (200, 200 * 64))
-    assert (few[:2] / many[:2] > 4).all(), (few, many)
-    assert (many[:2] < 0.1).all(), many
+    few, many = (errors(MarginalizedParticleFilter, count, 12, "smooth", **settings) for count in (200, 200 * 16))
+    assert (few[:2] / many[:2] > 2.5).all(), (few, many)
+    assert (many[:2] < 0.2).all(), many
 
 
 @pytest.mark.parametrize("method", [ParticleFilter, MarginalizedParticleFilter])
 def test_walks_are_the_kalman_filters_where_they_are_drawn_too(method):
-    assert (errors(method, 12800, 4, noise=WANDERING)[:2] < 0.15).all()
+    assert (errors(method, 6400, 4, noise=WANDERING)[:2] < 0.15).all()
 
 
 def test_marginalising_accelerations_makes_the_likelihood_less_random():
