@@ -34,6 +34,12 @@ def test_walks_are_the_kalman_filters_where_they_are_drawn_too(method):
     assert (errors(method, 6400, 4, noise=WANDERING)[:2] < 0.15).all()
 
 
+@pytest.mark.parametrize("proposal", [{"iterations": 2}, {"proposal_tail": 4}])
+def test_other_proposals_find_the_same(proposal):
+    error = errors(MarginalizedParticleFilter, 6400, 4, noise=WANDERING, accelerations=True, **proposal)
+    assert (error < 0.15).all(), error
+
+
 def test_marginalising_accelerations_makes_the_likelihood_less_random():
     noise = WANDERING.updated(position_walk=3e-2)
     plain, biases, both = (
@@ -125,6 +131,14 @@ def test_on_an_arm_it_is_close_to_the_kalman_filter():
     ours, kalman = method.run(log, covariance=True), ExtendedKalmanFilter(robot, noise).run(log, covariance=True)
     std = np.sqrt(np.diagonal(kalman.covariance, axis1=1, axis2=2))
     assert np.sqrt(np.mean(((ours.state - kalman.state) / std) ** 2)) < 0.3
+
+
+def test_a_start_of_two_peaks_is_resolved():
+    robot, log = recording()
+    log, kalman = log[:200], ExtendedKalmanFilter(robot, ARM).run(log[:200])
+    starts = [kalman.q[0] + 0.02, kalman.q[0]]
+    method = MarginalizedParticleFilter(robot, ARM, accelerations=True, initial=starts, particles=500, kernel=None)
+    assert np.abs(method.run(log).q[-1] - kalman.q[-1]).max() < 1e-4
 
 
 @pytest.mark.parametrize("walks", [{}, {"position_walk": 1e-6}, {"velocity_walk": 1e-3}])
