@@ -41,10 +41,6 @@ class Noise(BaseModel):
     jerk
         Density of the links' jerk beside the commanded one: acceleration wanders by this in a second
         [rad/s³/√Hz]. None: read off the log.
-    position_walk, velocity_walk
-        By how much the links' positions and velocities wander in one second beside what their acceleration does
-        [rad/√s, rad/s/√s]. Zero is mechanics; more is room for what no acceleration explains, such as samples that are
-        not quite in time.
     transmission
         Error of a motor's predicted position beside encoder and damping, as of gear teeth [rad].
     torsion
@@ -57,6 +53,10 @@ class Noise(BaseModel):
         Noise of link encoders [rad].
     joint_torque
         Noise of joint torque sensors [N m].
+    position_walk, velocity_walk
+        By how much the links' positions and velocities wander in one second beside what their acceleration does
+        [rad/√s, rad/s/√s]. Zero is mechanics; more is room for what no acceleration explains, such as samples that are
+        not quite in time.
     motor_bias, acceleration_bias, rate_bias
         Initial uncertainty of biases [rad, m/s², rad/s].
     motor_bias_walk, acceleration_bias_walk, rate_bias_walk
@@ -69,8 +69,6 @@ class Noise(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     jerk: PositiveStd | tuple[PositiveStd, ...] | None = None
-    position_walk: Std | tuple[Std, ...] = 0.0
-    velocity_walk: Std | tuple[Std, ...] = 0.0
     transmission: Std | tuple[Std, ...] = 1e-5
     torsion: Std = 3e-3
     motor_velocity: Std = 1e-3
@@ -78,6 +76,8 @@ class Noise(BaseModel):
     rate: PositiveStd = 1.0
     link: PositiveStd = 1e-5
     joint_torque: PositiveStd = 1.0
+    position_walk: Std | tuple[Std, ...] = 0.0
+    velocity_walk: Std | tuple[Std, ...] = 0.0
     motor_bias: Std = 1e-5
     motor_bias_walk: Std = 1e-6
     acceleration_bias: Std = 0.1
