@@ -1,7 +1,7 @@
 """Compiled kernels of linkside: float64 arrays in C order, joints in log order, SI units."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, final
+from typing import Any, Literal, final
 
 import numpy as np
 import numpy.typing as npt
@@ -219,7 +219,7 @@ class ParticleFilter:
         biased: Sequence[bool],
         noise: Mapping[str, Any],
         damping: bool,
-        marginalised: bool,
+        marginalised: Literal["nothing", "biases", "accelerations"],
         settings: Mapping[str, Any],
     ) -> ParticleFilter: ...
     @property

@@ -22,6 +22,9 @@ PositiveStd = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 JERK_TIME = 0.02
 """Over this time jerk is taken to stay the same, where its size is read off a log [s]."""
 
+LINK_WALKS = ("position_walk", "velocity_walk")
+"""What lets links wander, in the order of the core."""
+
 LEAST_JERK = 10.0
 """A log in which nothing moves still leaves this density of jerk [rad/s³/√Hz]."""
 
@@ -50,6 +53,10 @@ class Noise(BaseModel):
         Noise of link encoders [rad].
     joint_torque
         Noise of joint torque sensors [N m].
+    position_walk, velocity_walk
+        By how much the links' positions and velocities wander in one second beside what their acceleration does
+        [rad/√s, rad/s/√s]. Zero is mechanics; more is room for what no acceleration explains, such as samples that are
+        not quite in time.
     motor_bias, acceleration_bias, rate_bias
         Initial uncertainty of biases [rad, m/s², rad/s].
     motor_bias_walk, acceleration_bias_walk, rate_bias_walk
@@ -69,6 +76,8 @@ class Noise(BaseModel):
     rate: PositiveStd = 1.0
     link: PositiveStd = 1e-5
     joint_torque: PositiveStd = 1.0
+    position_walk: Std | tuple[Std, ...] = 0.0
+    velocity_walk: Std | tuple[Std, ...] = 0.0
     motor_bias: Std = 1e-5
     motor_bias_walk: Std = 1e-6
     acceleration_bias: Std = 0.1
@@ -103,6 +112,7 @@ class Noise(BaseModel):
         initial = np.repeat([self.position, self.velocity, self.initial_acceleration], robot.n)
         return {name: values.tolist() for name, values in channels.items()} | {
             "jerk": per_joint("jerk", LEAST_JERK if self.jerk is None else self.jerk, robot.n).tolist(),
+            "link_walk": np.concatenate([per_joint(k, getattr(self, k), robot.n) for k in LINK_WALKS]).tolist(),
             "torsion": self.torsion,
             "initial": initial.tolist(),
         }

@@ -125,7 +125,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
     The recording of a log is one thread for up to 2047 particles, all cores beyond.
     """
 
-    _marginalised = False
+    _marginalised: Literal["nothing", "biases", "accelerations"] = "nothing"
 
     def __init__(
         self,
@@ -256,15 +256,34 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
 
 
 class MarginalizedParticleFilter(ParticleFilter):
-    """Particle filter with the biases marginalised (Rao–Blackwellised). Parameters as of `ParticleFilter`.
+    """Particle filter with a part of the state marginalised (Rao–Blackwellised).
 
     Schön, Gustafsson and Nordlund, "Marginalized particle filters for mixed linear/nonlinear state-space models", IEEE
     Transactions on Signal Processing 53 (2005). Particles stand for positions, velocities and accelerations alone; the
     biases, which add to the readings and depend on nothing else, are known in closed form for each. ``outliers`` are
     not for it.
+
+    Parameters
+    ----------
+    robot, noise, settings
+        As of `ParticleFilter`.
+    accelerations
+        Marginalise accelerations, too: particles stand for positions and velocities, and each carries a Kalman filter
+        of its accelerations and biases. Exact where springs are linear, else to first order in the acceleration.
+        ``noise`` must let positions and velocities wander by themselves (``position_walk`` and ``velocity_walk``): with
+        noise in acceleration alone, the path of a particle's velocity determines its acceleration.
+
+    Raises
+    ------
+    EstimatorError
+        Settings out of range.
     """
 
-    _marginalised = True
+    def __init__(
+        self, robot: Robot, noise: Noise | None = None, *, accelerations: bool = False, **settings: Any
+    ) -> None:
+        self._marginalised = "accelerations" if accelerations else "biases"  # what settings are checked for
+        super().__init__(robot, noise, **settings)
 
 
 def _whole(name: str, value: Any) -> int:

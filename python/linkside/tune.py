@@ -27,7 +27,7 @@ LEAST_MOTION = 1e-3
 SPAN = (1 / 3, 1e3)
 """How far from its start a value may go: an error that one recording did not excite is there all the same."""
 
-PER_JOINT = ("jerk", "transmission")
+PER_JOINT = ("jerk", "transmission", "position_walk", "velocity_walk")
 CHANNELS = {
     "transmission": "motor",
     "torsion": "motor",
@@ -127,9 +127,9 @@ def tune(
     noise
         Where to start, and what stays as it is where not free. Unless free, the scale of jerk is read off each log.
     free
-        Attributes of `Noise`. ``transmission`` and ``jerk`` are found joint by joint, the former only for joints that
-        move. Freeing ``motor_bias`` or a walk is seldom wise: the likelihood then takes a wrong stiffness for a bias
-        that wanders, and the position follows it.
+        Attributes of `Noise`. ``transmission``, ``jerk`` and the links' walks are found joint by joint, the first only
+        for joints that move. Freeing ``motor_bias`` or a walk of biases is seldom wise: the likelihood then takes a
+        wrong stiffness for a bias that wanders, and the position follows it.
     progress
         Called as ``progress(evaluations, best log-likelihood)`` after each evaluation.
     span
@@ -217,7 +217,7 @@ class _Search:
     def _joints(self, name: str, moving: npt.NDArray[np.bool_]) -> list[int | None]:
         if name not in PER_JOINT:
             return [None]
-        return [joint for joint in range(self.robot.n) if name == "jerk" or moving[joint]]
+        return [joint for joint in range(self.robot.n) if name != "transmission" or moving[joint]]
 
     def noise(self, x: FloatArray) -> Noise:
         """The noise at a vector."""

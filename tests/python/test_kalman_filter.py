@@ -256,6 +256,7 @@ def reference(robot, log, noise, kinds, ekf):
             f[:n, 2 * n : 3 * n] = h * h / 2 * eye
             g[:n], g[n : 2 * n], g[2 * n : 3 * n] = h * h / 2 * eye, h * eye, eye
             q = g @ np.diag(np.square(arrays["jerk"]) * h) @ g.T
+            q[: 2 * n, : 2 * n] += np.diag(np.square(arrays["link_walk"])) * h
             q[3 * n :, 3 * n :] = np.diag(np.square(arrays["bias_walk"])) * h
             u = np.concatenate([h**3 / 6 * jerk[i], h**2 / 2 * jerk[i], h * jerk[i], np.zeros(n + m)])
             x, p = f @ x + u, f @ p @ f.T + q
@@ -280,7 +281,7 @@ def rest_position(robot, theta):
 @pytest.mark.parametrize("name", ["arm2_square", "kr15_six_axes"])
 def test_on_recordings_it_is_the_dense_filter(name):
     robot, log = recording(name)
-    log, noise = log[:150], Noise(jerk=20.0)
+    log, noise = log[:150], Noise(jerk=20.0, position_walk=1e-4, velocity_walk=tuple(1e-3 * np.arange(1, robot.n + 1)))
     ekf = ExtendedKalmanFilter(robot, noise)
     ours = ekf.run(log, covariance=True)
     theirs = reference(robot, log, noise, ("motor", "acceleration"), ekf)

@@ -52,14 +52,14 @@ def recording(name="arm2_square"):
     return robot, Log.read(DATA / name / "log.parquet", robot)
 
 
-def errors(method, count, seeds, run="run", **settings):
+def errors(method, count, seeds, run="run", noise=LINEAR, **settings):
     """Deviations from the Kalman filter, in its standard deviations: of the mean, the deviation, the likelihood."""
     robot, log = slide()
     reference = {"run": ExtendedKalmanFilter, "smooth": RauchTungStriebelSmoother}[run]
-    exact = reference(robot, LINEAR).run(log, covariance=True)
+    exact = reference(robot, noise).run(log, covariance=True)
     out = []
     for seed in range(seeds):
-        filter_ = method(robot, LINEAR, particles=count, seed=seed, **settings)
+        filter_ = method(robot, noise, particles=count, seed=seed, **settings)
         ours = getattr(filter_, run)(log, covariance=True)
         std = np.sqrt(np.diagonal(exact.covariance, axis1=1, axis2=2))
         ours_std = np.sqrt(np.diagonal(ours.covariance, axis1=1, axis2=2))
@@ -192,14 +192,22 @@ def test_quantiles_enclose_the_mean():
     assert ((low <= free.q + 1e-6) & (free.q <= up + 1e-6)).mean() > 0.99
 
 
-@pytest.mark.parametrize("method", [ParticleFilter, MarginalizedParticleFilter])
-def test_steps_and_pieces_are_the_run(method):
+@pytest.mark.parametrize(
+    ("method", "settings"),
+    [
+        (ParticleFilter, {}),
+        (MarginalizedParticleFilter, {}),
+        (MarginalizedParticleFilter, {"accelerations": True}),
+    ],
+)
+def test_steps_and_pieces_are_the_run(method, settings):
     robot, log = recording()
-    log, noise = log[:60], Noise(jerk=15.0)
-    whole = method(robot, noise, particles=40, seed=3).run(log)
-    pieces = list(method(robot, noise, particles=40, seed=3).run_pieces([log[:17], log[17:]]))
+    log, noise = log[:60], Noise(jerk=15.0, position_walk=1e-6, velocity_walk=1e-4)
+    settings = {"particles": 40, "seed": 3, **settings}
+    whole = method(robot, noise, **settings).run(log)
+    pieces = list(method(robot, noise, **settings).run_pieces([log[:17], log[17:]]))
     assert (np.concatenate([p.q for p in pieces]) == whole.q).all()
-    live = method(robot, noise, particles=40, seed=3)
+    live = method(robot, noise, **settings)
     for i in range(len(log)):
         dt = log.t[i] - log.t[i - 1] if i else log.period
         ddqref = None if log.ddqref is None else log.ddqref[i]
@@ -214,11 +222,14 @@ def test_steps_and_pieces_are_the_run(method):
 
 
 SCRIPT = """
-from linkside import Log, MarginalizedParticleFilter, Robot
+from linkside import Log, MarginalizedParticleFilter, Noise, Robot
 robot = Robot.load("tests/data/arm2_square/robot.yaml")
 log = Log.read("tests/data/arm2_square/log.parquet", robot)
-estimate = MarginalizedParticleFilter(robot, particles=2500, seed=2).run(log[:50], covariance=True)
-print(estimate.state.tobytes().hex()[-4000:], estimate.covariance.sum().hex())
+wandering = Noise(position_walk=1e-6, velocity_walk=1e-4)
+for noise, accelerations in ((None, False), (wandering, True)):
+    method = MarginalizedParticleFilter(robot, noise, particles=2500, seed=2, accelerations=accelerations)
+    estimate = method.run(log[:50], covariance=True)
+    print(estimate.state.tobytes().hex()[-4000:], estimate.covariance.sum().hex())
 """
 
 

@@ -185,6 +185,14 @@ def test_a_log_without_motion_is_refused():
         tune(robot, still)
 
 
+def test_walks_of_links_are_found_joint_by_joint():
+    robot, log, _ = recording("arm2_square")
+    tuning = tune(robot, log[:300], Noise(jerk=15.0, velocity_walk=1e-3), free=("velocity_walk",))
+    assert tuning.names == ("velocity_walk_axis2", "velocity_walk_axis3")
+    assert tuning.log_likelihood_most >= tuning.log_likelihood_before
+    assert len(tuning.after.velocity_walk) == 2
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -192,6 +200,7 @@ def test_a_log_without_motion_is_refused():
         ({"free": ()}, "expected a sequence of attributes"),
         ({"free": "jerk"}, "expected a sequence of attributes"),
         ({"free": ("transmission",), "noise": Noise(transmission=0.0)}, "transmission starts at 0"),
+        ({"free": ("position_walk",)}, "position_walk starts at 0"),
         ({"span": (2.0, 3.0)}, "span is"),
         ({"span": (0.5, np.inf)}, "span is"),
         ({"gate": 5.0}, "gate"),

@@ -13,7 +13,9 @@ use linkside_core::estimate::kalman::{
 use linkside_core::estimate::observer::{
     AccelerationObserver, AccelerationSource, Complex, Form, Sample, Settings, link_position_at_rest,
 };
-use linkside_core::estimate::particle::{Collapse, Density, ParticleFilter, ParticleSettings, Proposal, Resampling};
+use linkside_core::estimate::particle::{
+    Collapse, Density, Marginalised, ParticleFilter, ParticleSettings, Proposal, Resampling,
+};
 use linkside_core::estimate::velocity::{self, GainMap, Gains, Logic, Schedule, VelocityObserver};
 use linkside_core::robot::{Drive, Robot};
 use linkside_core::simulate::{Adaptive, Plant, Tolerance};
@@ -119,6 +121,7 @@ fn a_kalman_step_allocates_nothing() {
     .unwrap();
     let noise = Noise {
         jerk: vec![20.0; 6],
+        link_walk: vec![0.0; 12],
         reading: vec![1e-3; 30],
         torsion: 1e-3,
         bias_walk: vec![1e-6; 30],
@@ -180,10 +183,11 @@ fn a_velocity_observers_step_allocates_nothing() {
 
 #[test]
 fn a_particle_filters_step_allocates_nothing() {
-    for marginalised in [false, true] {
+    for marginalised in [Marginalised::Nothing, Marginalised::Biases, Marginalised::Accelerations] {
         let model = JerkModel::new(Arc::new(robot()), Further::default(), &[true; 12]).unwrap();
         let noise = Noise {
             jerk: vec![20.0; 6],
+            link_walk: vec![1e-5; 12],
             reading: vec![1e-2; 12],
             torsion: 1e-3,
             bias_walk: vec![1e-6; 12],
@@ -215,7 +219,7 @@ fn a_particle_filters_step_allocates_nothing() {
                 step(&readings);
             }
         });
-        assert_eq!(count, 0, "marginalised: {marginalised}");
+        assert_eq!(count, 0, "{marginalised:?}");
     }
 }
 

@@ -37,6 +37,7 @@ fn robot() -> Robot {
 fn noise() -> Noise {
     Noise {
         jerk: vec![20.0; JOINTS],
+        link_walk: [[1e-4; JOINTS], [1e-2; JOINTS]].concat(),
         reading: vec![1e-3; CHANNELS],
         torsion: 1e-3,
         bias_walk: vec![1e-6; CHANNELS],

@@ -54,6 +54,7 @@ fn settings(torque: bool, held: bool) -> LikelihoodSettings {
     reading.extend(vec![3.0; channels - reading.len()]);
     let noise = Noise {
         jerk: vec![20.0; JOINTS],
+        link_walk: [[1e-4; JOINTS], [1e-2; JOINTS]].concat(),
         reading,
         torsion: 1e-2,
         bias_walk: vec![1e-5; channels],

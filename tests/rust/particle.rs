@@ -2,6 +2,7 @@
 
 mod arm;
 
+use Marginalised::{Accelerations, Biases, Nothing};
 use arm::{Mounting, arm, drive};
 use linkside_core::error::{DesignError, RunError};
 use linkside_core::estimate::Status;
@@ -10,7 +11,8 @@ use linkside_core::estimate::kalman::{
     Noise,
 };
 use linkside_core::estimate::particle::{
-    Collapse, Density, MOST_PARTICLES, ParticleFilter, ParticleOutput, ParticleSettings, Proposal, Resampling,
+    Collapse, Density, MOST_PARTICLES, Marginalised, ParticleFilter, ParticleOutput, ParticleSettings, Proposal,
+    Resampling,
 };
 use linkside_core::robot::{Drive, Robot, Sensor, SoftWindup};
 use linkside_core::spatial::{Mat3, Vec3};
@@ -42,6 +44,7 @@ fn robot() -> Robot {
 fn noise() -> Noise {
     Noise {
         jerk: vec![20.0; JOINTS],
+        link_walk: vec![0.0; 2 * JOINTS],
         reading: vec![1e-2; CHANNELS],
         torsion: 3e-3,
         bias_walk: vec![1e-4; CHANNELS],
@@ -116,7 +119,7 @@ impl Signals {
     }
 }
 
-fn run(noise: Noise, settings: ParticleSettings, marginalised: bool, signals: &Signals) -> ParticleOutput {
+fn run(noise: Noise, settings: ParticleSettings, marginalised: Marginalised, signals: &Signals) -> ParticleOutput {
     let mut filter = ParticleFilter::new(model(noise), settings, marginalised).unwrap();
     filter.run(signals.all(), Keep::default()).unwrap()
 }
@@ -131,7 +134,7 @@ fn one_particle_without_noise_finds_the_kalman_filters_likelihood() {
     let signals = signals(20);
     let expected = kalman(certain(0.0), &signals);
     for proposal in [Proposal::Bootstrap, LINEARISED] {
-        for marginalised in [false, true] {
+        for marginalised in [Nothing, Biases] {
             let found = run(certain(0.0), settings(1, proposal), marginalised, &signals).links.log_likelihood;
             for (f, e) in found.iter().zip(&expected) {
                 assert!((f - e).abs() < 1e-9 * e.abs(), "{proposal:?}: {f} {e}");
@@ -151,10 +154,39 @@ fn the_linearised_proposals_weight_does_not_depend_on_the_draw() {
         let noise = Noise { reading: vec![1e-5; CHANNELS], ..noise.clone() };
         for proposal in [LINEARISED, Proposal::Linearised { iterations: 3, tail: None }] {
             let one = ParticleSettings { seed, ..settings(1, proposal) };
-            let found = run(noise.clone(), one, true, &signals).links.log_likelihood[1];
+            let found = run(noise.clone(), one, Biases, &signals).links.log_likelihood[1];
             assert!((found / expected - 1.0).abs() < 1e-8, "{found} {expected}");
             let first = *first.get_or_insert(found);
             assert!((found / first - 1.0).abs() < 1e-10, "{found} {first}");
+        }
+    }
+}
+
+/// So little of everything that every channel is linear over it.
+fn wandering() -> Noise {
+    let link_walk = [[1e-6; JOINTS], [1e-5; JOINTS]].concat();
+    Noise { link_walk, reading: vec![1e-5; CHANNELS], bias_walk: vec![1e-5; CHANNELS], ..certain(1e-4) }
+}
+
+/// Positions and velocities of a particle that starts with certainty are drawn; what it weighs is the readings' density
+/// given the start, whichever numbers were drawn, and that is the Kalman filter's.
+#[test]
+fn marginalised_accelerations_leave_a_weight_that_does_not_depend_on_the_draw() {
+    let signals = signals(2);
+    let uncertain = Noise {
+        initial: [[1e-6; JOINTS], [1e-6; JOINTS], [1e-4; JOINTS]].concat(),
+        initial_bias: vec![1e-5; CHANNELS],
+        ..wandering()
+    };
+    for (noise, sample) in [(uncertain, 0), (wandering(), 1)] {
+        let expected = kalman(noise.clone(), &signals)[sample];
+        for seed in 0..10 {
+            for iterations in [1, 3] {
+                let proposal = Proposal::Linearised { iterations, tail: None };
+                let one = ParticleSettings { seed, ..settings(1, proposal) };
+                let found = run(noise.clone(), one, Accelerations, &signals).links.log_likelihood[sample];
+                assert!((found / expected - 1.0).abs() < 1e-6, "{found} {expected}");
+            }
         }
     }
 }
@@ -163,8 +195,8 @@ fn the_linearised_proposals_weight_does_not_depend_on_the_draw() {
 fn a_bias_is_drawn_or_marginalised_with_the_same_likelihood() {
     let signals = signals(2);
     let noise = Noise { bias_walk: vec![0.3; CHANNELS], ..certain(1e-3) };
-    let plain = run(noise.clone(), settings(1, LINEARISED), false, &signals).links.log_likelihood[1];
-    let closed = run(noise.clone(), settings(1, LINEARISED), true, &signals).links.log_likelihood[1];
+    let plain = run(noise.clone(), settings(1, LINEARISED), Nothing, &signals).links.log_likelihood[1];
+    let closed = run(noise.clone(), settings(1, LINEARISED), Biases, &signals).links.log_likelihood[1];
     let expected = kalman(noise, &signals)[1];
     assert!((plain / expected - 1.0).abs() < 1e-6 && (closed / expected - 1.0).abs() < 1e-6);
 }
@@ -172,10 +204,11 @@ fn a_bias_is_drawn_or_marginalised_with_the_same_likelihood() {
 #[test]
 fn neither_threads_nor_pieces_change_a_bit() {
     let signals = signals(12);
-    let bits = |threads: usize, split: usize| {
+    let bits = |(marginalised, threads, split): (Marginalised, usize, usize)| {
+        let wandering = Noise { link_walk: vec![1e-5; 2 * JOINTS], ..noise() };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            let mut filter = ParticleFilter::new(model(noise()), settings(3000, LINEARISED), false).unwrap();
+            let mut filter = ParticleFilter::new(model(wandering), settings(3000, LINEARISED), marginalised).unwrap();
             let mut out = Vec::new();
             for (from, to) in [(0, split), (split, 12)] {
                 let part = filter.run(signals.rows(from, to), Keep { covariance: true, innovations: false }).unwrap();
@@ -185,25 +218,25 @@ fn neither_threads_nor_pieces_change_a_bit() {
             out
         })
     };
-    let one = bits(1, 12);
-    assert_eq!(one.len(), bits(2, 12).len());
-    assert!(one == bits(2, 12), "two threads");
-    let whole = |bits: Vec<u64>| {
-        let mut sorted = bits;
-        sorted.sort_unstable();
-        sorted
+    let sorted = |mut bits: Vec<u64>| {
+        bits.sort_unstable();
+        bits
     };
-    assert!(whole(one) == whole(bits(2, 5)), "two pieces");
+    for marginalised in [Nothing, Accelerations] {
+        let one = bits((marginalised, 1, 12));
+        assert!(one == bits((marginalised, 2, 12)), "two threads");
+        assert!(sorted(one) == sorted(bits((marginalised, 2, 5))), "two pieces");
+    }
 }
 
 #[test]
 fn students_noise_of_many_degrees_is_normal_noise() {
     let signals = signals(5);
     let noise = Noise { bias_walk: vec![0.0; CHANNELS], initial_bias: vec![0.0; CHANNELS], ..noise() };
-    let normal = run(noise.clone(), settings(50, LINEARISED), false, &signals);
+    let normal = run(noise.clone(), settings(50, LINEARISED), Nothing, &signals);
     let many =
         ParticleSettings { densities: vec![Density::Student { freedom: 1e7 }; CHANNELS], ..settings(50, LINEARISED) };
-    let students = run(noise, many, false, &signals);
+    let students = run(noise, many, Nothing, &signals);
     for (a, b) in normal.links.log_likelihood.iter().zip(&students.links.log_likelihood) {
         assert!((a - b).abs() < 1e-3, "{a} {b}");
     }
@@ -214,7 +247,7 @@ fn a_heavier_proposal_weighs_itself_out() {
     let signals = signals(2);
     let expected = kalman(certain(50.0), &signals)[1];
     let heavy = settings(20_000, Proposal::Linearised { iterations: 1, tail: Some(4) });
-    let found = run(certain(50.0), heavy, true, &signals);
+    let found = run(certain(50.0), heavy, Biases, &signals);
     assert!((found.links.log_likelihood[1] - expected).abs() < 0.05, "{:?} {expected}", found.links.log_likelihood);
     assert!(found.effective[1] < 19_000.0);
 }
@@ -223,24 +256,28 @@ fn a_heavier_proposal_weighs_itself_out() {
 fn impossible_readings_stop_or_are_passed_over() {
     let mut signals = signals(6);
     signals.readings[3 * CHANNELS] = f64::INFINITY;
-    let mut filter = ParticleFilter::new(model(noise()), settings(20, LINEARISED), false).unwrap();
+    let mut filter = ParticleFilter::new(model(noise()), settings(20, LINEARISED), Nothing).unwrap();
     assert_eq!(filter.run(signals.all(), Keep::default()).unwrap_err(), RunError::Impossible { sample: 3 });
-    let going_on = ParticleSettings { collapse: Collapse::Recover, ..settings(20, LINEARISED) };
-    let out = run(noise(), going_on, false, &signals);
-    assert_eq!(out.links.status, [0, 0, 0, Status::PREDICTED, 0, 0]);
-    assert_eq!(out.links.used[3], 0);
-    assert!(out.links.q.iter().all(|q| q.is_finite()));
+    for marginalised in [Nothing, Accelerations] {
+        let noise = Noise { link_walk: vec![1e-5; 2 * JOINTS], ..noise() };
+        let going_on = ParticleSettings { collapse: Collapse::Recover, ..settings(20, LINEARISED) };
+        let out = run(noise, going_on, marginalised, &signals);
+        assert_eq!(out.links.status, [0, 0, 0, Status::PREDICTED, 0, 0]);
+        assert_eq!(out.links.used[3], 0);
+        assert!(out.links.q.iter().all(|q| q.is_finite()));
+    }
 }
 
 #[test]
 fn particles_beyond_limits_have_no_weight() {
     let signals = signals(30);
-    let free = run(noise(), settings(500, LINEARISED), true, &signals);
+    let free = run(noise(), settings(500, LINEARISED), Biases, &signals);
     let highest = free.links.q.iter().step_by(JOINTS).fold(f64::NEG_INFINITY, |a, &b| a.max(b));
     let mut limits = vec![(f64::NEG_INFINITY, f64::INFINITY); JOINTS];
     limits[0].1 = highest - 1e-5;
     let limit = limits[0].1;
-    let bounded = run(noise(), ParticleSettings { limits, kernel: None, ..settings(500, LINEARISED) }, true, &signals);
+    let bounded =
+        run(noise(), ParticleSettings { limits, kernel: None, ..settings(500, LINEARISED) }, Biases, &signals);
     assert!(bounded.links.q.iter().step_by(JOINTS).all(|&q| q <= limit));
     assert!(bounded.best.iter().step_by(JOINTS).all(|&q| q <= limit));
 }
@@ -275,15 +312,21 @@ fn settings_out_of_range_are_named() {
         ("threshold", &|s| s.threshold = f64::NAN),
     ];
     for (what, change) in cases {
-        assert_eq!(refused(change, false), what);
+        assert_eq!(refused(change, Nothing), what);
     }
-    assert_eq!(refused(&|s| s.densities[0] = Density::Student { freedom: 4.0 }, true), "outliers");
+    assert_eq!(refused(&|s| s.densities[0] = Density::Student { freedom: 4.0 }, Biases), "outliers");
+    for (link_walk, expected) in [([0.0, 1.0], "position_walk"), ([1.0, 0.0], "velocity_walk")] {
+        let link_walk = link_walk.map(|walk| [walk; JOINTS]).concat();
+        let model = model(Noise { link_walk, ..noise() });
+        let error = ParticleFilter::new(model, settings(10, LINEARISED), Accelerations).unwrap_err();
+        assert!(matches!(error, DesignError::Range { what, .. } if what == expected));
+    }
     let further = Further { motor_velocities: true, rates: true, links: true, torques: true };
     let channels = CHANNELS + JOINTS;
     let model = JerkModel::new(Arc::new(robot()), further, &vec![true; channels]).unwrap();
     let none = vec![0.0; channels];
     let noise = Noise { reading: vec![1.0; channels], bias_walk: none.clone(), initial_bias: none, ..noise() };
     let model = JerkDriven::new(model, noise, true).unwrap();
-    let error = ParticleFilter::new(model, settings(10, LINEARISED), false).unwrap_err();
+    let error = ParticleFilter::new(model, settings(10, LINEARISED), Nothing).unwrap_err();
     assert!(matches!(error, DesignError::Range { what: "motor_velocities", .. }));
 }

@@ -19,6 +19,7 @@ use std::sync::Arc;
 #[pyo3(from_item_all)]
 pub(crate) struct Noise {
     jerk: Vec<f64>,
+    link_walk: Vec<f64>,
     reading: Vec<f64>,
     torsion: f64,
     bias_walk: Vec<f64>,
@@ -28,8 +29,8 @@ pub(crate) struct Noise {
 
 impl From<Noise> for kalman::Noise {
     fn from(n: Noise) -> Self {
-        let Noise { jerk, reading, torsion, bias_walk, initial, initial_bias } = n;
-        Self { jerk, reading, torsion, bias_walk, initial, initial_bias }
+        let Noise { jerk, link_walk, reading, torsion, bias_walk, initial, initial_bias } = n;
+        Self { jerk, link_walk, reading, torsion, bias_walk, initial, initial_bias }
     }
 }
 

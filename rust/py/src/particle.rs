@@ -8,7 +8,7 @@ use crate::robot::Robot;
 use linkside_core::error::{DesignError, RunError};
 use linkside_core::estimate::kalman::{Further, JerkDriven, JerkModel, KalmanRecording, KalmanSample, Keep, Model};
 use linkside_core::estimate::particle::{
-    self, Collapse, Density, ParticleOutput, ParticleSettings, Proposal, Resampling,
+    self, Collapse, Density, Marginalised, ParticleOutput, ParticleSettings, Proposal, Resampling,
 };
 use numpy::PyArray1;
 use pyo3::prelude::*;
@@ -50,9 +50,12 @@ struct Settings {
     quantiles: Vec<f64>,
 }
 
+fn unknown<T>(what: &str, value: &str) -> PyResult<T> {
+    Err(EstimatorError::new_err(format!("{what} {value:?} is not known")))
+}
+
 impl Settings {
     fn into_core(self) -> PyResult<ParticleSettings> {
-        let unknown = |what: &str, value: &str| Err(EstimatorError::new_err(format!("{what} {value:?} is not known")));
         let proposal = match self.proposal.as_str() {
             "bootstrap" => Proposal::Bootstrap,
             "linearised" => Proposal::Linearised { iterations: self.iterations, tail: self.proposal_tail },
@@ -106,10 +109,16 @@ impl ParticleFilter {
         biased: Vec<bool>,
         noise: Noise,
         damping: bool,
-        marginalised: bool,
+        marginalised: &str,
         settings: Settings,
     ) -> PyResult<Self> {
         let settings = settings.into_core()?;
+        let marginalised = match marginalised {
+            "nothing" => Marginalised::Nothing,
+            "biases" => Marginalised::Biases,
+            "accelerations" => Marginalised::Accelerations,
+            other => return unknown("marginalised", other),
+        };
         let levels = settings.quantiles.len();
         let build = || -> Result<_, DesignError> {
             let model =

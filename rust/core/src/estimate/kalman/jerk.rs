@@ -22,6 +22,9 @@ pub struct JerkModel {
 pub struct Noise {
     /// Density of each joint's jerk (n) [rad/s³/√Hz]: its acceleration wanders by this in one second.
     pub jerk: Vec<f64>,
+    /// By how much each joint's position, and each one's velocity, wanders in one second beside its acceleration (2n)
+    /// [rad/√s, rad/s/√s].
+    pub link_walk: Vec<f64>,
     /// One reading's noise (channels) [the channel's unit].
     pub reading: Vec<f64>,
     /// Relative error of the predicted torsion, as of a stiffness that is not quite right.
@@ -159,6 +162,9 @@ impl JerkModel {
                 }
             }
         }
+        for (i, walk) in noise.link_walk.iter().enumerate() {
+            p.data[i * stride + i] += walk * walk * dt;
+        }
         for (bias, walk) in self.biases.iter().zip(&noise.bias_walk) {
             if let Some(b) = *bias {
                 p.data[b * stride + b] += walk * walk * dt;
@@ -197,9 +203,10 @@ impl JerkModel {
     /// without noise.
     pub(crate) fn check(&self, noise: &Noise) -> Result<(), DesignError> {
         let (n, m) = (self.joints(), self.channels());
-        let Noise { jerk, reading, torsion, bias_walk, initial, initial_bias } = noise;
+        let Noise { jerk, link_walk, reading, torsion, bias_walk, initial, initial_bias } = noise;
         let lengths = [
             ("jerk", jerk, n),
+            ("link_walk", link_walk, 2 * n),
             ("reading", reading, m),
             ("bias_walk", bias_walk, m),
             ("initial", initial, 3 * n),

@@ -158,6 +158,9 @@ impl<T: Scalar> Filter<T> {
                 }
             }
         }
+        for (i, walk) in self.noise.link_walk.iter().enumerate() {
+            self.covariance[i * states + i] += dt * (walk * walk);
+        }
         for (bias, walk) in self.biases.iter().zip(&self.noise.bias_walk) {
             if let Some(b) = *bias {
                 self.covariance[b * states + b] += dt * (walk * walk);

@@ -1,6 +1,8 @@
 //! Where the particles are kept: blocks of fixed size, a row of numbers for each entry of the state.
 
+use super::accelerations::{Densities, covariance_entries};
 use super::evaluation::Sensed;
+use super::settings::Marginalised;
 use crate::estimate::kalman::JerkModel;
 use crate::scalar::{Lanes, Scalar};
 use crate::simd::Kernel;
@@ -44,7 +46,7 @@ pub(super) struct Block {
     pub(super) first: usize,
     /// Particles in use.
     pub(super) count: usize,
-    /// Entries of the state.
+    /// Entries of the state; after them, where accelerations are marginalised, of a covariance.
     pub(super) state: Vec<Row>,
     /// Logarithms of weights, −∞ for what is not in use.
     pub(super) log_weights: Row,
@@ -52,6 +54,8 @@ pub(super) struct Block {
     pub(super) weights: Row,
     pub(super) sums: Sums,
     pub(super) scratch: Scratch,
+    /// There where accelerations are marginalised.
+    pub(super) densities: Option<Box<Densities>>,
 }
 
 /// Sums over a block, weights as multiples of its largest.
@@ -85,28 +89,30 @@ pub(super) struct Scratch {
 }
 
 impl Scratch {
-    fn new(model: &JerkModel) -> Self {
+    fn new(model: &JerkModel, drawn: usize) -> Self {
         let room = |size| vec![Wide::default(); size];
-        let (n, states) = (model.joints(), model.states());
+        let states = model.states();
         Self {
             sensed: Sensed::new(model),
             before: room(states),
             after: room(states),
-            normal: room(states.max(n) + 1),
-            noise: room(n),
-            mode: room(n),
-            factor: room(n * n),
+            normal: room(states + 1),
+            noise: room(drawn),
+            mode: room(drawn),
+            factor: room(drawn * drawn),
         }
     }
 }
 
 impl Block {
-    fn new(model: &JerkModel, first: usize, count: usize) -> Self {
-        let d = model.states();
+    fn new(model: &JerkModel, marginalised: Marginalised, first: usize, count: usize) -> Self {
+        let (d, n) = (model.states(), model.joints());
+        let accelerations = marginalised == Marginalised::Accelerations;
+        let (more, drawn) = if accelerations { (covariance_entries(model), 2 * n) } else { (0, n) };
         Self {
             first,
             count,
-            state: vec![Row::of(0.0); d],
+            state: vec![Row::of(0.0); d + more],
             log_weights: Row::of(f64::NEG_INFINITY),
             weights: Row::of(0.0),
             sums: Sums {
@@ -117,7 +123,8 @@ impl Block {
                 state: vec![0.0; d],
                 products: vec![0.0; d * (d + 1) / 2],
             },
-            scratch: Scratch::new(model),
+            scratch: Scratch::new(model, drawn),
+            densities: accelerations.then(|| Box::new(Densities::new(model))),
         }
     }
 
@@ -260,7 +267,7 @@ impl Kernel for Deviations<'_> {
 
 /// Four sums side by side, so that one addition need not wait for the other.
 #[inline(always)]
-fn dot(a: &[[f64; WIDE]], b: &[[f64; WIDE]]) -> f64 {
+pub(super) fn dot(a: &[[f64; WIDE]], b: &[[f64; WIDE]]) -> f64 {
     let mut sums = [Wide::default(); 4];
     let (fours, rest) = a.as_chunks::<4>();
     let (others, other_rest) = b.as_chunks::<4>();
@@ -298,10 +305,10 @@ pub(super) struct Cloud {
 }
 
 impl Cloud {
-    pub(super) fn new(model: &JerkModel, particles: usize) -> Self {
-        let blocks: Vec<Block> =
-            (0..particles).step_by(BLOCK).map(|first| Block::new(model, first, BLOCK.min(particles - first))).collect();
-        let next = vec![vec![Row::of(0.0); model.states()]; blocks.len()];
+    pub(super) fn new(model: &JerkModel, marginalised: Marginalised, particles: usize) -> Self {
+        let block = |first| Block::new(model, marginalised, first, BLOCK.min(particles - first));
+        let blocks: Vec<Block> = (0..particles).step_by(BLOCK).map(block).collect();
+        let next = blocks.iter().map(|block| vec![Row::of(0.0); block.state.len()]).collect();
         Self { blocks, next }
     }
 

@@ -1,13 +1,15 @@
 //! The particle filter: one step, and whole recordings.
 
+use super::accelerations;
 use super::cloud::{BLOCK, Cloud, Deviations, Gather, Level, Row};
 use super::density::Density;
+use super::motion::Motion;
 use super::moves::{Moments, Spread};
-use super::output::{ParticleOutput, Summary};
+use super::output::{ParticleOutput, Summary, packed};
 use super::proposal::{Advance, Reading, Sample, Walk};
 use super::random::{Purpose, Stream};
 use super::resample;
-use super::settings::{Collapse, ParticleSettings, Proposal};
+use super::settings::{Collapse, Marginalised, ParticleSettings, Proposal};
 use super::shared::{Probe, Shared};
 use super::start::Start;
 use crate::error::{DesignError, RunError};
@@ -22,13 +24,12 @@ const PARALLEL: usize = 2048;
 
 /// Particle filter on the acceleration-driven model; a step on one thread allocates nothing.
 ///
-/// Plain, or with the biases marginalised (Rao–Blackwellised; Schön, Gustafsson and Nordlund 2005): as a bias adds to its
-/// channel, and nothing else depends on it, its variance is the same for all particles, and each carries its mean alone.
+/// Plain, or with a part of the state [marginalised](Marginalised).
 #[derive(Clone, Debug)]
 pub struct ParticleFilter {
     pub(super) model: JerkDriven,
     pub(super) settings: ParticleSettings,
-    marginalised: bool,
+    marginalised: Marginalised,
     /// The cloud's mean as it would move, and where motors and biases were last linearised.
     pub(super) belief: Gaussian,
     pub(super) cloud: Cloud,
@@ -36,7 +37,9 @@ pub struct ParticleFilter {
     shared: Shared,
     /// Whether the shared linearisation is that of each particle.
     sharing: bool,
-    /// Variance of each channel's bias for a given path of the links (channels), where biases are marginalised.
+    /// There where accelerations are marginalised.
+    motion: Option<Motion>,
+    /// Variance of each channel's bias for a given path of the links (channels), where biases alone are marginalised.
     pub(super) bias_variance: Vec<f64>,
     pub(super) summary: Summary,
     wanted: Moments,
@@ -54,9 +57,9 @@ impl ParticleFilter {
     ///
     /// # Errors
     /// Settings out of range or that do not fit the model.
-    pub fn new(model: JerkDriven, settings: ParticleSettings, marginalised: bool) -> Result<Self, DesignError> {
+    pub fn new(model: JerkDriven, settings: ParticleSettings, marginalised: Marginalised) -> Result<Self, DesignError> {
         let jerk = model.jerk_model();
-        settings.check(jerk, marginalised)?;
+        settings.check(jerk, model.noise(), marginalised)?;
         let (n, m, d) = (jerk.joints(), jerk.channels(), jerk.states());
         let sample = Sample {
             seed: settings.seed,
@@ -66,7 +69,7 @@ impl ParticleFilter {
             dtheta: vec![f64::NAN; n],
             increments: vec![0.0; n],
             readings: Vec::with_capacity(m),
-            walks: Vec::with_capacity(m),
+            walks: Vec::with_capacity(2 * n + m),
             draws: n,
             offset: 0.0,
             proposal: settings.proposal,
@@ -74,10 +77,11 @@ impl ParticleFilter {
         };
         Ok(Self {
             belief: Gaussian::independent(&vec![0.0; d]),
-            cloud: Cloud::new(jerk, settings.particles),
+            cloud: Cloud::new(jerk, marginalised, settings.particles),
             sample,
             shared: Shared::new(jerk),
             sharing: false,
+            motion: (marginalised == Marginalised::Accelerations).then(|| Motion::new(jerk)),
             bias_variance: vec![0.0; m],
             summary: Summary::new(jerk, settings.particles),
             wanted: Moments::new(d),
@@ -138,7 +142,7 @@ impl ParticleFilter {
         self.model.start(sample, &mut self.belief)?;
         let jerk = self.model.jerk_model();
         for (variance, bias) in self.bias_variance.iter_mut().zip(&jerk.biases) {
-            *variance = bias.map_or(0.0, |b| self.belief.covariance.at(b, b));
+            *variance = bias.filter(|_| self.motion.is_none()).map_or(0.0, |b| self.belief.covariance.at(b, b));
         }
         self.sample.offset = 0.0;
         Ok(())
@@ -148,6 +152,11 @@ impl ParticleFilter {
     fn scatter(&mut self) {
         let Self { model, settings, belief, sample, cloud, .. } = self;
         let n = model.jerk_model().joints();
+        if self.motion.is_some() {
+            Start::blind(belief, 0).scatter(cloud, &settings.initial, n, settings.seed);
+            accelerations::start(cloud, belief, n);
+            return;
+        }
         let blind = settings.proposal == Proposal::Bootstrap || !settings.initial.is_empty();
         let start = if blind {
             Start::blind(belief, 3 * n)
@@ -182,28 +191,40 @@ impl ParticleFilter {
     /// What each reading, and each bias, is to do.
     fn plan(&mut self, readings: &[f64]) {
         let first = !self.started;
-        let Self { model, sample, bias_variance, settings, summary, marginalised, .. } = self;
+        let Self { model, sample, bias_variance, settings, summary, marginalised, motion, .. } = self;
+        let closed = *marginalised == Marginalised::Biases;
         sample.readings.clear();
         sample.walks.clear();
         let jerk = model.jerk_model();
         sample.draws = jerk.joints();
+        if let Some(motion) = motion {
+            motion.prepare(jerk, model.noise(), sample.dt, first);
+            sample.draws *= 2;
+        }
+        for (entry, walk) in
+            model.noise().link_walk.iter().enumerate().filter(|(_, walk)| motion.is_none() && **walk > 0.0)
+        {
+            sample.walks.push(Walk { entry, std: walk * sample.dt.sqrt(), draw: sample.draws });
+            sample.draws += 1;
+        }
         for (channel, &value) in readings.iter().enumerate() {
             let bias = jerk.biases[channel];
             let own = model.variance(channel);
-            let walk = bias.map_or(0.0, |_| model.noise().bias_walk[channel].powi(2) * sample.dt);
+            let walk =
+                bias.filter(|_| motion.is_none()).map_or(0.0, |_| model.noise().bias_walk[channel].powi(2) * sample.dt);
             let density = settings.densities[channel];
             let read = !value.is_nan();
-            let drawn_late = *marginalised || (read && settings.proposal != Proposal::Bootstrap && density.is_normal());
-            let before = if *marginalised || first { bias_variance[channel] } else { 0.0 };
+            let drawn_late = closed || (read && settings.proposal != Proposal::Bootstrap && density.is_normal());
+            let before = if closed || first { bias_variance[channel] } else { 0.0 };
             let prior = before + walk;
             if let (false, Some(bias)) = (drawn_late || prior == 0.0, bias) {
-                sample.walks.push(Walk { bias, std: prior.sqrt(), draw: sample.draws });
+                sample.walks.push(Walk { entry: bias, std: prior.sqrt(), draw: sample.draws });
                 sample.draws += 1;
             }
             let extra = if drawn_late { prior } else { 0.0 };
             let variance = own + extra;
             let gain = extra / variance;
-            if *marginalised {
+            if closed {
                 bias_variance[channel] = if read { prior * (1.0 - gain) } else { prior };
             }
             if !read {
@@ -211,7 +232,7 @@ impl ParticleFilter {
                 continue;
             }
             summary.used += 1;
-            let rest = if *marginalised { 0.0 } else { (extra * (1.0 - gain)).sqrt() };
+            let rest = if closed { 0.0 } else { (extra * (1.0 - gain)).sqrt() };
             let noise = density.of_variance(variance);
             let draw = sample.draws;
             sample.draws += usize::from(rest > 0.0);
@@ -224,9 +245,9 @@ impl ParticleFilter {
 
     /// Linearises once for all particles, if that is what each would find.
     fn share(&mut self) {
-        let Self { model, sample, shared, sharing, cloud, settings, belief, .. } = self;
+        let Self { model, sample, shared, sharing, motion, cloud, settings, belief, .. } = self;
         let once = matches!(settings.proposal, Proposal::Linearised { iterations: 1, .. });
-        *sharing = self.started && once && settings.densities.iter().all(Density::is_normal);
+        *sharing = self.started && motion.is_none() && once && settings.densities.iter().all(Density::is_normal);
         if *sharing {
             let linearised = model.linearised();
             shared.set(sample, linearised, &belief.mean);
@@ -236,8 +257,14 @@ impl ParticleFilter {
     }
 
     fn advance(&mut self) {
-        let Self { model, sample, shared, sharing, cloud, threads, .. } = self;
+        let Self { model, sample, shared, sharing, motion, cloud, threads, .. } = self;
         let (model, sample, level) = (model.jerk_model(), &*sample, simd::level());
+        if let Some(motion) = &*motion {
+            cloud.each(*threads, |block| {
+                simd::dispatch_lanes(level, accelerations::Advance { model, sample, motion, block });
+            });
+            return;
+        }
         let shared = sharing.then_some(&*shared);
         cloud.each(*threads, |block| simd::dispatch_lanes(level, Advance { model, sample, shared, block }));
     }
@@ -289,8 +316,17 @@ impl ParticleFilter {
             }
         }
         for (bias, variance) in model.jerk_model().biases.iter().zip(bias_variance) {
-            if let (true, Some(b)) = (self.marginalised, *bias) {
+            if let (Marginalised::Biases, Some(b)) = (self.marginalised, *bias) {
                 belief.covariance.put(b, b, belief.covariance.at(b, b) + *variance);
+            }
+        }
+        if self.motion.is_some() {
+            let first = 2 * model.jerk_model().joints();
+            for r in first..d {
+                for c in r..d {
+                    let own = summary.average(cloud, d + packed(r - first, c - first, d - first));
+                    belief.covariance.put(r, c, belief.covariance.at(r, c) + own);
+                }
             }
         }
     }
@@ -300,7 +336,7 @@ impl ParticleFilter {
         if self.settings.collapse == Collapse::Stop {
             return Err(RunError::Impossible { sample: self.taken });
         }
-        for reading in self.sample.readings.iter().filter(|_| self.marginalised) {
+        for reading in self.sample.readings.iter().filter(|_| self.marginalised == Marginalised::Biases) {
             self.bias_variance[reading.channel] = reading.gain * reading.noise.variance;
         }
         self.level();

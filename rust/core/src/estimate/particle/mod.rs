@@ -1,9 +1,12 @@
 //! Particle filters: beliefs that are not normal, states with limits, readings with outliers.
 
+mod accelerations;
 mod cloud;
+mod conditional;
 mod density;
 mod evaluation;
 mod filter;
+mod motion;
 mod moves;
 mod output;
 mod proposal;
@@ -17,4 +20,4 @@ mod start;
 pub use density::Density;
 pub use filter::ParticleFilter;
 pub use output::{ParticleOutput, Summary};
-pub use settings::{Collapse, MOST_PARTICLES, ParticleSettings, Proposal, Resampling};
+pub use settings::{Collapse, MOST_PARTICLES, Marginalised, ParticleSettings, Proposal, Resampling};

@@ -94,7 +94,7 @@ impl Kernel for Spread<'_> {
             let items = block.items(group);
             draw(&stream, items, 0, &mut block.scratch.normal[..d]);
             let (deviation, normal) = (&mut block.scratch.before, &block.scratch.normal);
-            for (a, row) in block.state.iter().enumerate() {
+            for (a, row) in block.state.iter().take(d).enumerate() {
                 let mut value = Lanes(row.0[group]) + -found.mean[a];
                 let (earlier, own) = deviation.split_at_mut(a);
                 for (b, other) in earlier.iter().enumerate() {
@@ -106,7 +106,7 @@ impl Kernel for Spread<'_> {
             for (standard, normal) in deviation.iter_mut().zip(normal) {
                 *standard = *standard * shrunk + *normal * kernel;
             }
-            for (a, row) in block.state.iter_mut().enumerate() {
+            for (a, row) in block.state.iter_mut().take(d).enumerate() {
                 let mut value = Wide::constant(wanted.mean[a]);
                 for (b, standard) in deviation[..=a].iter().enumerate() {
                     value += *standard * wanted.factor[a * d + b];

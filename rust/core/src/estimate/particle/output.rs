@@ -1,6 +1,6 @@
 //! What a particle filter gives back.
 
-use super::cloud::{BLOCK, Cloud};
+use super::cloud::{BLOCK, Cloud, dot};
 use super::filter::ParticleFilter;
 use crate::estimate::kalman::{FilterOutput, Gaussian, JerkModel, Keep, Model};
 use crate::scalar::ln;
@@ -78,6 +78,14 @@ impl Summary {
                 *sum += share * product;
             }
         }
+    }
+
+    /// Weighted mean of what row `d` of the blocks holds.
+    pub(super) fn average(&self, cloud: &Cloud, d: usize) -> f64 {
+        let one = |(share, block): (&f64, &super::cloud::Block)| {
+            share * dot(&block.weights.0, &block.state[d].0)
+        };
+        self.shares.iter().zip(&cloud.blocks).map(one).sum()
     }
 
     /// Normalised weights of all particles, in order.

@@ -24,7 +24,7 @@ pub(super) struct Sample {
     pub(super) increments: Vec<f64>,
     pub(super) readings: Vec<Reading>,
     pub(super) walks: Vec<Walk>,
-    /// Normal numbers that a particle needs: of increments first, then of biases.
+    /// Normal numbers that a particle needs: of increments first, then of walks and biases.
     pub(super) draws: usize,
     /// Logarithm of the total weight before.
     pub(super) offset: f64,
@@ -47,10 +47,10 @@ pub(super) struct Reading {
     pub(super) draw: usize,
 }
 
-/// A bias that is drawn before readings are looked at.
+/// An entry of the state that is drawn before readings are looked at.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Walk {
-    pub(super) bias: usize,
+    pub(super) entry: usize,
     pub(super) std: f64,
     /// Which normal number it is drawn by.
     pub(super) draw: usize,
@@ -86,14 +86,14 @@ impl Kernel for Advance<'_> {
 }
 
 #[inline(always)]
-fn load(block: &mut Block, group: usize) {
+pub(super) fn load(block: &mut Block, group: usize) {
     for (entry, row) in block.scratch.before.iter_mut().zip(&block.state) {
         *entry = Lanes(row.0[group]);
     }
 }
 
 #[inline(always)]
-fn store(block: &mut Block, group: usize, increment: Wide, offset: f64) {
+pub(super) fn store(block: &mut Block, group: usize, increment: Wide, offset: f64) {
     for (entry, row) in block.scratch.after.iter().zip(&mut block.state) {
         row.0[group] = entry.0;
     }
@@ -122,6 +122,13 @@ impl Scratch {
         self.apply_noise(sample);
         self.sensed.predict(model, &self.after, &sample.dtheta);
         change += self.weigh_and_learn(sample);
+        change + self.within_limits(sample)
+    }
+
+    /// Zero, or −∞ for particles beyond limits.
+    #[inline(always)]
+    pub(super) fn within_limits(&self, sample: &Sample) -> Wide {
+        let mut change = Wide::default();
         for (j, &(low, high)) in sample.limits.iter().enumerate() {
             let outside = |q: f64| if q < low || q > high { f64::NEG_INFINITY } else { 0.0 };
             change += self.after[j].map(outside);
@@ -131,7 +138,7 @@ impl Scratch {
 
     /// Particles that went out of the numbers stay where they would be without the readings. They have no weight, but
     /// zero times infinity would be in every sum.
-    fn bring_back(&mut self) {
+    pub(super) fn bring_back(&mut self) {
         for l in 0..WIDE {
             if self.after.iter().all(|x| x.0[l].is_finite()) {
                 continue;
@@ -154,11 +161,11 @@ impl Scratch {
         }
     }
 
-    /// Biases that wander whatever the readings say.
+    /// Positions, velocities and biases that wander whatever the readings say.
     #[inline(always)]
     fn walk(&mut self, sample: &Sample) {
         for walk in &sample.walks {
-            self.before[walk.bias] += self.normal[walk.draw] * walk.std;
+            self.before[walk.entry] += self.normal[walk.draw] * walk.std;
         }
     }
 
@@ -181,6 +188,18 @@ impl Scratch {
             Some(shared) => self.seek(shared),
             None => self.linearise(model, sample, iterations),
         }
+        self.draw_proposal(shared, sample, items, tail)
+    }
+
+    /// Draws around `mode`; returns log p(w) − log q(w).
+    #[inline(always)]
+    pub(super) fn draw_proposal(
+        &mut self,
+        shared: Option<&Shared>,
+        sample: &Sample,
+        items: [u32; WIDE],
+        tail: Option<u32>,
+    ) -> Wide {
         let stretch = tail.map(|dof| stretch(sample, items, dof));
         self.draw_around_mode(shared, stretch.zip(tail))
     }
@@ -350,7 +369,7 @@ fn student_term(square: Wide, dof: f64, n: usize) -> Wide {
 impl Reading {
     /// y − h(x) − b.
     #[inline(always)]
-    fn error(&self, state: &[Wide], prediction: &[Wide]) -> Wide {
+    pub(super) fn error(&self, state: &[Wide], prediction: &[Wide]) -> Wide {
         let error = -prediction[self.channel] + self.value;
         self.bias.map_or(error, |b| error - state[b])
     }

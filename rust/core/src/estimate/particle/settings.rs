@@ -2,7 +2,7 @@
 
 use super::density::Density;
 use crate::error::DesignError;
-use crate::estimate::kalman::{Channel, JerkModel};
+use crate::estimate::kalman::{Channel, JerkModel, Noise};
 
 /// Most particles that a filter takes.
 pub const MOST_PARTICLES: usize = 1 << 22;
@@ -20,6 +20,18 @@ pub enum Proposal {
         /// Degrees of freedom of Student's density that takes the normal one's place; None keeps the normal density.
         tail: Option<u32>,
     },
+}
+
+/// What is known in closed form for each particle (Rao–Blackwellised; Schön, Gustafsson and Nordlund 2005).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Marginalised {
+    /// Nothing: all of the state is drawn.
+    Nothing,
+    /// Biases. As each adds to its channel, and nothing else depends on it, their variances are the same for all particles.
+    Biases,
+    /// Accelerations and biases, with a covariance for each particle. Positions and velocities must wander by themselves:
+    /// with noise in acceleration alone, their path determines it.
+    Accelerations,
 }
 
 /// How particles are chosen in proportion to their weights.
@@ -75,7 +87,12 @@ pub struct ParticleSettings {
 impl ParticleSettings {
     /// # Errors
     /// A setting out of its range, or of a length that does not fit `model`.
-    pub(super) fn check(&self, model: &JerkModel, marginalised: bool) -> Result<(), DesignError> {
+    pub(super) fn check(
+        &self,
+        model: &JerkModel,
+        noise: &Noise,
+        marginalised: Marginalised,
+    ) -> Result<(), DesignError> {
         let range = |ok: bool, what, value, expected| {
             if ok { Ok(()) } else { Err(DesignError::Range { what, value, expected }) }
         };
@@ -98,8 +115,14 @@ impl ParticleSettings {
         length("densities", self.densities.len(), model.channels())?;
         for density in &self.densities {
             density.check()?;
-            let fits = density.is_normal() || !marginalised;
+            let fits = density.is_normal() || marginalised == Marginalised::Nothing;
             range(fits, "outliers", 1.0, "normal noise where biases are marginalised")?;
+        }
+        for (i, &walk) in noise.link_walk.iter().enumerate() {
+            let what = if i < model.joints() { "position_walk" } else { "velocity_walk" };
+            let fits = walk > 0.0 || marginalised != Marginalised::Accelerations;
+            let expected = "more than 0 where accelerations are marginalised: without it positions determine them";
+            range(fits, what, walk, expected)?;
         }
         length("limits", self.limits.len(), model.joints())?;
         for &(low, high) in &self.limits {

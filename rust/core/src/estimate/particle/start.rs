@@ -61,7 +61,7 @@ impl<'a> Start<'a> {
                 draw(&stream, items, 0, normal);
                 let change = self.around_mode(normal) + (even - determinant);
                 block.log_weights.0[group] = change.0;
-                for (d, row) in block.state.iter_mut().enumerate() {
+                for (d, row) in block.state.iter_mut().take(self.belief.mean.len()).enumerate() {
                     let mut value = Wide::constant(self.belief.mean[d]);
                     if d < joints && !origins.is_empty() {
                         let rows = origins.len() / joints;

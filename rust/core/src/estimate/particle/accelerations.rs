@@ -1,0 +1,237 @@
+//! One step of particles of positions and velocities, each with a normal density of accelerations and biases.
+
+use super::cloud::{Block, Cloud, Row, Scratch, WIDE, Weigh, Wide};
+use super::conditional::{Conditional, Slope};
+use super::motion::Motion;
+use super::proposal::{Reading, Sample, draw, load, store};
+use super::random::{Purpose, Stream};
+use super::settings::Proposal;
+use crate::estimate::kalman::{Evaluation, Gaussian, JerkModel};
+use crate::linear;
+use crate::scalar::{Lanes, Scalar, ln};
+use crate::simd::Kernel;
+use core::f64::consts::TAU;
+
+/// Room for the densities of [`WIDE`] particles.
+#[derive(Clone, Debug)]
+pub(super) struct Densities {
+    /// For the particle's path.
+    path: Conditional<Wide>,
+    /// The same with readings taken where they are linearised to find out where to draw.
+    trial: Conditional<Wide>,
+    evaluation: Evaluation<Wide>,
+    /// The mean at which the density is.
+    mean: Vec<Wide>,
+    by_noise: Vec<Wide>,
+}
+
+impl Densities {
+    pub(super) fn new(model: &JerkModel) -> Self {
+        let (n, d) = (model.joints(), model.states());
+        let path = Conditional::new(n, d - 2 * n);
+        Self {
+            trial: path.clone(),
+            path,
+            evaluation: Evaluation::new(&model.robot, model.channels()),
+            mean: vec![Wide::default(); d],
+            by_noise: vec![Wide::default(); 2 * n],
+        }
+    }
+}
+
+/// How many numbers a covariance of accelerations and biases is kept in.
+pub(super) fn covariance_entries(model: &JerkModel) -> usize {
+    let size = model.states() - 2 * model.joints();
+    size * (size + 1) / 2
+}
+
+/// Gives all particles the covariance of `belief`, of a robot of `n` joints.
+pub(super) fn start(cloud: &mut Cloud, belief: &Gaussian, n: usize) {
+    let d = belief.mean.len();
+    for block in &mut cloud.blocks {
+        let mut rows = block.state[d..].iter_mut();
+        for r in 2 * n..d {
+            for (c, row) in (r..d).zip(&mut rows) {
+                row.each_mut().fill(belief.covariance.at(r, c));
+            }
+        }
+    }
+}
+
+/// Moves a block by one sample.
+pub(super) struct Advance<'a> {
+    pub(super) model: &'a JerkModel,
+    pub(super) sample: &'a Sample,
+    pub(super) motion: &'a Motion,
+    pub(super) block: &'a mut Block,
+}
+
+impl Kernel for Advance<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { model, sample, motion, block } = self;
+        let Some(mut densities) = block.densities.take() else { return };
+        let covariances = model.states();
+        for group in 0..block.groups() {
+            let items = block.items(group);
+            load(block, group);
+            densities.load(&block.state[covariances..], group);
+            let change = densities.step(&mut block.scratch, model, sample, motion, items);
+            if !change.0.iter().all(|x| x.is_finite()) {
+                densities.bring_back(&block.scratch.after, &block.state[covariances..], group, motion);
+                block.scratch.bring_back();
+            }
+            store(block, group, change, sample.offset);
+            densities.store(&mut block.state[covariances..], group);
+        }
+        block.densities = Some(densities);
+        block.log_weights.each_mut()[block.count..].fill(f64::NEG_INFINITY);
+        Weigh { block }.run();
+    }
+}
+
+impl Densities {
+    #[inline(always)]
+    fn load(&mut self, rows: &[Row], group: usize) {
+        for (entry, row) in self.path.covariance.iter_mut().zip(rows) {
+            *entry = Lanes(row.0[group]);
+        }
+    }
+
+    #[inline(always)]
+    fn store(&self, rows: &mut [Row], group: usize) {
+        for (entry, row) in self.path.covariance.iter().zip(rows) {
+            row.0[group] = entry.0;
+        }
+    }
+
+    /// Particles that went out of the numbers have learnt nothing from the readings.
+    fn bring_back(&mut self, after: &[Wide], rows: &[Row], group: usize, motion: &Motion) {
+        self.trial.copy_from(&self.path);
+        self.load(rows, group);
+        self.path.drift(motion);
+        for l in 0..WIDE {
+            if after.iter().chain(&self.trial.covariance).all(|x| x.0[l].is_finite()) {
+                for (entry, found) in self.path.covariance.iter_mut().zip(&self.trial.covariance) {
+                    entry.0[l] = found.0[l];
+                }
+            }
+        }
+    }
+
+    /// From `before` to `after`, densities with them; returns by how much the logarithms of the weights change.
+    #[inline(always)]
+    fn step(
+        &mut self,
+        scratch: &mut Scratch,
+        model: &JerkModel,
+        sample: &Sample,
+        motion: &Motion,
+        items: [u32; WIDE],
+    ) -> Wide {
+        let stream = Stream::new(sample.seed, sample.step, Purpose::Motion);
+        draw(&stream, items, 0, &mut scratch.normal[..sample.draws]);
+        scratch.coast(model.joints(), sample);
+        self.path.drift(motion);
+        self.path.follow(motion);
+        let (passes, tail) = match sample.proposal {
+            Proposal::Bootstrap => (0, None),
+            Proposal::Linearised { iterations, tail } => (iterations, tail),
+        };
+        if passes == 0 {
+            scratch.noise.copy_from_slice(&scratch.normal[..sample.draws]);
+        } else {
+            scratch.noise.fill(Wide::default());
+        }
+        let mut change = Wide::default();
+        // One text of the sensors for all passes: it is long, and compiled for each level.
+        for pass in 0..=passes {
+            self.path.displace(motion, &scratch.before, &scratch.noise, &mut scratch.after);
+            self.evaluation.evaluate(&model.robot, &model.channels, &scratch.after, &sample.dtheta);
+            if pass == passes {
+                change += self.weigh_and_learn(&mut scratch.after, model, sample);
+            } else {
+                self.gather_information(scratch, model, sample, motion);
+                if pass + 1 == passes {
+                    linear::root(&mut scratch.factor, scratch.mode.len());
+                    change += scratch.draw_proposal(None, sample, items, tail);
+                } else {
+                    scratch.noise.copy_from_slice(&scratch.mode);
+                }
+            }
+        }
+        change + scratch.within_limits(sample)
+    }
+
+    /// Λ = 1 + BᵀS⁻¹B, factorised, and ζ̂ = Λ⁻¹BᵀS⁻¹ε, with S the covariance of the readings given n, linearised at `after`.
+    #[inline(always)]
+    fn gather_information(&mut self, scratch: &mut Scratch, model: &JerkModel, sample: &Sample, motion: &Motion) {
+        let Scratch { before, after, mode, factor, .. } = scratch;
+        let count = mode.len();
+        self.trial.copy_from(&self.path);
+        self.mean.copy_from_slice(before);
+        factor.fill(Wide::default());
+        mode.fill(Wide::default());
+        factor.iter_mut().step_by(count + 1).for_each(|x| *x = Wide::constant(1.0));
+        for reading in &sample.readings {
+            let error = self.error(model, reading, after);
+            let row = slope(&self.evaluation, model, reading);
+            self.trial.by_noise(motion, row, &mut self.by_noise);
+            let precision = Wide::constant(1.0) / self.trial.observe(row, reading.noise.variance);
+            self.trial.tilt(&self.by_noise);
+            learn(&mut self.mean[2 * model.joints()..], &self.trial.gain, error);
+            for (j, b) in self.by_noise.iter().enumerate() {
+                let weighted = *b * precision;
+                mode[j] += weighted * error;
+                for (entry, other) in factor[j * count..=j * count + j].iter_mut().zip(&self.by_noise) {
+                    *entry += weighted * *other;
+                }
+            }
+        }
+        linear::factorise(factor, count);
+        linear::solve(factor, count, mode, 1);
+    }
+
+    /// log p(y | path), and what accelerations and biases learn from y.
+    #[inline(always)]
+    fn weigh_and_learn(&mut self, after: &mut [Wide], model: &JerkModel, sample: &Sample) -> Wide {
+        self.mean.copy_from_slice(after);
+        let mut change = Wide::default();
+        for reading in &sample.readings {
+            let error = self.error(model, reading, after);
+            let row = slope(&self.evaluation, model, reading);
+            let variance = self.path.observe(row, reading.noise.variance);
+            learn(&mut self.mean[2 * model.joints()..], &self.path.gain, error);
+            change -= (error * error / variance + (variance * TAU).map(ln)) * 0.5;
+        }
+        after.copy_from_slice(&self.mean);
+        change
+    }
+
+    /// y − h at the density's mean, h linearised at `at`; its bias enters as it is.
+    #[inline(always)]
+    fn error(&self, model: &JerkModel, reading: &Reading, at: &[Wide]) -> Wide {
+        let row = slope(&self.evaluation, model, reading);
+        let mut error = reading.error(&self.mean, &self.evaluation.prediction);
+        for ((h, at), mean) in row.links.iter().zip(at).zip(&self.mean) {
+            error += *h * (*at - *mean);
+        }
+        error
+    }
+}
+
+#[inline(always)]
+fn slope<'a>(evaluation: &'a Evaluation<Wide>, model: &JerkModel, reading: &Reading) -> Slope<'a, Wide> {
+    let n = model.joints();
+    let links = &evaluation.jacobian[reading.channel * 3 * n..][..3 * n];
+    Slope { links, bias: reading.bias.map(|b| b - 2 * n) }
+}
+
+#[inline(always)]
+fn learn(mean: &mut [Wide], gain: &[Wide], error: Wide) {
+    for (mean, gain) in mean.iter_mut().zip(gain) {
+        *mean += *gain * error;
+    }
+}
