@@ -20,6 +20,25 @@ struct Moving<T> {
     moment: Vec3<T>,
 }
 
+/// Motion of a body whose joint is held, in its axes.
+struct Carried<T> {
+    angular_velocity: Vec3<T>,
+    angular_acceleration: Vec3<T>,
+    acceleration: Vec3<T>,
+}
+
+impl<T: Scalar> Carried<T> {
+    /// On a base at rest.
+    #[inline(always)]
+    fn at_rest(body: &Body, gravity: &Vec3<f64>) -> Self {
+        Self {
+            angular_velocity: Vec3::default(),
+            angular_acceleration: Vec3::default(),
+            acceleration: Vec3::constant(&-body.rotation.apply_transposed(gravity)),
+        }
+    }
+}
+
 /// Scratch of the recursive Newton–Euler algorithm for one robot.
 ///
 /// Luh, Walker and Paul (1980), written in moments of mass: with Γ constant over a body its momentum changes by
@@ -39,19 +58,15 @@ impl<T: Scalar> NewtonEuler<T> {
     #[inline(always)]
     pub fn set(&mut self, tree: &Tree, q: &[T], dq: &[T], ddq: &[T]) {
         for (i, body) in tree.bodies.iter().enumerate() {
-            let j = body.joint;
-            let mut moving = match body.parent {
+            let carried = match body.parent {
                 Some(p) => self.bodies[p].carry(body),
-                None => Moving {
-                    acceleration: Vec3::constant(&-body.rotation.apply_transposed(&tree.gravity)),
-                    ..Moving::default()
-                },
+                None => Carried::at_rest(body, &tree.gravity),
             };
+            let (joint, moving) = (body.joint, &mut self.bodies[i]);
             match body.kind {
-                JointKind::Revolute => moving.revolve(q[j], dq[j], ddq[j]),
-                JointKind::Prismatic => moving.slide(q[j], dq[j], ddq[j]),
+                JointKind::Revolute => moving.revolve(&carried, q[joint], dq[joint], ddq[joint]),
+                JointKind::Prismatic => moving.slide(carried, q[joint], dq[joint], ddq[joint]),
             }
-            self.bodies[i] = moving;
         }
     }
 
@@ -103,42 +118,41 @@ impl<T: Scalar> NewtonEuler<T> {
 }
 
 impl<T: Scalar> Moving<T> {
-    /// A body that this one carries, its joint held at zero.
+    /// How a body that this one carries moves, its joint held at zero.
     #[inline(always)]
-    fn carry(&self, body: &Body) -> Self {
+    fn carry(&self, body: &Body) -> Carried<T> {
         let acceleration = self.acceleration + self.gradient.apply_constant(&body.translation);
-        let [angular_velocity, angular_acceleration, acceleration] = if body.straight {
-            [self.angular_velocity, self.angular_acceleration, acceleration]
-        } else {
-            [
-                body.rotation.turn_back(&self.angular_velocity),
-                body.rotation.turn_back(&self.angular_acceleration),
-                body.rotation.turn_back(&acceleration),
-            ]
-        };
-        Self { angular_velocity, angular_acceleration, acceleration, ..Self::default() }
+        let turn = |v: &Vec3<T>| if body.straight { *v } else { body.rotation.turn_back(v) };
+        Carried {
+            angular_velocity: turn(&self.angular_velocity),
+            angular_acceleration: turn(&self.angular_acceleration),
+            acceleration: turn(&acceleration),
+        }
     }
 
     #[inline(always)]
-    fn revolve(&mut self, q: T, dq: T, ddq: T) {
+    fn revolve(&mut self, carried: &Carried<T>, q: T, dq: T, ddq: T) {
         let (sin, cos) = q.sin_cos();
         let back = |v: &Vec3<T>| Vec3([v.0[0] * cos + v.0[1] * sin, v.0[1] * cos - v.0[0] * sin, v.0[2]]);
-        let [x, y, z] = back(&self.angular_velocity).0;
-        let [dx, dy, dz] = back(&self.angular_acceleration).0;
+        let [x, y, z] = back(&carried.angular_velocity).0;
+        let [dx, dy, dz] = back(&carried.angular_acceleration).0;
         self.turn = (sin, cos);
         self.angular_velocity = Vec3([x, y, z + dq]);
         self.angular_acceleration = Vec3([dx + y * dq, dy - x * dq, dz + ddq]);
-        self.acceleration = back(&self.acceleration);
+        self.acceleration = back(&carried.acceleration);
         self.set_gradient();
     }
 
     #[inline(always)]
-    fn slide(&mut self, q: T, dq: T, ddq: T) {
-        self.set_gradient();
+    fn slide(&mut self, carried: Carried<T>, q: T, dq: T, ddq: T) {
         self.turn = (q, T::constant(1.0));
+        self.angular_velocity = carried.angular_velocity;
+        self.angular_acceleration = carried.angular_acceleration;
+        self.set_gradient();
         let [x, y, _] = self.angular_velocity.0;
         let twice = dq + dq;
-        self.acceleration += self.gradient.0[2].scale(q) + Vec3([y * twice, -(x * twice), ddq]);
+        let sliding = Vec3([y * twice, -(x * twice), ddq]);
+        self.acceleration = carried.acceleration + self.gradient.0[2].scale(q) + sliding;
     }
 
     #[inline(always)]

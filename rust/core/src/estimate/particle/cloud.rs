@@ -15,6 +15,10 @@ pub(super) const WIDE: usize = 8;
 
 pub(super) type Wide = Lanes<WIDE>;
 
+/// A weight is zero below this logarithm of its part in the largest. No sum would notice it, but numbers too small to be
+/// normal are slow.
+const NEGLIGIBLE: f64 = -100.0;
+
 /// A number of each particle of a block, by groups of [`WIDE`].
 ///
 /// One group more than there are particles: rows a whole page apart would all want the same few lines of the cache.
@@ -177,7 +181,11 @@ impl Kernel for Weigh<'_> {
         let largest = if sums.largest.is_finite() { sums.largest } else { 0.0 };
         let [mut weight, mut square] = [Wide::default(); 2];
         for (out, logs) in weights.0.iter_mut().zip(logs) {
-            let w = (Lanes(*logs) + -largest).exp();
+            let part = Lanes(*logs) + -largest;
+            let mut w = part.map(|log| log.max(NEGLIGIBLE)).exp();
+            for (w, log) in w.0.iter_mut().zip(part.0) {
+                *w = if log < NEGLIGIBLE { 0.0 } else { *w };
+            }
             *out = w.0;
             weight += w;
             square += w * w;

@@ -82,9 +82,7 @@ impl Summary {
 
     /// Weighted mean of what row `d` of the blocks holds.
     pub(super) fn average(&self, cloud: &Cloud, d: usize) -> f64 {
-        let one = |(share, block): (&f64, &super::cloud::Block)| {
-            share * dot(&block.weights.0, &block.state[d].0)
-        };
+        let one = |(share, block): (&f64, &super::cloud::Block)| share * dot(&block.weights.0, &block.state[d].0);
         self.shares.iter().zip(&cloud.blocks).map(one).sum()
     }
 
