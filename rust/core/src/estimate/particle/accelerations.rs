@@ -1,11 +1,12 @@
 //! One step of particles of positions and velocities, each with a normal density of accelerations and biases.
 
-use super::cloud::{Block, Cloud, Row, Scratch, WIDE, Weigh, Wide};
+use super::cloud::{Block, Cloud, Row, Scratch, WIDE, Wide};
 use super::conditional::{Conditional, Slope};
 use super::motion::Motion;
 use super::proposal::{Reading, Sample, draw, load, store};
 use super::random::{Purpose, Stream};
 use super::settings::Proposal;
+use super::sums::Weigh;
 use crate::estimate::kalman::{Evaluation, Gaussian, JerkModel};
 use crate::linear;
 use crate::scalar::{Lanes, Scalar, ln};

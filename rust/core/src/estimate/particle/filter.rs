@@ -1,21 +1,19 @@
 //! The particle filter: one step, and whole recordings.
 
 use super::accelerations;
-use super::cloud::{BLOCK, Cloud, Deviations, Gather, Level, Row};
+use super::cloud::Cloud;
 use super::density::Density;
 use super::motion::Motion;
-use super::moves::{Moments, Spread};
+use super::moves::Moments;
 use super::output::{ParticleOutput, Summary, packed};
 use super::proposal::{Advance, Reading, Sample, Walk};
-use super::random::{Purpose, Stream};
-use super::resample;
 use super::settings::{Collapse, Marginalised, ParticleSettings, Proposal};
 use super::shared::{Probe, Shared};
 use super::start::Start;
+use super::sums::Deviations;
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
 use crate::estimate::kalman::{FilterOutput, Gaussian, JerkDriven, KalmanRecording, KalmanSample, Keep, Model, Tool};
-use crate::scalar::ln;
 use crate::simd;
 use rayon::prelude::*;
 
@@ -36,20 +34,20 @@ pub struct ParticleFilter {
     pub(super) sample: Sample,
     shared: Shared,
     /// Whether the shared linearisation is that of each particle.
-    sharing: bool,
+    pub(super) sharing: bool,
     /// There where accelerations are marginalised.
     motion: Option<Motion>,
     /// Variance of each channel's bias for a given path of the links (channels), where biases alone are marginalised.
     pub(super) bias_variance: Vec<f64>,
     pub(super) summary: Summary,
-    wanted: Moments,
-    found: Moments,
-    ancestors: Vec<u32>,
+    pub(super) wanted: Moments,
+    pub(super) found: Moments,
+    pub(super) ancestors: Vec<u32>,
     pub(super) tool: Tool,
     pub(super) memory: Vec<f64>,
-    threads: bool,
-    taken: usize,
-    started: bool,
+    pub(super) threads: bool,
+    pub(super) taken: usize,
+    pub(super) started: bool,
 }
 
 impl ParticleFilter {
@@ -285,7 +283,7 @@ impl ParticleFilter {
     }
 
     /// Weighted products of deviations from the mean, of the first `entries` of the state, in every block.
-    fn spread(&mut self, entries: usize) {
+    pub(super) fn spread(&mut self, entries: usize) {
         let Self { cloud, summary, threads, .. } = self;
         let (mean, level) = (&summary.mean, simd::level());
         cloud.each(*threads, |block| simd::dispatch(level, Deviations { block, mean, entries }));
@@ -344,79 +342,6 @@ impl ParticleFilter {
         (self.summary.used, self.summary.log_likelihood) = (0, 0.0);
         self.summary.status |= Status::PREDICTED;
         Ok(())
-    }
-
-    /// Chooses particles when few carry all weight.
-    fn resample_if_due(&mut self) {
-        let n = self.settings.particles as f64;
-        if !self.started || self.summary.effective >= self.settings.threshold * n {
-            return;
-        }
-        let kernel = self.settings.kernel;
-        if kernel.is_some() {
-            self.take_moments(true);
-        }
-        let stream = Stream::new(self.settings.seed, self.taken as u32, Purpose::Ancestors);
-        let weights = self.summary.weights(&self.cloud);
-        resample::choose(self.settings.resampling, &stream, weights, &mut self.ancestors);
-        self.copy_ancestors();
-        if let Some(kernel) = kernel {
-            self.take_moments(false);
-            self.move_apart(kernel);
-        }
-    }
-
-    /// Mean and covariance of the whole state.
-    ///
-    /// A weighted covariance about its own mean is too small by 1 − Σw² on average. That is little at a sample, but each
-    /// choice hands it on to the next, until a cloud of many states has no spread left where readings say little.
-    fn take_moments(&mut self, before: bool) {
-        let d = self.belief.mean.len();
-        let mut scale = 1.0;
-        if before {
-            let effective = self.summary.effective.max(2.0);
-            scale = effective / (effective - 1.0);
-        } else {
-            self.summary.weigh(&self.cloud, self.cloud.blocks[0].sums.largest);
-        }
-        self.spread(d);
-        let Self { cloud, summary, wanted, found, .. } = self;
-        summary.gather_covariance(cloud);
-        let moments = if before { wanted } else { found };
-        moments.mean.copy_from_slice(&summary.mean);
-        moments.factorise(&summary.products, scale);
-    }
-
-    fn copy_ancestors(&mut self) {
-        let Self { cloud: Cloud { blocks, next }, ancestors, threads, .. } = self;
-        let (source, level) = (&*blocks, simd::level());
-        let copy = |(next, ancestors): (&mut Vec<Row>, &[u32])| {
-            simd::dispatch_lanes(level, Gather { source, ancestors, next })
-        };
-        if *threads {
-            next.par_iter_mut().zip(ancestors.par_chunks(BLOCK)).for_each(copy);
-        } else {
-            next.iter_mut().zip(ancestors.chunks(BLOCK)).for_each(copy);
-        }
-        for (block, next) in blocks.iter_mut().zip(next) {
-            core::mem::swap(&mut block.state, next);
-        }
-        self.level();
-    }
-
-    /// Gives all particles the same weight.
-    fn level(&mut self) {
-        let Self { cloud, settings, sample, threads, .. } = self;
-        let (log_weight, level) = (-ln(settings.particles as f64), simd::level());
-        cloud.each(*threads, |block| simd::dispatch_lanes(level, Level { block, log_weight }));
-        sample.offset = 0.0;
-    }
-
-    fn move_apart(&mut self, kernel: f64) {
-        let Self { cloud, wanted, found, settings, threads, .. } = self;
-        let stream = Stream::new(settings.seed, self.taken as u32, Purpose::Move);
-        let (wanted, found, level) = (&*wanted, &*found, simd::level());
-        cloud.each(*threads, |block| simd::dispatch(level, Spread { block, wanted, found, kernel, stream }));
     }
 
     /// Filters a recording, `count` rows; goes on from where it was, so that it may come in pieces.

@@ -11,11 +11,13 @@ mod moves;
 mod output;
 mod proposal;
 mod random;
+mod renewal;
 mod resample;
 mod settings;
 mod shared;
 mod smoother;
 mod start;
+mod sums;
 
 pub use density::Density;
 pub use filter::ParticleFilter;

@@ -1,7 +1,8 @@
 //! What a particle filter gives back.
 
-use super::cloud::{BLOCK, Cloud, dot};
+use super::cloud::{BLOCK, Cloud};
 use super::filter::ParticleFilter;
+use super::sums::dot;
 use crate::estimate::kalman::{FilterOutput, Gaussian, JerkModel, Keep, Model};
 use crate::scalar::ln;
 

@@ -1,11 +1,12 @@
 //! One step of a block of particles: where they go, and what that does to their weights.
 
-use super::cloud::{Block, Scratch, WIDE, Weigh, Wide};
+use super::cloud::{Block, Scratch, WIDE, Wide};
 use super::density::{Noise, log_gamma};
 use super::evaluation::Reach;
 use super::random::{Purpose, Stream};
 use super::settings::Proposal;
 use super::shared::Shared;
+use super::sums::Weigh;
 use crate::estimate::kalman::JerkModel;
 use crate::linear;
 use crate::scalar::{Lanes, Scalar, ln};
