@@ -11,7 +11,6 @@ pub struct Batch<'a> {
     kinematics: Kinematics<f64>,
     loads: Loads<f64>,
     newton_euler: NewtonEuler<f64>,
-    zero: Vec<f64>,
 }
 
 /// A state of the links, one row a sample, n columns.
@@ -44,53 +43,51 @@ impl<'a> Batch<'a> {
     /// Scratch for `robot`.
     pub fn new(robot: &'a Robot) -> Self {
         let tree = &robot.tree;
-        Self {
-            robot,
-            kinematics: Kinematics::new(tree),
-            loads: Loads::new(tree),
-            newton_euler: NewtonEuler::new(tree),
-            zero: vec![0.0; tree.len()],
-        }
+        Self { robot, kinematics: Kinematics::new(tree), loads: Loads::new(tree), newton_euler: NewtonEuler::new(tree) }
     }
 
-    /// Calls `f` with every sample's kinematics and its slice of `out`; `width` entries a sample.
-    fn each(&mut self, s: States<'_>, out: &mut [f64], width: usize, mut f: impl FnMut(&mut Self, &mut [f64])) {
-        let n = self.robot.len();
-        let rows = s.q.chunks_exact(n).zip(s.dq.chunks_exact(n)).zip(s.ddq.chunks_exact(n));
-        for (((q, dq), ddq), out) in rows.zip(out.chunks_exact_mut(width.max(1))) {
-            self.kinematics.set(&self.robot.tree, q, dq, ddq);
-            f(self, out);
-        }
-    }
-
-    /// As [`each`](Self::each), at rest.
-    fn each_position(&mut self, q: &[f64], out: &mut [f64], width: usize, mut f: impl FnMut(&mut Self, &mut [f64])) {
-        let n = self.robot.len();
-        for (q, out) in q.chunks_exact(n).zip(out.chunks_exact_mut(width.max(1))) {
-            self.kinematics.set(&self.robot.tree, q, &self.zero, &self.zero);
-            f(self, out);
-        }
-    }
-
-    /// Calls `f` with every sample's loads and sensors and its slice of `out`; `width` entries a sample.
-    fn each_motion(
+    /// Calls `f` with every sample's state and its slice of `out`; `width` entries a sample. Velocities and accelerations
+    /// of a single sample are those of all.
+    fn rows(
         &mut self,
         s: States<'_>,
         out: &mut [f64],
         width: usize,
-        mut f: impl FnMut(&Robot, &mut NewtonEuler<f64>, &mut [f64]),
+        mut f: impl FnMut(&mut Self, [&[f64]; 3], &mut [f64]),
     ) {
         let n = self.robot.len();
-        let rows = s.q.chunks_exact(n).zip(s.dq.chunks_exact(n)).zip(s.ddq.chunks_exact(n));
-        for (((q, dq), ddq), out) in rows.zip(out.chunks_exact_mut(width.max(1))) {
-            self.newton_euler.set(&self.robot.tree, q, dq, ddq);
-            f(self.robot, &mut self.newton_euler, out);
+        let rates = s.dq.chunks_exact(n).cycle().zip(s.ddq.chunks_exact(n).cycle());
+        let rows = s.q.chunks_exact(n).zip(rates);
+        for ((q, (dq, ddq)), out) in rows.zip(out.chunks_exact_mut(width.max(1))) {
+            f(self, [q, dq, ddq], out);
         }
+    }
+
+    /// As [`rows`](Self::rows), with the sample's kinematics set.
+    fn each(&mut self, s: States<'_>, out: &mut [f64], width: usize, mut f: impl FnMut(&mut Self, &mut [f64])) {
+        self.rows(s, out, width, |b, [q, dq, ddq], out| {
+            b.kinematics.set(&b.robot.tree, q, dq, ddq);
+            f(b, out);
+        });
+    }
+
+    /// As [`rows`](Self::rows), with the sample's loads and readings alone set.
+    fn each_motion(&mut self, s: States<'_>, out: &mut [f64], width: usize, mut f: impl FnMut(&mut Self, &mut [f64])) {
+        self.rows(s, out, width, |b, [q, dq, ddq], out| {
+            b.newton_euler.set(&b.robot.tree, q, dq, ddq);
+            f(b, out);
+        });
+    }
+
+    /// As [`each`](Self::each), at rest.
+    fn each_position(&mut self, q: &[f64], out: &mut [f64], width: usize, f: impl FnMut(&mut Self, &mut [f64])) {
+        let zero = vec![0.0; self.robot.len()];
+        self.each(States { q, dq: &zero, ddq: &zero }, out, width, f);
     }
 
     /// τ: n a sample.
     pub fn inverse_dynamics(&mut self, s: States<'_>, out: &mut [f64]) {
-        self.each_motion(s, out, self.robot.len(), |robot, motion, tau| motion.inverse_dynamics_into(&robot.tree, tau));
+        self.each_motion(s, out, self.robot.len(), |b, tau| b.newton_euler.inverse_dynamics_into(&b.robot.tree, tau));
     }
 
     /// q̈ and θ̈ one after the other: 2 n a sample.
@@ -123,11 +120,8 @@ impl<'a> Batch<'a> {
 
     /// g(q): n a sample.
     pub fn gravity_torque(&mut self, q: &[f64], out: &mut [f64]) {
-        let n = self.robot.len();
-        for (q, tau) in q.chunks_exact(n).zip(out.chunks_exact_mut(n)) {
-            self.newton_euler.set(&self.robot.tree, q, &self.zero, &self.zero);
-            self.newton_euler.inverse_dynamics_into(&self.robot.tree, tau);
-        }
+        let zero = vec![0.0; self.robot.len()];
+        self.inverse_dynamics(States { q, dq: &zero, ddq: &zero }, out);
     }
 
     /// M(q): n × n a sample.
@@ -158,8 +152,8 @@ impl<'a> Batch<'a> {
 
     /// Specific force at every recorded accelerometer axis.
     pub fn specific_force(&mut self, s: States<'_>, out: &mut [f64]) {
-        self.each_motion(s, out, self.robot.acceleration_channels(), |robot, motion, out| {
-            read(&robot.accelerometers, out, |sensor| motion.specific_force(&sensor.frame));
+        self.each_motion(s, out, self.robot.acceleration_channels(), |b, out| {
+            read(&b.robot.accelerometers, out, |sensor| b.newton_euler.specific_force(&sensor.frame));
         });
     }
 
@@ -184,8 +178,8 @@ impl<'a> Batch<'a> {
 
     /// Angular rate at every recorded gyroscope axis.
     pub fn angular_rate(&mut self, s: States<'_>, out: &mut [f64]) {
-        self.each_motion(s, out, self.robot.gyroscope_channels(), |robot, motion, out| {
-            read(&robot.gyroscopes, out, |sensor| motion.angular_rate(&sensor.frame));
+        self.each_motion(s, out, self.robot.gyroscope_channels(), |b, out| {
+            read(&b.robot.gyroscopes, out, |sensor| b.newton_euler.angular_rate(&sensor.frame));
         });
     }
 

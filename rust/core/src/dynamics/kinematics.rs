@@ -21,7 +21,7 @@ pub(crate) struct BodyState<T> {
 }
 
 /// Scratch for one robot's kinematics.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Kinematics<T> {
     pub(crate) bodies: Vec<BodyState<T>>,
     /// Moments of mass in the bodies' own frames, where they are not those of the tree; else empty.

@@ -14,7 +14,7 @@ struct Composite<T> {
 }
 
 /// Scratch for the equations of motion M(q) q̈ + C(q, q̇) q̇ + g(q) = τ of one robot.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Loads<T> {
     composites: Vec<Composite<T>>,
 }

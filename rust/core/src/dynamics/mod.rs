@@ -1,7 +1,8 @@
 //! Rigid-body dynamics of the links and kinematics of the sensors, with exact first derivatives.
 //!
 //! Set a state on a [`Kinematics`], then ask: every answer is read off the same per-body quantities in the base frame.
-//! Where loads and readings alone are wanted, [`NewtonEuler`] gives them with half the work. Matrices are row-major slices. Nothing allocates after construction.
+//! Where loads and readings alone are wanted, [`NewtonEuler`] gives them with half the work. Matrices are row-major
+//! slices. Nothing allocates after construction.
 
 mod batch;
 mod definite;

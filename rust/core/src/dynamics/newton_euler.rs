@@ -43,7 +43,7 @@ impl<T: Scalar> Carried<T> {
 ///
 /// Luh, Walker and Paul (1980), written in moments of mass: with Γ constant over a body its momentum changes by
 /// m a + Γ∫r dm, and its moment of momentum by ∫r dm × a and the skew part of Γ∫r rᵀ dm.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct NewtonEuler<T> {
     bodies: Vec<Moving<T>>,
 }

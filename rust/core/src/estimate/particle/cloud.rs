@@ -72,7 +72,7 @@ pub(super) struct Sums {
 }
 
 /// Room for [`WIDE`] particles on their way.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(super) struct Scratch {
     pub(super) sensed: Sensed<Wide>,
     /// q, q̇, q̈ and biases before the noise, and after it.
@@ -88,7 +88,8 @@ pub(super) struct Scratch {
 }
 
 impl Scratch {
-    fn new(model: &JerkModel, drawn: usize) -> Self {
+    /// For a proposal of `drawn` increments.
+    pub(super) fn new(model: &JerkModel, drawn: usize) -> Self {
         let room = |size| vec![Wide::default(); size];
         let states = model.states();
         Self {

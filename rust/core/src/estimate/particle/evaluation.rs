@@ -7,7 +7,7 @@ use crate::scalar::Scalar;
 use crate::spatial::Vec3;
 
 /// Scratch and results of an evaluation.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(super) struct Sensed<T> {
     /// h (channels), without bias.
     pub(super) prediction: Vec<T>,

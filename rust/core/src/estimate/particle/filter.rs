@@ -249,7 +249,7 @@ impl ParticleFilter {
         if *sharing {
             let linearised = model.linearised();
             shared.set(sample, linearised, &belief.mean);
-            let probe = Probe { model: model.jerk_model(), sample, shared, linearised, cloud };
+            let probe = Probe { model: model.jerk_model(), sample, linearised, cloud, shared };
             *sharing = simd::dispatch_lanes(simd::level(), probe);
         }
     }
