@@ -38,7 +38,7 @@ pub fn level() -> Level {
     *LEVEL
 }
 
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", not(one_level)))]
 fn widest() -> Level {
     use std::is_x86_feature_detected as has;
     if has!("avx512f") && has!("avx512dq") && has!("avx512vl") && has!("avx512bw") {
@@ -50,7 +50,8 @@ fn widest() -> Level {
     }
 }
 
-#[cfg(not(target_arch = "x86_64"))]
+/// Other processors, and builds in a hurry (`--cfg one_level`), have one level.
+#[cfg(any(not(target_arch = "x86_64"), one_level))]
 fn widest() -> Level {
     Level::Baseline
 }
@@ -63,9 +64,9 @@ pub fn dispatch<K: Kernel>(level: Level, kernel: K) -> K::Output {
     match level.min(widest()) {
         Level::Baseline => kernel.run(),
         // SAFETY: `widest` has asked the processor.
-        #[cfg(target_arch = "x86_64")]
+        #[cfg(all(target_arch = "x86_64", not(one_level)))]
         Level::Avx2 | Level::Avx512 => unsafe { avx2(kernel) },
-        #[cfg(not(target_arch = "x86_64"))]
+        #[cfg(any(not(target_arch = "x86_64"), one_level))]
         Level::Avx2 | Level::Avx512 => kernel.run(),
     }
 }
@@ -75,19 +76,19 @@ pub fn dispatch<K: Kernel>(level: Level, kernel: K) -> K::Output {
 pub fn dispatch_lanes<K: Kernel>(level: Level, kernel: K) -> K::Output {
     match level.min(widest()) {
         // SAFETY: `widest` has asked the processor.
-        #[cfg(target_arch = "x86_64")]
+        #[cfg(all(target_arch = "x86_64", not(one_level)))]
         Level::Avx512 => unsafe { avx512(kernel) },
         narrower => dispatch(narrower, kernel),
     }
 }
 
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", not(one_level)))]
 #[target_feature(enable = "avx2")]
 fn avx2<K: Kernel>(kernel: K) -> K::Output {
     kernel.run()
 }
 
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", not(one_level)))]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx512bw")]
 fn avx512<K: Kernel>(kernel: K) -> K::Output {
     kernel.run()
