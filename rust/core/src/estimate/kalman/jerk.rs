@@ -4,6 +4,7 @@ use super::channels::Channel;
 use super::gaussian::{Gaussian, Symmetric};
 use super::recording::{check_deviations, check_readings, expect_length};
 use crate::error::DesignError;
+use crate::estimate::jerk_noise;
 use crate::robot::Robot;
 use std::sync::Arc;
 
@@ -125,7 +126,7 @@ impl JerkModel {
     /// Time update over `dt` [s] under a constant `jerk` (n): x ← F x + G u, P ← F P Fᵀ + Q.
     ///
     /// F is three blocks wide, so the product is a few row and column sums in place of two dense products. Process
-    /// noise enters as in eq. (10): an increment of acceleration at the start of the interval.
+    /// noise is the integral of white jerk over the step, where eq. (10) has one kick at its start.
     #[inline(always)]
     pub(crate) fn predict(&self, belief: &mut Gaussian, noise: &Noise, dt: f64, jerk: &[f64]) {
         let n = self.joints();
@@ -146,19 +147,18 @@ impl JerkModel {
                 dq[j] += dt * rest[j];
             }
         }
-        self.add_process_noise(p, noise, dt, half);
+        self.add_process_noise(p, noise, dt);
         p.mirror();
     }
 
     #[inline(always)]
-    fn add_process_noise(&self, p: &mut Symmetric, noise: &Noise, dt: f64, half: f64) {
-        let (n, stride) = (self.joints(), p.stride);
+    fn add_process_noise(&self, p: &mut Symmetric, noise: &Noise, dt: f64) {
+        let (n, stride, white_jerk) = (self.joints(), p.stride, jerk_noise::covariance(dt));
         for j in 0..n {
-            let variance = noise.jerk[j] * noise.jerk[j] * dt;
-            let g = [half, dt, 1.0];
+            let density = noise.jerk[j] * noise.jerk[j];
             for a in 0..3 {
                 for b in a..3 {
-                    p.data[(a * n + j) * stride + b * n + j] += g[a] * g[b] * variance;
+                    p.data[(a * n + j) * stride + b * n + j] += density * white_jerk[a][b];
                 }
             }
         }
