@@ -12,16 +12,15 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside._core import ObserverState
+from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError
-from linkside.observers.acceleration import AccelerationObserver, Signal
+from linkside.observers.acceleration import AccelerationObserver
 from linkside.observers.poles import damped
 from linkside.robot import Robot
 
 from .closed_loop import closed_loop_poles
 from .controllers import knots
 from .feedforward import Desired
-
-FloatArray = npt.NDArray[np.float64]
 
 SLOW = 60.0
 """Frequency of the two slow closed-loop poles [rad/s]: near the frequency at which links swing on their springs."""

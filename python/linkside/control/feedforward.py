@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from linkside import _core
+from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.robot import Robot
 
 from .trajectories import Trajectory
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,21 +7,20 @@ from os import PathLike
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict
 
 from linkside import _core
+from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError, NumericalError
 from linkside.files.yaml_source import Source
 from linkside.recording.estimate import result_of
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
-from .filtering import KalmanEstimate, KalmanFilter, Signal, sized
+from .filtering import KalmanEstimate, KalmanFilter, sized
 from .late_sensors import is_late
 from .noise import PositiveStd, Std, channel_arrays, motor_noise, per_joint
 
-FloatArray = npt.NDArray[np.float64]
 Arrays = tuple[FloatArray, FloatArray, FloatArray]
 
 

@@ -11,13 +11,11 @@ from typing import Any, Generic, Protocol, TypeVar, overload
 import numpy as np
 import numpy.typing as npt
 
+from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
-
-FloatArray = npt.NDArray[np.float64]
-Signal = FloatArray | Sequence[float]
 
 BIASED = ("motor", "acceleration", "rate")
 """Kinds of channels that may have a bias."""

@@ -6,17 +6,15 @@ from collections import deque
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from linkside import _core
+from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError
 from linkside.robot import Robot
 
-from .filtering import KalmanEstimate, Signal, sized
+from .filtering import KalmanEstimate, sized
 from .jerk_driven import Arrays, ExtendedKalmanFilter
 from .noise import Noise
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class FixedLagSmoother:

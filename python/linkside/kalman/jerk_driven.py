@@ -7,19 +7,18 @@ from dataclasses import replace
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from linkside import _core
+from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError, NumericalError
 from linkside.recording.estimate import result_of
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
-from .filtering import CoreFilter, KalmanEstimate, KalmanFilter, LiveFilter, Signal
+from .filtering import CoreFilter, KalmanEstimate, KalmanFilter, LiveFilter
 from .late_sensors import Schedule, is_late, unfiltered
 from .noise import Noise
 
-FloatArray = npt.NDArray[np.float64]
 Arrays = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 

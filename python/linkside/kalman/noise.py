@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
+from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.files.yaml_source import Source, write_yaml
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
-FloatArray = npt.NDArray[np.float64]
 Std = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 PositiveStd = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 

@@ -18,15 +18,15 @@ import pyarrow as pa
 from pyarrow import feather
 
 from linkside import _core
+from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError, NumericalError, OutputError
-from linkside.recording.estimate import EstimateWriter, check_writable
+from linkside.files.writing import check_writable
 from linkside.recording.log import Log
+from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
 
 from .filtering import KalmanEstimate
 from .jerk_driven import Arrays, RauchTungStriebelSmoother
-
-FloatArray = npt.NDArray[np.float64]
 
 ROWS = 65_536
 """Rows of a recording that are in memory at a time."""

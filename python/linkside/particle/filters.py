@@ -10,14 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside import _core
+from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError, NumericalError
 from linkside.kalman.jerk_driven import ExtendedKalmanFilter, JerkDrivenFilter
 from linkside.kalman.noise import Noise
 from linkside.recording.estimate import Estimate, result_of
 from linkside.recording.log import Log
 from linkside.robot import Robot
-
-FloatArray = npt.NDArray[np.float64]
 
 OUTLIERS = ("motor", "acceleration", "rate", "q", "torque")
 """Kinds of channels whose noise may have heavy tails."""

@@ -11,17 +11,16 @@ import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.csv
 
+from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError, LogError
 from linkside.files.tables import column_names, failure, numbers, open_table, reading, to_arrow
-
-FloatArray: TypeAlias = npt.NDArray[np.float64]
 
 JOINT_SIGNALS = ("theta", "dtheta", "tau", "q", "ddq", "torque", "qref", "dqref", "ddqref")
 """Signals with one column a joint, ``<signal>_<joint>``."""

@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from linkside import _core
+from linkside.arrays import FloatArray
 from linkside.control.controllers import Controller, State, law_of
 from linkside.errors import EstimatorError, OutputError
 from linkside.kalman.elastic_joint import ElasticJointFilter
@@ -24,7 +25,6 @@ from linkside.observers.acceleration import AccelerationObserver
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
-FloatArray: TypeAlias = npt.NDArray[np.float64]
 Truth: TypeAlias = dict[str, FloatArray]
 Told: TypeAlias = bool | tuple[_core.ElasticJointFilter, list[int]] | _core.AccelerationObserver
 Feedback: TypeAlias = Literal["truth", "sensors"] | ElasticJointFilter | AccelerationObserver

@@ -10,19 +10,18 @@ import numpy as np
 import numpy.typing as npt
 import scipy.optimize
 
-from linkside.consistency.compare import long_run_variance
+from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError, LogError, NumericalError
 from linkside.kalman.filtering import KalmanEstimate
 from linkside.kalman.jerk_driven import ExtendedKalmanFilter
 from linkside.kalman.noise import Noise, jerk_scale, per_joint
 from linkside.recording.log import Log
+from linkside.recording.motion import LEAST_MOTION, moving
 from linkside.robot import Robot
+from linkside.statistics import long_run_variance
 
-FloatArray = npt.NDArray[np.float64]
 Progress = Callable[[int, float], None]
 
-LEAST_MOTION = 1e-3
-"""A joint whose motor stays within this tells nothing of its transmission [rad]."""
 
 SPAN = (1 / 3, 1e3)
 """How far from its start a value may go: an error that one recording did not excite is there all the same."""
@@ -167,13 +166,8 @@ def _refuse(logs: Sequence[Log], free: Sequence[str], span: tuple[float, float],
     if settings.get("gate") is not None:
         raise EstimatorError("gate: a likelihood must not choose its readings; tune without")
     for log in logs:
-        if not _moving(log).any():
+        if not moving(log).any():
             raise LogError(f"{log.source}: no motor moves by more than {LEAST_MOTION} rad: nothing to tune noise with")
-
-
-def _moving(log: Log) -> npt.NDArray[np.bool_]:
-    known = np.where(np.isnan(log.theta), log.theta[:1], log.theta)
-    return np.asarray(np.ptp(known, axis=0) > LEAST_MOTION)
 
 
 @dataclass
@@ -196,8 +190,8 @@ class _Search:
     def __post_init__(self) -> None:
         """Lay out the vector."""
         self.base = self._with_arrays()
-        moving = np.any([_moving(log) for log in self.logs], axis=0)
-        self.entries = [(name, joint) for name in self.free for joint in self._joints(name, moving)]
+        joints = np.any([moving(log) for log in self.logs], axis=0)
+        self.entries = [(name, joint) for name in self.free for joint in self._joints(name, joints)]
         values = [getattr(self.base, name) for name, _ in self.entries]
         pairs = zip(values, self.entries, strict=True)
         self.start = np.array([value if joint is None else value[joint] for value, (_, joint) in pairs])

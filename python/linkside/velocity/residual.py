@@ -13,14 +13,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
+from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
-from .observers import rigid_inertia
-
-FloatArray = npt.NDArray[np.float64]
+from .inertia import rigid_inertia
 
 NOISE_TO_STD = 1.4826
 """Standard deviation of a normal variable whose median absolute value is one."""
