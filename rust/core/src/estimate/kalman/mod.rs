@@ -9,6 +9,7 @@ mod gaussian;
 mod jerk;
 mod model;
 mod output;
+mod phases;
 mod recording;
 mod slope;
 mod smoother;
