@@ -21,6 +21,9 @@ CLEAN = 8.0
 SPEED = 100.0
 """What a joint that is not out of order does not exceed from one sample to the next [rad/s]; a fifth of it in m/s."""
 
+UNLIMITED = 1e6
+"""A limit above this is none: Pinocchio has the largest number there is in its place."""
+
 MATCH = 0.03
 """A wrap is a turn to within this share."""
 
@@ -123,8 +126,8 @@ def limits(view: View) -> Iterator[Finding]:
     """Find positions beyond the limits of the URDF."""
     lower, upper = joint_limits(view.robot)
     slack = 0.05 * (upper - lower)
+    least, most = np.fmin.reduce(view.log.theta), np.fmax.reduce(view.log.theta)
     with np.errstate(invalid="ignore"):
-        least, most = np.nanmin(view.log.theta, axis=0), np.nanmax(view.log.theta, axis=0)
         beyond = (least < lower - slack) | (most > upper + slack)
     for joint in np.flatnonzero(beyond):
         column, values = view.log.columns("theta")[joint], view.log.theta[:, joint]
@@ -140,6 +143,6 @@ def joint_limits(robot: Robot) -> tuple[FloatArray, FloatArray]:
     for index, name in enumerate(robot.names):
         joint = robot.model.joints[robot.model.getJointId(name)]
         low, high = robot.model.lowerPositionLimit[joint.idx_q], robot.model.upperPositionLimit[joint.idx_q]
-        if joint.nq == 1 and low < high:
+        if joint.nq == 1 and low < high < UNLIMITED:
             lower[index], upper[index] = low, high
     return lower, upper

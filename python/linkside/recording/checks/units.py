@@ -48,7 +48,7 @@ def positions(view: View) -> Iterator[Finding]:
             right.append(name)
     if not right and not (outside.any() and here is not None and here > DIFFERENT):
         return
-    joint = int(np.argmax(np.where(outside, np.nanmax(np.abs(view.log.theta), axis=0), 0)))
+    joint = int(np.argmax(np.where(outside, np.fmax.reduce(np.abs(view.log.theta)), 0)))
     largest = int(np.nanargmax(np.abs(view.log.theta[:, joint])))
     size = float(view.log.theta[largest, joint])
     what, remedy = (" or ".join(dict.fromkeys(WORDS[n][i] for n in right or ["neither"])) for i in (0, 1))
@@ -63,7 +63,7 @@ def _outside(view: View, factor: FloatArray) -> np.ndarray[tuple[int], np.dtype[
     """Joints far beyond their limits, positions times a factor."""
     lower, upper = joint_limits(view.robot)
     reach = 1.5 * np.maximum(np.abs(lower), np.abs(upper)) + 0.5
-    return np.asarray(np.nanmax(np.abs(view.log.theta * factor), axis=0) > reach)
+    return np.asarray(np.fmax.reduce(np.abs(view.log.theta * factor)) > reach)
 
 
 RATIOS = {
