@@ -254,7 +254,6 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
             )
         return _core.ElasticJointFilter(
             self.robot.core,
-            accelerations="acceleration" in kinds,
             **self._channels(kinds),
             disturbances=self._disturbances,
             first_order=self._transition == "first-order",

@@ -207,7 +207,7 @@ impl Run<'_> {
         if !world.plant.dynamics.ddq.iter().chain(&world.x).all(|value| value.is_finite()) {
             return Err(SimulationError::NotFinite { time: t });
         }
-        suite.read(robot, world.motion(), &world.plant.dynamics, sample);
+        suite.read(robot, &world.plant, &world.x, sample);
         let mut told = core::mem::take(&mut world.told);
         let known = Known { truth: world.motion(), readings: &suite.readings, tau: &world.tau, dt };
         feedback.state_into(known, &mut told)?;
