@@ -52,6 +52,8 @@ class Noise(BaseModel):
         Noise of link encoders [rad].
     joint_torque
         Noise of joint torque sensors [N m].
+    link_velocity
+        Noise of tachometers on the links [rad/s].
     position_walk, velocity_walk
         By how much the links' positions and velocities wander in one second beside what their acceleration does
         [rad/√s, rad/s/√s]. Zero is mechanics; more is room for what no acceleration explains, such as samples that are
@@ -75,6 +77,7 @@ class Noise(BaseModel):
     rate: PositiveStd = 1.0
     link: PositiveStd = 1e-5
     joint_torque: PositiveStd = 1.0
+    link_velocity: PositiveStd = 1e-3
     position_walk: Std | tuple[Std, ...] = 0.0
     velocity_walk: Std | tuple[Std, ...] = 0.0
     motor_bias: Std = 1e-5
@@ -139,6 +142,7 @@ def channel_arrays(noise: Any, motor: FloatArray, robot: Robot, kinds: tuple[str
         "rate": (noise.rate * sensor_noise(robot.gyroscopes), noise.rate_bias, noise.rate_bias_walk),
         "q": (np.full(n, noise.link), 0.0, 0.0),
         "torque": (np.full(n, noise.joint_torque), 0.0, 0.0),
+        "dq": (np.full(n, noise.link_velocity), 0.0, 0.0),
     }
     chosen = [per_kind[kind] for kind in kinds]
     return {

@@ -24,7 +24,7 @@ from linkside.files.tables import column_names, failure, numbers, open_table, re
 from linkside.recording.checks.finding import Finding
 from linkside.recording.checks.inspector import Inspector, able
 
-JOINT_SIGNALS = ("theta", "dtheta", "tau", "q", "ddq", "torque", "qref", "dqref", "ddqref")
+JOINT_SIGNALS = ("theta", "dtheta", "tau", "q", "dq", "ddq", "torque", "qref", "dqref", "ddqref")
 """Signals with one column a joint, ``<signal>_<joint>``."""
 
 LARGEST_STEP = 1.5
@@ -97,8 +97,8 @@ class Log:
         Accelerometers: specific force in the sensor's axes [m/s²].
     rate : (T, g)
         Gyroscopes: angular velocity in the sensor's axes [rad/s].
-    q, ddq : (T, n)
-        Link positions [rad] and accelerations [rad/s²], where sensors measure them.
+    q, dq, ddq : (T, n)
+        Link positions [rad], velocities [rad/s] and accelerations [rad/s²], where sensors measure them.
     torque : (T, n)
         Joint torque sensors: what the transmission gives the link [N m].
     qref, dqref, ddqref : (T, n)
@@ -118,6 +118,7 @@ class Log:
     acceleration: FloatArray | None
     rate: FloatArray | None
     q: FloatArray | None
+    dq: FloatArray | None
     ddq: FloatArray | None
     torque: FloatArray | None
     qref: FloatArray | None

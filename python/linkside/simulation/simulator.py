@@ -29,7 +29,7 @@ Truth: TypeAlias = dict[str, FloatArray]
 Told: TypeAlias = bool | tuple[_core.ElasticJointFilter, list[int]] | _core.AccelerationObserver
 Feedback: TypeAlias = Literal["truth", "sensors"] | ElasticJointFilter | AccelerationObserver
 
-KINDS = ("theta", "acceleration", "dtheta", "rate", "q", "torque")
+KINDS = ("theta", "acceleration", "dtheta", "rate", "q", "torque", "dq")
 """What sensors measure, in the core's order."""
 
 
@@ -136,9 +136,9 @@ def simulate(
         the estimate of an `ElasticJointFilter` or `AccelerationObserver`, of a robot with other parameters if need
         be; it starts anew, at the simulation's rate.
     sensors
-        A `Sensor` of each kind: ``theta``, ``dtheta``, ``acceleration``, ``rate``, ``q``, ``torque``. A kind not given
-        is as robot.yaml has it, or exact; link positions, and joint torques (what the transmission gives the link),
-        are in the log only if given.
+        A `Sensor` of each kind: ``theta``, ``dtheta``, ``acceleration``, ``rate``, ``q``, ``torque``, ``dq``. A kind not
+        given is as robot.yaml has it, or exact; link positions and velocities, and joint torques (what the transmission
+        gives the link), are in the log only if given.
     integrator
         ``"rk4"``, the fourth-order method of Runge and Kutta in fixed steps, as fast as can be where nothing is stiff;
         or ``"adaptive"``, RODAS (Hairer and Wanner, Solving Ordinary Differential Equations II, 1996, section VI.4),
@@ -176,7 +176,7 @@ def simulate(
     channels = [dataclasses.asdict(channel) for kind in KINDS for channel in models[kind]]
     told = _told(feedback, robot, 1.0 / rate)
     result = _core.simulate(robot.core, settings, channels, told, law_of(controller, robot))
-    return _assemble(robot, result, left_out={"q", "torque"} - set(sensors or {}))
+    return _assemble(robot, result, left_out={"q", "torque", "dq"} - set(sensors or {}))
 
 
 def _stepping(integrator: str, substeps: int, rtol: float | None, atol: float | None) -> dict[str, Any]:
@@ -243,6 +243,7 @@ def _models(sensors: Mapping[str, Sensor], robot: Robot) -> dict[str, list[Senso
         "rate": [Sensor(noise=noise) for noise in sensor_noise(robot.gyroscopes)],
         "q": [Sensor()] * robot.n,
         "torque": [Sensor()] * robot.n,
+        "dq": [Sensor()] * robot.n,
     }
     return models | {kind: [model] * _width(robot, kind) for kind, model in sensors.items()}
 

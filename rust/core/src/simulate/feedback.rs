@@ -13,7 +13,7 @@ use crate::robot::Robot;
 pub struct Known<'a> {
     /// The truth.
     pub truth: Motion<'a>,
-    /// Readings of all sensors, in the order of [`Kind::ALL`](super::Kind::ALL).
+    /// Readings of all sensors, in the order of [`Kind::ALL`](crate::estimate::measurement::Kind::ALL).
     pub readings: &'a [f64],
     /// Motor torques until now (n) [N m].
     pub tau: &'a [f64],

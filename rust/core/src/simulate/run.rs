@@ -209,7 +209,7 @@ impl Kernel for Read<'_> {
     #[inline(always)]
     fn run(self) {
         let Self { suite, robot, world, sample } = self;
-        suite.read(robot, world.motion(), &world.plant.dynamics, sample);
+        suite.read(robot, &world.plant, &world.x, sample);
     }
 }
 

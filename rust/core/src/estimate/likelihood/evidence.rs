@@ -6,7 +6,8 @@ use super::moments::{Lateness, moments};
 use super::parameters::{Parameter, Parameters};
 use super::recording::LikelihoodRecording;
 use crate::error::{DesignError, RunError};
-use crate::estimate::kalman::{Further, JerkModel, Noise};
+use crate::estimate::kalman::{JerkModel, Noise};
+use crate::estimate::measurement::Kind;
 use crate::robot::Robot;
 use crate::scalar::{Dual, Scalar};
 use rayon::prelude::*;
@@ -75,8 +76,12 @@ impl Likelihood {
             return Err(DesignError::Range { what: "huber", value, expected: "greater than 0" });
         }
         recording.check(&robot, settings.torque)?;
-        let further = Further { torques: settings.torque, ..Further::default() };
-        let model = JerkModel::new(robot, further, &settings.biased)?;
+        let kinds: &[_] = if settings.torque {
+            &[Kind::Motor, Kind::Acceleration, Kind::Torque]
+        } else {
+            &[Kind::Motor, Kind::Acceleration]
+        };
+        let model = JerkModel::new(robot, kinds, &settings.biased)?;
         model.check(&settings.noise)?;
         Ok(Self { model, settings, recording })
     }

@@ -3,7 +3,8 @@
 use super::evaluation::{Evaluation, Reading};
 use super::moments::Moment;
 use super::recording::LikelihoodRecording;
-use crate::estimate::kalman::{Channel, JerkModel, Noise};
+use crate::estimate::kalman::{JerkModel, Noise};
+use crate::estimate::measurement::Channel;
 use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
 
@@ -181,7 +182,7 @@ impl<T: Scalar> Filter<T> {
     #[inline(always)]
     fn use_reading(&mut self, i: usize, row: usize) {
         let reading = self.evaluation.readings[i];
-        let predicted = self.project(i, &reading);
+        let predicted = self.project(&reading);
         let (predicted, spread) = match self.memories[reading.channel] {
             Some((state, alpha)) => self.remember(state, alpha, predicted),
             None => predicted,
@@ -203,9 +204,9 @@ impl<T: Scalar> Filter<T> {
 
     /// A prediction h(x) without bias at the present mean, and its variance h P hᵀ; leaves P hᵀ in the gain.
     #[inline(always)]
-    fn project(&mut self, i: usize, reading: &Reading<T>) -> (T, T) {
+    fn project(&mut self, reading: &Reading<T>) -> (T, T) {
         let (d, states) = (self.reference.len(), self.mean.len());
-        let h = &self.evaluation.jacobian[i * d..][..d];
+        let h = &self.evaluation.jacobian[reading.channel * d..][..d];
         let (mut predicted, mut spread) = (reading.prediction, T::default());
         self.gain.fill(T::default());
         for (k, (slope, column)) in h.iter().zip(self.covariance.chunks_exact(states)).enumerate() {
