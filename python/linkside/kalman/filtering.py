@@ -12,13 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside.arrays import FloatArray
+from linkside.channels import BIASED, CHANNELS
 from linkside.errors import EstimatorError
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
-
-BIASED = ("motor", "acceleration", "rate")
-"""Kinds of channels that may have a bias."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -163,8 +161,7 @@ class KalmanFilter(LiveFilter[Core]):
 
     def _width(self, kind: str) -> int:
         """Channels of a kind."""
-        widths = {"acceleration": len(self.robot.acceleration_channels), "rate": len(self.robot.gyroscope_channels)}
-        return widths.get(kind, self.robot.n)
+        return CHANNELS[kind].width(self.robot)
 
     def _channels(self, kinds: tuple[str, ...]) -> dict[str, Any]:
         """Which further channels the core is to have for these kinds, and which of all have a bias."""
@@ -178,7 +175,7 @@ class KalmanFilter(LiveFilter[Core]):
 
     def _columns(self, log: Log, kinds: tuple[str, ...]) -> tuple[str, ...]:
         """Columns of a log that channels of these kinds read."""
-        return tuple(name for kind in kinds for name in log.columns("theta" if kind == "motor" else kind))
+        return tuple(name for kind in kinds for name in log.columns(CHANNELS[kind].signal))
 
     def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> KalmanEstimate:
         return KalmanEstimate(t=log.t, names=self.robot.names, channels=self._columns(log, kinds), **result)

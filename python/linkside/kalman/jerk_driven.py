@@ -14,6 +14,7 @@ from linkside.errors import EstimatorError, NumericalError
 from linkside.recording.estimate import result_of
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.requirements import refuse_unsupported
 
 from .filtering import CoreFilter, KalmanEstimate, KalmanFilter, LiveFilter
 from .late_sensors import Schedule, is_late, unfiltered
@@ -145,6 +146,7 @@ class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanF
         gate: float | None = None,
         iterations: int = 1,
     ) -> None:
+        refuse_unsupported(robot, "a filter on the acceleration-driven model")
         wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque}
         super().__init__(robot, wanted, biases, gate, iterations)
         self.noise = noise or Noise()

@@ -11,15 +11,13 @@ import numpy.typing as npt
 
 from linkside import _core
 from linkside.arrays import FloatArray
+from linkside.channels import OUTLIERS, widths
 from linkside.errors import EstimatorError, NumericalError
 from linkside.kalman.jerk_driven import ExtendedKalmanFilter, JerkDrivenFilter
 from linkside.kalman.noise import Noise
 from linkside.recording.estimate import Estimate, result_of
 from linkside.recording.log import Log
 from linkside.robot import Robot
-
-OUTLIERS = ("motor", "acceleration", "rate", "q", "torque")
-"""Kinds of channels whose noise may have heavy tails."""
 
 
 @dataclass(frozen=True)
@@ -240,8 +238,8 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
     def _core(self, kinds: tuple[str, ...], noise: Noise) -> _core.ParticleFilter:
         self._front._refuse_late("a particle filter")
         settings = self._front._settings(kinds, noise)
-        widths = [self._front._width(kind) for kind in kinds]
-        outliers = [self._outliers.get(kind) for kind, width in zip(kinds, widths, strict=True) for _ in range(width)]
+        each = zip(kinds, widths(self.robot, kinds), strict=True)
+        outliers = [self._outliers.get(kind) for kind, width in each for _ in range(width)]
         return _core.ParticleFilter(
             self.robot.core,
             **settings,
