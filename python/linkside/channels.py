@@ -47,6 +47,8 @@ class Channel:
         Whether a filter may estimate a bias; its uncertainty and walk are ``<kind>_bias`` and ``<kind>_bias_walk``.
     outliers : bool
         Whether a particle filter may take its noise to have heavy tails.
+    extra : bool
+        Whether few robots have it: a simulated recording has it only if a sensor is given.
     """
 
     kind: str
@@ -56,6 +58,7 @@ class Channel:
     noise: str
     biased: bool = False
     outliers: bool = False
+    extra: bool = False
 
     def columns(self, robot: Carriers) -> tuple[str, ...]:
         """Names of its columns in a log, as they are called unless robot.yaml renames them."""
@@ -75,8 +78,9 @@ CHANNELS = {
         Channel("acceleration", "acceleration", "m/s²", "accelerometer", "acceleration", biased=True, outliers=True),
         Channel("dtheta", "dtheta", "rad/s", "joint", "motor_velocity"),
         Channel("rate", "rate", "rad/s", "gyroscope", "rate", biased=True, outliers=True),
-        Channel("q", "q", "rad", "joint", "link", outliers=True),
-        Channel("torque", "torque", "N m", "joint", "joint_torque", outliers=True),
+        Channel("q", "q", "rad", "joint", "link", outliers=True, extra=True),
+        Channel("torque", "torque", "N m", "joint", "joint_torque", outliers=True, extra=True),
+        Channel("dq", "dq", "rad/s", "joint", "link_velocity", extra=True),
     )
 }
 """By kind, in the core's order."""

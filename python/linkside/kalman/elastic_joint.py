@@ -37,7 +37,7 @@ class ElasticNoise(BaseModel):
     disturbance, disturbance_walk
         Initial uncertainty of each motor's disturbance torque, and by how much it wanders in a second, in multiples of
         the torque that the motor's friction has at 1 rad/s (N m if it has none).
-    transmission, motor_velocity, acceleration, rate, link, joint_torque
+    transmission, motor_velocity, acceleration, rate, link, joint_torque, link_velocity
         Noise of readings, as of `Noise`.
     motor_bias, acceleration_bias, rate_bias, motor_bias_walk, acceleration_bias_walk, rate_bias_walk
         Of biases, as of `Noise`.
@@ -58,6 +58,7 @@ class ElasticNoise(BaseModel):
     rate: PositiveStd = 1.0
     link: PositiveStd = 1e-5
     joint_torque: PositiveStd = 1.0
+    link_velocity: PositiveStd = 1e-3
     motor_bias: Std = 1e-5
     motor_bias_walk: Std = 1e-6
     acceleration_bias: Std = 0.1
@@ -104,9 +105,9 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
         How uncertain everything is.
     accelerations
         Whether accelerometers are used; by default where the log has them, in `step` where the robot has them.
-    dtheta, rate, q, torque
-        Whether motor velocities, gyroscopes, link encoders and joint torque sensors are used; by default where the log
-        has them, in `step` motor velocities only.
+    dtheta, rate, q, torque, dq
+        Whether motor velocities, gyroscopes, link encoders, joint torque sensors and link tachometers are used; by
+        default where the log has them, in `step` motor velocities only.
     biases
         Kinds of channels with a bias state: any of ``"motor"``, ``"acceleration"``, ``"rate"``.
     disturbances
@@ -139,6 +140,7 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
         rate: bool | None = None,
         q: bool | None = None,
         torque: bool | None = None,
+        dq: bool | None = None,
         biases: Sequence[str] = ("acceleration", "rate"),
         disturbances: bool = True,
         motor_torque: Literal["sampled", "held"] = "sampled",
@@ -146,7 +148,7 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
         gate: float | None = None,
         iterations: int = 1,
     ) -> None:
-        wanted = {"acceleration": accelerations, "dtheta": dtheta, "rate": rate, "q": q, "torque": torque}
+        wanted = {"acceleration": accelerations, "dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
         super().__init__(robot, wanted, biases, gate, iterations)
         if transition not in ("exact", "first-order"):
             raise EstimatorError(f"transition is {transition!r}, expected 'exact' or 'first-order'")
@@ -197,7 +199,7 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
         acceleration : (m,)
             Accelerometer channels in the order of ``robot.acceleration_channels`` [m/s²].
         further : (k,)
-            Readings of the kinds asked for (``rate``, ``q``, ``torque``), one after the other in this order.
+            Readings of the kinds asked for (``rate``, ``q``, ``torque``, ``dq``), one after the other in this order.
         out : (states,)
             Array to write the result into.
 
@@ -254,7 +256,6 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
             )
         return _core.ElasticJointFilter(
             self.robot.core,
-            accelerations="acceleration" in kinds,
             **self._channels(kinds),
             disturbances=self._disturbances,
             first_order=self._transition == "first-order",

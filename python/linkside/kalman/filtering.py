@@ -164,12 +164,9 @@ class KalmanFilter(LiveFilter[Core]):
         return CHANNELS[kind].width(self.robot)
 
     def _channels(self, kinds: tuple[str, ...]) -> dict[str, Any]:
-        """Which further channels the core is to have for these kinds, and which of all have a bias."""
+        """Kinds of channels as the core names them, and which of their channels have a bias."""
         return {
-            "motor_velocities": "dtheta" in kinds,
-            "rates": "rate" in kinds,
-            "links": "q" in kinds,
-            "torques": "torque" in kinds,
+            "kinds": ["theta" if kind == "motor" else kind for kind in kinds],
             "biased": [kind in self._biases for kind in kinds for _ in range(self._width(kind))],
         }
 

@@ -69,7 +69,8 @@ class JerkDrivenFilter(LiveFilter[Core]):
         dtheta, ddqref : (n,)
             Motor velocities [rad/s] and commanded link accelerations [rad/s²], where there are any.
         further : (k,)
-            Readings of the kinds asked for, one after the other: ``dtheta``, ``rate``, ``q``, ``torque``.
+            Readings of the kinds asked for, one after the other: ``dtheta``, ``rate``, ``q``, ``torque``,
+            ``dq``.
         out : (states,)
             Array to write the result into.
 
@@ -110,9 +111,9 @@ class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanF
         and where that is missing from the motor positions.
     dtheta
         Whether motor velocities measure the state, too: a second use of what the damping torque is computed from.
-    rate, q, torque
-        Whether gyroscopes, link encoders (``q_<joint>``) and joint torque sensors (``torque_<joint>``) are used; by
-        default where the log has them, in `step` not.
+    rate, q, torque, dq
+        Whether gyroscopes, link encoders (``q_<joint>``), joint torque sensors (``torque_<joint>``) and tachometers on
+        the links (``dq_<joint>``) are used; by default where the log has them, in `step` not.
     gate
         Leave a reading out when its innovation exceeds this many standard deviations; None uses all.
     iterations
@@ -143,11 +144,12 @@ class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanF
         rate: bool | None = None,
         q: bool | None = None,
         torque: bool | None = None,
+        dq: bool | None = None,
         gate: float | None = None,
         iterations: int = 1,
     ) -> None:
         refuse_unsupported(robot, "a filter on the acceleration-driven model")
-        wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque}
+        wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
         super().__init__(robot, wanted, biases, gate, iterations)
         self.noise = noise or Noise()
         self._damping = damping

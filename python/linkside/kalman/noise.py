@@ -53,6 +53,8 @@ class Noise(BaseModel):
         Noise of link encoders [rad].
     joint_torque
         Noise of joint torque sensors [N m].
+    link_velocity
+        Noise of tachometers on the links [rad/s].
     position_walk, velocity_walk
         By how much the links' positions and velocities wander in one second beside what their acceleration does
         [rad/√s, rad/s/√s]. Zero is mechanics; more is room for what no acceleration explains, such as samples that are
@@ -76,6 +78,7 @@ class Noise(BaseModel):
     rate: PositiveStd = 1.0
     link: PositiveStd = 1e-5
     joint_torque: PositiveStd = 1.0
+    link_velocity: PositiveStd = 1e-3
     position_walk: Std | tuple[Std, ...] = 0.0
     velocity_walk: Std | tuple[Std, ...] = 0.0
     motor_bias: Std = 1e-5

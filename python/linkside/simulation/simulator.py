@@ -137,9 +137,9 @@ def simulate(
         the estimate of an `ElasticJointFilter` or `AccelerationObserver`, of a robot with other parameters if need
         be; it starts anew, at the simulation's rate.
     sensors
-        A `Sensor` of each kind: ``theta``, ``dtheta``, ``acceleration``, ``rate``, ``q``, ``torque``. A kind not given
-        is as robot.yaml has it, or exact; link positions, and joint torques (what the transmission gives the link),
-        are in the log only if given.
+        A `Sensor` of each kind: ``theta``, ``dtheta``, ``acceleration``, ``rate``, ``q``, ``torque``, ``dq``. A kind
+        not given is as robot.yaml has it, or exact; link positions and velocities, and joint torques (what the
+        transmission gives the link), are in the log only if given.
     integrator
         ``"rk4"``, the fourth-order method of Runge and Kutta in fixed steps, as fast as can be where nothing is stiff;
         or ``"adaptive"``, RODAS (Hairer and Wanner, Solving Ordinary Differential Equations II, 1996, section VI.4),
@@ -177,7 +177,7 @@ def simulate(
     channels = [dataclasses.asdict(channel) for kind in SIGNALS for channel in models[kind]]
     told = _told(feedback, robot, 1.0 / rate)
     result = _core.simulate(robot.core, settings, channels, told, law_of(controller, robot))
-    return _assemble(robot, result, left_out={"q", "torque"} - set(sensors or {}))
+    return _assemble(robot, result, left_out={c.signal for c in CHANNELS.values() if c.extra} - set(sensors or {}))
 
 
 def _stepping(integrator: str, substeps: int, rtol: float | None, atol: float | None) -> dict[str, Any]:
@@ -229,13 +229,10 @@ def _models(sensors: Mapping[str, Sensor], robot: Robot) -> dict[str, list[Senso
         for s in robot.accelerometers
         for _ in s.axes
     ]
-    models = {
+    models = {signal: [Sensor()] * channel.width(robot) for signal, channel in SIGNALS.items()} | {
         "theta": [Sensor(resolution=robot.config.encoder.resolution)] * robot.n,
         "acceleration": accelerometers,
-        "dtheta": [Sensor()] * robot.n,
         "rate": [Sensor(noise=noise) for noise in sensor_noise(robot.gyroscopes)],
-        "q": [Sensor()] * robot.n,
-        "torque": [Sensor()] * robot.n,
     }
     return models | {kind: [model] * SIGNALS[kind].width(robot) for kind, model in sensors.items()}
 
