@@ -130,3 +130,10 @@ def test_no_library_prints():
         if room(name) != "cli"
     ]
     assert called == []
+
+
+@pytest.mark.parametrize("smoother", [linkside.RauchTungStriebelSmoother, linkside.ElasticJointSmoother])
+def test_a_smoother_is_no_filter(smoother):
+    """It looks back from the end of a recording: there is no sample by sample, and no piece by piece."""
+    assert not issubclass(smoother, linkside.ExtendedKalmanFilter | linkside.ElasticJointFilter)
+    assert not {"step", "reset", "covariance", "status", "run_pieces"} & set(dir(smoother))

@@ -90,8 +90,8 @@ class LiveFilter(ABC, Generic[Core]):
         """Build a filter that has taken no sample."""
 
 
-class KalmanFilter(LiveFilter[Core]):
-    """A Kalman filter, or with ``_smooth`` a smoother, of any model."""
+class KalmanMethod(ABC):
+    """A Kalman filter, or with ``_smooth`` a smoother, of any model, over recordings."""
 
     _smooth = False
 
@@ -159,7 +159,7 @@ class KalmanFilter(LiveFilter[Core]):
                 chosen.append(kind)
         return tuple(chosen)
 
-    def _width(self, kind: str) -> int:
+    def width(self, kind: str) -> int:
         """Channels of a kind."""
         return CHANNELS[kind].width(self.robot)
 
@@ -167,15 +167,15 @@ class KalmanFilter(LiveFilter[Core]):
         """Kinds of channels as the core names them, and which of their channels have a bias."""
         return {
             "kinds": ["theta" if kind == "motor" else kind for kind in kinds],
-            "biased": [kind in self._biases for kind in kinds for _ in range(self._width(kind))],
+            "biased": [kind in self._biases for kind in kinds for _ in range(self.width(kind))],
         }
 
-    def _columns(self, log: Log, kinds: tuple[str, ...]) -> tuple[str, ...]:
+    def columns(self, log: Log, kinds: tuple[str, ...]) -> tuple[str, ...]:
         """Columns of a log that channels of these kinds read."""
         return tuple(name for kind in kinds for name in log.columns(CHANNELS[kind].signal))
 
     def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> KalmanEstimate:
-        return KalmanEstimate(t=log.t, names=self.robot.names, channels=self._columns(log, kinds), **result)
+        return KalmanEstimate(t=log.t, names=self.robot.names, channels=self.columns(log, kinds), **result)
 
 
 def sized(name: str, signal: npt.ArrayLike | None, size: int) -> FloatArray:

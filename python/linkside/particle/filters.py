@@ -169,7 +169,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
             "recover": collapse == "recover",
             "quantiles": list(quantiles),
         }
-        self._core(self._front._live_kinds, self.noise)  # settings are checked at once
+        self._core(self._front.live_kinds, self.noise)  # settings are checked at once
 
     def run(self, log: Log, *, covariance: bool = False) -> ParticleEstimate:
         """Estimate a recording; it starts from rest at its first sample.
@@ -212,7 +212,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
             if core is None:
                 core, kinds = self._prepared(piece)
             try:
-                result = core.run(self._front._arrays(piece, kinds, before), False)
+                result = core.run(self._front.arrays(piece, kinds, before), False)
             except NumericalError as error:
                 raise NumericalError(f"{piece.source}: {error}") from None
             before = piece[-1:]
@@ -224,20 +224,20 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         return self._live.effective
 
     def _start(self) -> _core.ParticleFilter:
-        return self._core(self._front._live_kinds, self.noise)
+        return self._core(self._front.live_kinds, self.noise)
 
     def _recorded(self, log: Log, run: Callable[..., Any], covariance: bool) -> ParticleEstimate:
         core, kinds = self._prepared(log)
-        (outcome,) = run(core, [self._front._arrays(log, kinds)], covariance)
+        (outcome,) = run(core, [self._front.arrays(log, kinds)], covariance)
         return self._estimate(log, kinds, result_of(log.source, outcome))
 
     def _prepared(self, log: Log) -> tuple[_core.ParticleFilter, tuple[str, ...]]:
-        kinds = self._front._kinds(log)
+        kinds = self._front.kinds(log)
         return self._core(kinds, self.noise.for_log(log)), kinds
 
     def _core(self, kinds: tuple[str, ...], noise: Noise) -> _core.ParticleFilter:
-        self._front._refuse_late("a particle filter")
-        settings = self._front._settings(kinds, noise)
+        self._front.refuse_late("a particle filter")
+        settings = self._front.settings(kinds, noise)
         each = zip(kinds, widths(self.robot, kinds), strict=True)
         outliers = [self._outliers.get(kind) for kind, width in each for _ in range(width)]
         return _core.ParticleFilter(
@@ -248,7 +248,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         )
 
     def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> ParticleEstimate:
-        channels = self._front._columns(log, kinds)
+        channels = self._front.columns(log, kinds)
         return ParticleEstimate(t=log.t, names=self.robot.names, channels=channels, **result)
 
 

@@ -278,7 +278,7 @@ class _Search:
         """Of each channel's normalised innovations by kind, the mean over the logs that have it."""
         found: dict[str, list[FloatArray]] = {}
         for log, estimate in zip(self.logs, self.run(x, innovations=True), strict=True):
-            kinds = ExtendedKalmanFilter(self.robot, **self.settings)._kinds(log)
+            kinds = ExtendedKalmanFilter(self.robot, **self.settings).kinds(log)
             assert estimate.innovation is not None
             assert estimate.innovation_std is not None
             normalised = estimate.innovation / estimate.innovation_std
