@@ -11,6 +11,7 @@ from linkside.errors import EstimatorError, LogError
 from linkside.recording.log import Log
 from linkside.recording.motion import LEAST_MOTION, moving
 from linkside.robot import Robot
+from linkside.robot.requirements import refuse_unsupported
 
 SATURATED = 10
 """So many samples in a row at an extreme value are a sensor at the end of its range."""
@@ -47,6 +48,7 @@ def refuse(robot: Robot, logs: Sequence[Log]) -> None:
     """
     if not logs:
         raise EstimatorError("there is no log to calibrate with")
+    refuse_unsupported(robot, "calibration")
     if not robot.elastic.any():
         raise EstimatorError("no joint of the robot is elastic: there is nothing to calibrate")
     for log in logs:

@@ -16,6 +16,7 @@ from linkside.recording.continuity import longest_dropout, refuse_dropouts, refu
 from linkside.recording.estimate import Estimate, result_of
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.requirements import refuse_unsupported
 
 from .poles import PolePattern, damped
 
@@ -52,7 +53,7 @@ class AccelerationObserver:
     ------
     EstimatorError
         Poles that are unstable, unpaired, too many, too few or too fast for the sampling period; fewer measured
-        accelerations than elastic joints.
+        accelerations than elastic joints; what `robot.requirements` lists.
 
     Notes
     -----
@@ -73,6 +74,8 @@ class AccelerationObserver:
     ) -> None:
         _one_of("form", form, ("current", "predictor"))
         _one_of("accelerations", accelerations, ("sensors", "joints"))
+        on_joints = " on joint accelerations" if accelerations == "joints" else ""
+        refuse_unsupported(robot, f"the acceleration-driven observer{on_joints}")
         self.robot, self.form, self.accelerations = robot, form, accelerations
         self.worst_acceleration_std = worst_acceleration_std
         self.poles = {name: _joint_poles(poles, name, order) for name, order in _orders(robot, bias).items()}

@@ -19,13 +19,14 @@ import pyarrow as pa
 import pyarrow.csv
 
 from linkside.arrays import FloatArray
+from linkside.channels import CHANNELS, joint_columns
 from linkside.errors import EstimatorError, LogError
 from linkside.files.tables import column_names, failure, numbers, open_table, reading, to_arrow
 from linkside.recording.checks.finding import Finding
 from linkside.recording.checks.inspector import Inspector, able
 
-JOINT_SIGNALS = ("theta", "dtheta", "tau", "q", "dq", "ddq", "torque", "qref", "dqref", "ddqref")
-"""Signals with one column a joint, ``<signal>_<joint>``."""
+UNMEASURED = ("tau", "ddq", "qref", "dqref", "ddqref")
+"""Signals with one column a joint, ``<signal>_<joint>``, beside the channels that filters correct with."""
 
 LARGEST_STEP = 1.5
 """A step of time longer than this many periods is a gap: at least one sample is not there."""
@@ -292,8 +293,10 @@ class _Layout:
     @classmethod
     def of(cls, robot: RobotColumns, found: list[str], source: str) -> _Layout:
         """Find a robot's signals among a log's columns; time and motor positions must be there."""
-        ours = {"t": ("t",)} | {s: tuple(f"{s}_{joint}" for joint in robot.names) for s in JOINT_SIGNALS}
-        ours |= {"acceleration": tuple(robot.acceleration_channels), "rate": tuple(robot.gyroscope_channels)}
+        measured = {channel.signal: channel.columns(robot) for channel in CHANNELS.values()}
+        others = {signal: joint_columns(signal, robot.names) for signal in UNMEASURED}
+        inertial = {signal: measured.pop(signal) for signal in ("acceleration", "rate")}
+        ours = {"t": ("t",)} | measured | others | inertial
         renamed = robot.columns.names
         wanted = {signal: tuple(renamed.get(c, c) for c in columns) for signal, columns in ours.items()}
         ratio = np.asarray(robot.gear_ratio, float) if robot.columns.motor_side else None

@@ -16,6 +16,7 @@ from linkside.recording.continuity import longest_dropout, refuse_dropouts, refu
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.requirements import refuse_unsupported
 from linkside.robot.workspace import prismatic
 
 from .gain_map import GainMap
@@ -127,6 +128,7 @@ class ReducedOrderObserver:
     ) -> None:
         if side not in ("motors", "links"):
             raise EstimatorError(f"side is {side!r}, expected 'motors' or 'links'")
+        refuse_unsupported(robot, "a velocity observer")
         self.robot = robot
         self.side = side
         self.gain = gain

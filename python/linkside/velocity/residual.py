@@ -18,6 +18,7 @@ from linkside.errors import EstimatorError
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.requirements import refuse_unsupported
 
 from .inertia import rigid_inertia
 
@@ -78,6 +79,7 @@ def momentum_residual(
     EstimatorError
         An estimate of other rows than the log, or a setting out of its range.
     """
+    refuse_unsupported(robot, "the momentum residual")
     if len(estimate) != len(log) or len(log) < 2:
         raise EstimatorError(
             f"the estimate has {len(estimate)} rows, the log {len(log)}, expected as many and at least 2"
