@@ -2,13 +2,11 @@
 
 use super::correction::Correction;
 use super::gaussian::Gaussian;
-use super::model::Model;
 use super::output::{FilterOutput, Keep, Tool};
-use super::phases::{Linearise, Predict, Report, Update};
+use super::phases::{Linearise, Phases, Predict, Report, Update};
 use super::recording::{KalmanRecording, KalmanSample};
 use super::smoother::{History, Smoother};
 use crate::error::{DesignError, RunError};
-use crate::simd;
 use rayon::prelude::*;
 
 /// What a filter does beyond the textbook.
@@ -38,7 +36,7 @@ pub struct ExtendedKalmanFilter<M> {
     started: bool,
 }
 
-impl<M: Model> ExtendedKalmanFilter<M> {
+impl<M: Phases> ExtendedKalmanFilter<M> {
     /// A filter that starts from rest at its first sample.
     ///
     /// # Errors
@@ -102,7 +100,7 @@ impl<M: Model> ExtendedKalmanFilter<M> {
     /// To the sample's time; afterwards the belief is what was predicted.
     fn advance(&mut self, sample: &KalmanSample<'_>) -> Result<(), DesignError> {
         if self.started {
-            simd::phase(Predict { model: &mut self.model, sample, belief: &mut self.belief });
+            M::predict_phase(Predict { model: &mut self.model, sample, belief: &mut self.belief });
         } else {
             self.model.start(sample, &mut self.belief)?;
             self.started = true;
@@ -127,7 +125,7 @@ impl<M: Model> ExtendedKalmanFilter<M> {
 
     fn update(&mut self, readings: &[f64], gate: Option<f64>) {
         let Self { model, correction, belief, .. } = self;
-        simd::phase(Update { model: &*model, correction, belief, readings, gate });
+        M::update_phase(Update { model: &*model, correction, belief, readings, gate });
     }
 
     /// At the present mean.
@@ -135,7 +133,7 @@ impl<M: Model> ExtendedKalmanFilter<M> {
         let reference = &mut self.correction.reference;
         let d = reference.len();
         reference.copy_from_slice(&self.belief.mean[..d]);
-        simd::phase(Linearise { model: &mut self.model, reference });
+        M::linearise_phase(Linearise { model: &mut self.model, reference });
     }
 
     /// Filters a recording, `count` rows; goes on from where it was, so that it may come in pieces.
@@ -211,6 +209,6 @@ impl<M: Model> ExtendedKalmanFilter<M> {
         memory.clear();
         model.remember(memory);
         let (covariance, stride) = (&covariance.data, covariance.stride);
-        simd::phase(Report { model, memory, mean, covariance, stride, tool, i, out, whole });
+        M::report_phase(Report { model, memory, mean, covariance, stride, tool, i, out, whole });
     }
 }

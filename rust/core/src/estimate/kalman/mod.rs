@@ -22,5 +22,7 @@ pub use jerk::{JerkModel, Noise};
 pub use model::{Linearised, Model};
 pub(crate) use output::Tool;
 pub use output::{FilterOutput, Keep};
+pub use phases::Phases;
+pub(crate) use phases::{Linearise, Predict};
 pub use recording::{Inputs, KalmanRecording, KalmanSample};
 pub use smoother::Smoother;

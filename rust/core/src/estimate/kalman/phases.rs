@@ -1,17 +1,72 @@
 //! What is compiled for each instruction set: the phases of a sample.
 
 use super::correction::Correction;
+use super::driven::JerkDriven;
+use super::elastic::ElasticModel;
 use super::gaussian::Gaussian;
 use super::model::Model;
 use super::output::{FilterOutput, Tool};
 use super::recording::KalmanSample;
-use crate::simd::Kernel;
+use super::smoother::{Back, Retreat};
+use crate::simd::{self, Kernel};
+
+/// A model whose phases are compiled in this crate: what a crate that uses a filter has to compile is then little more
+/// than calls.
+#[allow(private_interfaces)] // what a phase works on is this crate's own
+pub trait Phases: Model {
+    #[doc(hidden)]
+    fn predict_phase(phase: Predict<'_, '_, Self>);
+    #[doc(hidden)]
+    fn linearise_phase(phase: Linearise<'_, Self>);
+    #[doc(hidden)]
+    fn update_phase(phase: Update<'_, Self>);
+    #[doc(hidden)]
+    fn report_phase(phase: Report<'_, Self>);
+    #[doc(hidden)]
+    fn back_phase(phase: Back<'_, Self>);
+    #[doc(hidden)]
+    fn retreat_phase(phase: Retreat<'_, Self>);
+}
+
+/// One text for all models; a provided method would be compiled where it is called.
+macro_rules! phases {
+    ($($model:ty),*) => {$(
+        #[allow(private_interfaces)]
+        impl Phases for $model {
+            fn predict_phase(phase: Predict<'_, '_, Self>) {
+                simd::phase(phase);
+            }
+
+            fn linearise_phase(phase: Linearise<'_, Self>) {
+                simd::phase(phase);
+            }
+
+            fn update_phase(phase: Update<'_, Self>) {
+                simd::phase(phase);
+            }
+
+            fn report_phase(phase: Report<'_, Self>) {
+                simd::phase(phase);
+            }
+
+            fn back_phase(phase: Back<'_, Self>) {
+                simd::phase(phase);
+            }
+
+            fn retreat_phase(phase: Retreat<'_, Self>) {
+                simd::phase(phase);
+            }
+        }
+    )*};
+}
+
+phases!(JerkDriven, ElasticModel);
 
 /// To the sample's time.
-pub(super) struct Predict<'a, 'b, M> {
-    pub(super) model: &'a mut M,
-    pub(super) sample: &'a KalmanSample<'b>,
-    pub(super) belief: &'a mut Gaussian,
+pub(crate) struct Predict<'a, 'b, M> {
+    pub(crate) model: &'a mut M,
+    pub(crate) sample: &'a KalmanSample<'b>,
+    pub(crate) belief: &'a mut Gaussian,
 }
 
 impl<M: Model> Kernel for Predict<'_, '_, M> {
@@ -24,9 +79,9 @@ impl<M: Model> Kernel for Predict<'_, '_, M> {
 }
 
 /// All channels at `reference`.
-pub(super) struct Linearise<'a, M> {
-    pub(super) model: &'a mut M,
-    pub(super) reference: &'a [f64],
+pub(crate) struct Linearise<'a, M> {
+    pub(crate) model: &'a mut M,
+    pub(crate) reference: &'a [f64],
 }
 
 impl<M: Model> Kernel for Linearise<'_, M> {

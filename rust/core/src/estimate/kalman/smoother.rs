@@ -9,11 +9,11 @@ use super::filter::ExtendedKalmanFilter;
 use super::gaussian::{Gaussian, Innovation, Symmetric};
 use super::model::Model;
 use super::output::{FilterOutput, Keep};
-use super::phases::Report;
+use super::phases::{Phases, Report};
 use super::recording::KalmanRecording;
 use crate::error::RunError;
 use crate::linear;
-use crate::simd::{self, Kernel};
+use crate::simd::Kernel;
 
 /// What the filter knew at each sample of a stretch.
 #[derive(Clone, Debug)]
@@ -102,14 +102,14 @@ pub struct Smoother<M> {
 }
 
 /// Past sample `i`'s readings, and the smoothed estimate there.
-struct Back<'a, M> {
+pub(super) struct Back<'a, M> {
     smoother: &'a mut Smoother<M>,
     history: &'a History,
     i: usize,
     whole: bool,
 }
 
-impl<M: Model> Kernel for Back<'_, M> {
+impl<M: Phases> Kernel for Back<'_, M> {
     type Output = ();
 
     #[inline(always)]
@@ -121,13 +121,13 @@ impl<M: Model> Kernel for Back<'_, M> {
 }
 
 /// From sample `i` to the one before.
-struct Retreat<'a, M> {
+pub(super) struct Retreat<'a, M> {
     smoother: &'a mut Smoother<M>,
     history: &'a History,
     i: usize,
 }
 
-impl<M: Model> Kernel for Retreat<'_, M> {
+impl<M: Phases> Kernel for Retreat<'_, M> {
     type Output = ();
 
     #[inline(always)]
@@ -140,7 +140,7 @@ impl<M: Model> Kernel for Retreat<'_, M> {
 /// Bytes of history that a stretch may take.
 const STRETCH: usize = 256 << 20;
 
-impl<M: Model> Smoother<M> {
+impl<M: Phases> Smoother<M> {
     /// A smoother on `filter`'s model, noise and settings; it starts from rest at a recording's first sample.
     pub fn new(filter: &ExtendedKalmanFilter<M>) -> Self {
         let mut filter = filter.clone();
@@ -216,9 +216,9 @@ impl<M: Model> Smoother<M> {
         let mut out = filter.run_with(recording, keep, Some(&mut history))?;
         let history = &history;
         for i in (0..count).rev() {
-            simd::phase(Back { smoother: &mut *self, history, i, whole: keep.covariance });
+            M::back_phase(Back { smoother: &mut *self, history, i, whole: keep.covariance });
             self.report(history, i, &mut out, keep.covariance);
-            simd::phase(Retreat { smoother: &mut *self, history, i });
+            M::retreat_phase(Retreat { smoother: &mut *self, history, i });
         }
         Ok(out)
     }
@@ -294,6 +294,6 @@ impl<M: Model> Smoother<M> {
         let Self { filter, mean, smoothed: covariance, big: Symmetric { stride, .. }, .. } = self;
         let ExtendedKalmanFilter { model, tool, .. } = filter;
         let (memory, stride) = (history.memory(i), *stride);
-        simd::phase(Report { model, memory, mean, covariance, stride, tool, i, out, whole });
+        M::report_phase(Report { model, memory, mean, covariance, stride, tool, i, out, whole });
     }
 }
