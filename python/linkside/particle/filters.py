@@ -44,7 +44,7 @@ class ParticleEstimate(Estimate):
     Attributes
     ----------
     effective : (T,)
-        Effective number of particles 1/Σw², before particles are chosen anew.
+        Effective number of particles 1/Σw², before resampling.
     log_likelihood : (T,)
         Logarithm of the probability density of the sample's readings, given those before, as the particles have it.
     used : (T,)
@@ -94,10 +94,10 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
     resampling
         ``"systematic"``, ``"stratified"``, ``"residual"`` or ``"multinomial"``.
     threshold
-        Particles are chosen anew when fewer than this share of N is effective.
+        Particles are resampled when fewer than this share of N is effective.
     kernel
         Width of the normal density that then spreads copies, relative to the cloud (Liu and West 2001); mean and
-        covariance are kept. None leaves copies where they are, and chance in the mean.
+        covariance are kept. None leaves copies where they are, and Monte-Carlo error in the mean.
     outliers
         Noise that is not normal, by kind of channel: degrees of freedom of Student's density, or a `Mixture`, such as
         ``{"acceleration": 4.0}`` or ``{"acceleration": Mixture(share=0.02, scale=50)}``.
