@@ -22,7 +22,7 @@ impl JerkDriven {
     pub fn new(model: JerkModel, noise: Noise, damping: bool) -> Result<Self, DesignError> {
         model.check(&noise)?;
         let measurement = JerkMeasurement::new(model.clone(), noise.clone(), damping);
-        Ok(Self { process: JerkProcess { model, noise }, measurement })
+        Ok(Self::of(JerkProcess { model, noise }, measurement))
     }
 
     /// Number of accelerometer channels.

@@ -3,8 +3,9 @@
 use super::elastic_measurement::ElasticMeasurement;
 use super::gaussian::{Gaussian, Symmetric};
 use super::model::{Paired, Process};
-use super::recording::{KalmanRecording, KalmanSample, check_deviations, check_readings, expect_length};
+use super::recording::{KalmanRecording, KalmanSample};
 use super::transition::Transition;
+use crate::check::{check_deviations, check_readings, expect_length};
 use crate::dynamics::ElasticLayout;
 use crate::error::DesignError;
 use crate::estimate::measurement::Kind;
@@ -90,7 +91,7 @@ impl ElasticModel {
             states,
             noise,
         };
-        Ok(Self { process, measurement: ElasticMeasurement::new(robot, layout, channels, biases, reading) })
+        Ok(Self::of(process, ElasticMeasurement::new(robot, layout, channels, biases, reading)))
     }
 }
 
@@ -163,6 +164,10 @@ impl Process for ElasticProcess {
     #[inline(always)]
     fn states(&self) -> usize {
         self.states
+    }
+
+    fn widen(&mut self, states: usize) {
+        self.transition.widen(states);
     }
 
     fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError> {

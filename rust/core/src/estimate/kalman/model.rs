@@ -1,8 +1,10 @@
 //! What a Kalman filter asks of a model: a process, and the channels that measure it, each a part of its own.
 
 use super::gaussian::{Gaussian, Symmetric};
+use super::late::{Late, Lateness};
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample};
+use crate::check::{expect, expect_length};
 use crate::error::DesignError;
 use crate::robot::Robot;
 
@@ -15,6 +17,9 @@ pub trait Process: Clone + Send + Sync {
 
     /// Number of states.
     fn states(&self) -> usize;
+
+    /// Makes room for beliefs of `states`, of which those that are not its own stay as they are.
+    fn widen(&mut self, _states: usize) {}
 
     /// Whether a recording has the signals that drive the process, in arrays that fit.
     ///
@@ -149,6 +154,43 @@ pub struct Paired<P, M> {
     pub(crate) process: P,
     /// h and R.
     pub(crate) measurement: M,
+    /// Channels whose sensors have a filter or a delay inside.
+    late: Option<Box<Late>>,
+}
+
+impl<P: Process, M: Measurement> Paired<P, M> {
+    /// A process and the measurement of its state.
+    pub fn of(process: P, measurement: M) -> Self {
+        Self { process, measurement, late: None }
+    }
+
+    /// With what is `inside` the sensor of each channel, as states behind the model's own; an empty list is nothing.
+    ///
+    /// # Errors
+    /// Not one a channel, a time that is negative or not finite.
+    pub fn with_late(mut self, inside: &[Option<Lateness>]) -> Result<Self, DesignError> {
+        let own = self.measurement.biases();
+        expect_length("late", inside.len(), if inside.is_empty() { 0 } else { own.len() })?;
+        for Lateness { time_constant, delay, .. } in inside.iter().flatten() {
+            for (what, value) in [("the time constant of a sensor", *time_constant), ("the delay of a sensor", *delay)]
+            {
+                expect(value.is_finite() && value >= 0.0, what, value, "a finite number of at least 0")?;
+            }
+        }
+        self.late = inside
+            .iter()
+            .any(Option::is_some)
+            .then(|| Box::new(Late::new(inside, own, self.process.states(), self.measurement.dense())));
+        if let Some(late) = &self.late {
+            self.process.widen(late.states());
+        }
+        Ok(self)
+    }
+
+    /// The channels.
+    pub fn measurement_mut(&mut self) -> &mut M {
+        &mut self.measurement
+    }
 }
 
 impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
@@ -158,7 +200,7 @@ impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
 
     #[inline(always)]
     fn states(&self) -> usize {
-        self.process.states()
+        self.late.as_ref().map_or(self.process.states(), |late| late.states())
     }
 
     #[inline(always)]
@@ -168,11 +210,10 @@ impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
 
     #[inline(always)]
     fn biases(&self) -> &[Option<usize>] {
-        self.measurement.biases()
+        self.late.as_ref().map_or(self.measurement.biases(), |late| late.biases())
     }
 
     fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError> {
-        recording.expect(self.channels(), self.robot().len(), &[])?;
         self.measurement.check(recording)?;
         self.process.check(recording)
     }
@@ -180,6 +221,10 @@ impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
     fn start(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) -> Result<(), DesignError> {
         self.process.start(sample, belief)?;
         self.measurement.take(sample, true);
+        if let Some(late) = &mut self.late {
+            self.measurement.linearise(&belief.mean[..self.measurement.dense()]);
+            late.start(belief, self.measurement.linearised());
+        }
         Ok(())
     }
 
@@ -187,16 +232,23 @@ impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
     fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
         self.process.predict(sample, belief);
         self.measurement.take(sample, false);
+        if let Some(late) = &mut self.late {
+            self.measurement.linearise(&belief.mean[..self.measurement.dense()]);
+            late.advance(belief, self.measurement.linearised(), sample.dt);
+        }
     }
 
     #[inline(always)]
     fn linearise(&mut self, reference: &[f64]) {
         self.measurement.linearise(reference);
+        if let Some(late) = &mut self.late {
+            late.mask(self.measurement.linearised());
+        }
     }
 
     #[inline(always)]
     fn linearised(&self) -> Linearised<'_> {
-        self.measurement.linearised()
+        self.late.as_ref().map_or(self.measurement.linearised(), |late| late.masked())
     }
 
     #[inline(always)]
@@ -205,25 +257,32 @@ impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
     }
 
     fn memory(&self) -> usize {
-        self.process.memory() + self.measurement.memory()
+        let late = self.late.as_ref().map_or(0, |late| late.memory());
+        late + self.process.memory() + self.measurement.memory()
     }
 
     #[inline(always)]
     fn remember(&self, memory: &mut Vec<f64>) {
         self.process.remember(memory);
         self.measurement.remember(memory);
+        if let Some(late) = &self.late {
+            late.remember(memory);
+        }
     }
 
     #[inline(always)]
     fn retreat(&mut self, memory: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric) {
         let own = self.process.memory();
+        if let Some(late) = &self.late {
+            late.retreat(&memory[own + self.measurement.memory()..], lambda, big);
+        }
         self.process.retreat(&memory[..own], dt, lambda, big);
     }
 
     #[inline(always)]
     fn report(&mut self, memory: &[f64], state: &[f64], i: usize, out: &mut FilterOutput) {
-        let others = self.process.memory();
-        self.measurement.report(&memory[others..], state, i, out);
+        let own = self.process.memory();
+        self.measurement.report(&memory[own..own + self.measurement.memory()], state, i, out);
     }
 }
 
