@@ -1,7 +1,7 @@
 //! The likelihood of a recording, its gradient and its information.
 
 use super::evaluation::Evaluation;
-use super::filter::{Advance, Filter, Innovation};
+use super::filter::{Filter, Innovation};
 use super::moments::{Lateness, moments};
 use super::parameters::{Parameter, Parameters};
 use super::recording::LikelihoodRecording;
@@ -11,7 +11,6 @@ use crate::estimate::kalman::{JerkModel, Noise};
 use crate::estimate::measurement::Kind;
 use crate::robot::Robot;
 use crate::scalar::{Dual, Scalar, log};
-use crate::simd;
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -164,9 +163,7 @@ impl Likelihood {
         let recording = &self.recording;
         let mut slopes = [vec![0.0; p], vec![0.0; p]];
         for _ in 0..filters[0].stretches(STRETCH) {
-            filters.par_iter_mut().for_each(|filter| {
-                simd::dispatch(simd::level(), Advance { filter, recording, count: STRETCH });
-            });
+            filters.par_iter_mut().for_each(|filter| filter.advance(recording, STRETCH));
             for i in 0..filters[0].innovations.len() {
                 for (k, (value, variance)) in slopes_of(&filters, i).take(p).enumerate() {
                     (slopes[0][k], slopes[1][k]) = (value, variance);
