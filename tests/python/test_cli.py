@@ -17,7 +17,7 @@ import pytest
 from click.testing import CliRunner
 
 from linkside import AccelerationObserver, Estimate, Log, Noise, Robot, cli, demo, poles
-from linkside.cli import commands, methods
+from linkside.cli import commands, methods, terminal
 
 DATA = Path(__file__).parents[1] / "data"
 ACCURACY = {  # RMS of the tool error, offset out [mm]
@@ -498,7 +498,7 @@ def test_a_bar_appears_only_when_work_takes_long(monkeypatch, delay, shown):
         advance("log.parquet", 40)
         time.sleep(0.2)
         advance("log.parquet", 60)
-    assert ("log.parquet" in "".join(terminal)) == shown
+    assert ("log.parquet" in "".join(screen)) == shown
 
 
 def test_check_tells_words_tables_and_draws(folder):
