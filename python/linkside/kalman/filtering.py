@@ -69,6 +69,7 @@ class LiveFilter(ABC, Generic[Core]):
     def __init__(self) -> None:
         self.status = 0
         self._started: Core | None = None
+        self._period = np.inf  # of the samples, where `step` has begun
 
     @property
     def covariance(self) -> FloatArray:
@@ -166,7 +167,7 @@ class KalmanMethod(ABC):
     def _channels(self, kinds: tuple[str, ...]) -> dict[str, Any]:
         """Kinds of channels as the core names them, and which of their channels have a bias."""
         return {
-            "kinds": ["theta" if kind == "motor" else kind for kind in kinds],
+            "kinds": [CHANNELS[kind].signal for kind in kinds],
             "biased": [kind in self._biases for kind in kinds for _ in range(self.width(kind))],
         }
 
