@@ -9,8 +9,9 @@ mod series;
 mod trig;
 
 pub use dual::Dual;
+pub(crate) use exponential::exp_m1;
 pub use lanes::Lanes;
-pub(crate) use logarithm::ln;
+pub(crate) use logarithm::{ln, log};
 pub use series::Series;
 
 use core::fmt::Debug;

@@ -1,5 +1,6 @@
 //! All channels of the acceleration-driven model in one state, with their Jacobian.
 
+use super::motion::PlainMotion;
 use super::view::OfDrives;
 use super::{Channel, Driven, Jacobian, LinkMotion, read_all};
 use crate::robot::Robot;
@@ -14,6 +15,7 @@ pub struct Evaluation<T> {
     /// ∂h/∂(q, q̇, q̈), channels × 3n, row-major.
     pub jacobian: Vec<T>,
     motion: LinkMotion<T>,
+    plain: PlainMotion<T>,
 }
 
 impl<T: Scalar> Evaluation<T> {
@@ -23,6 +25,7 @@ impl<T: Scalar> Evaluation<T> {
             prediction: vec![T::default(); channels],
             jacobian: vec![T::default(); channels * 3 * robot.len()],
             motion: LinkMotion::new(robot),
+            plain: PlainMotion::new(robot),
         }
     }
 
@@ -31,6 +34,12 @@ impl<T: Scalar> Evaluation<T> {
     #[inline]
     pub fn evaluate(&mut self, robot: &Robot, channels: &[Channel], state: &[T], dtheta: &[f64]) {
         simd::phase(Evaluate { evaluation: self, robot, channels, state, dtheta });
+    }
+
+    /// Predictions alone, as [`evaluate`](Self::evaluate) but for rounding.
+    #[inline]
+    pub fn predict(&mut self, robot: &Robot, channels: &[Channel], state: &[T], dtheta: &[f64]) {
+        self.plain.predict(robot, channels, state, dtheta, &mut self.prediction);
     }
 }
 
@@ -49,7 +58,7 @@ impl<T: Scalar> Kernel for Evaluate<'_, T> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { evaluation: Evaluation { prediction, jacobian, motion }, robot, channels, state, dtheta } = self;
+        let Self { evaluation: Evaluation { prediction, jacobian, motion, .. }, robot, channels, state, dtheta } = self;
         motion.set(robot, state);
         jacobian.fill(T::default());
         let view = Driven { links: motion, state, dtheta, springs: &OfDrives };

@@ -2,13 +2,13 @@
 
 use super::cloud::{Block, Scratch, WIDE, Wide};
 use super::density::{Noise, log_gamma};
-use super::random::{Purpose, Stream};
 use super::settings::Proposal;
 use super::shared::Shared;
 use super::sums::Weigh;
 use crate::estimate::kalman::JerkModel;
 use crate::estimate::measurement::Reach;
 use crate::linear;
+use crate::random::{Purpose, Stream};
 use crate::scalar::{Lanes, Scalar, ln};
 use crate::simd::{self, Kernel};
 
