@@ -136,6 +136,7 @@ class ExtendedKalmanFilter:
         gate: float | None,
         iterations: int,
         damping: bool,
+        late: Sequence[tuple[float, float, int] | None] | None = None,
     ) -> ExtendedKalmanFilter: ...
     @property
     def states(self) -> int: ...
@@ -174,6 +175,7 @@ class ElasticJointFilter:
         noise: Mapping[str, Any],
         gate: float | None,
         iterations: int,
+        late: Sequence[tuple[float, float, int] | None] | None = None,
     ) -> ElasticJointFilter: ...
     @property
     def states(self) -> int: ...

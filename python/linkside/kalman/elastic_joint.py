@@ -19,7 +19,7 @@ from linkside.recording.log import Log
 from linkside.robot import Robot
 
 from .filtering import KalmanEstimate, KalmanMethod, LiveFilter
-from .late_sensors import is_late
+from .late_sensors import inside
 from .noise import PositiveStd, Std, channel_arrays, motor_noise
 
 Arrays = tuple[FloatArray, FloatArray, FloatArray]
@@ -121,7 +121,7 @@ class ElasticJoint(KalmanMethod):
 
     def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
         kinds = self.kinds(log)
-        core = self.core(kinds, held=self._held)
+        core = self.core(kinds, log.period, held=self._held)
         dt, readings, tau = self.arrays(log, kinds)
         (outcome,) = core.run_all([(dt, readings, self._acting(tau))], self._smooth, covariance, innovations)
         return self._estimate(log, kinds, result_of(log.source, outcome))
@@ -133,13 +133,8 @@ class ElasticJoint(KalmanMethod):
         log.require("tau", purpose=purpose)
         return self._with_wanted(("motor",), log, purpose)
 
-    def core(self, kinds: tuple[str, ...], *, held: bool) -> _core.ElasticJointFilter:
-        """Build a filter of the core for channels of these kinds, which has taken no sample."""
-        if "acceleration" in kinds and is_late(self.robot):
-            raise EstimatorError(
-                "the elastic-joint filter takes accelerations as they come, and robot.yaml gives an accelerometer a "
-                "corner_frequency or a delay; set accelerations=False, or use ExtendedKalmanFilter"
-            )
+    def core(self, kinds: tuple[str, ...], period: float, *, held: bool) -> _core.ElasticJointFilter:
+        """Build a filter of the core, without a sample yet, for channels of these kinds every ``period`` [s]."""
         return _core.ElasticJointFilter(
             self.robot.core,
             **self._channels(kinds),
@@ -149,6 +144,7 @@ class ElasticJoint(KalmanMethod):
             noise=self.noise.arrays(self.robot, kinds),
             gate=self._gate,
             iterations=self._iterations,
+            late=inside(self.robot, kinds, period),
         )
 
     def arrays(self, log: Log, kinds: tuple[str, ...], before: tuple[float, FloatArray] | None = None) -> Arrays:
@@ -241,6 +237,7 @@ class ElasticJointFilter(ElasticJoint, LiveFilter[_core.ElasticJointFilter]):
             Link positions (n) and velocities (n), motor positions and velocities of the elastic joints, disturbance
             torques, biases. ``covariance`` and ``status`` tell the rest.
         """
+        self._period = dt if self._started is None else self._period
         live, kinds = self._live, self.live_kinds
         given = {"motor": theta, "acceleration": acceleration, "dtheta": dtheta}
         names = {"motor": "theta"}
@@ -258,7 +255,7 @@ class ElasticJointFilter(ElasticJoint, LiveFilter[_core.ElasticJointFilter]):
         return ("motor", *(kind for kind, use in wanted.items() if use))
 
     def _start(self) -> _core.ElasticJointFilter:
-        return self.core(self.live_kinds, held=self._held)
+        return self.core(self.live_kinds, self._period, held=self._held)
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
         """Estimate a recording that comes piece by piece, in bounded memory; the same bits as `run`."""
@@ -268,7 +265,7 @@ class ElasticJointFilter(ElasticJoint, LiveFilter[_core.ElasticJointFilter]):
         for piece in pieces:
             if core is None:
                 kinds = self.kinds(piece)
-                core = self.core(kinds, held=self._held)
+                core = self.core(kinds, piece.period, held=self._held)
             dt, readings, tau = self.arrays(piece, kinds, before)
             try:
                 result = core.run((dt, readings, self._acting(tau, before)))
@@ -277,12 +274,12 @@ class ElasticJointFilter(ElasticJoint, LiveFilter[_core.ElasticJointFilter]):
             before = float(piece.t[-1]), tau[-1:]
             yield self._estimate(piece, kinds, result)
 
-    def fresh(self) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
-        """Build a filter of the core for a loop, and the kinds of its channels.
+    def fresh(self, period: float) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
+        """Build a filter of the core for a loop of this period [s], and the kinds of its channels.
 
         It has taken no sample; a sample's torques are those that have acted, held, since the one before.
         """
-        return self.core(self.live_kinds, held=True), self.live_kinds
+        return self.core(self.live_kinds, period, held=True), self.live_kinds
 
 
 class ElasticJointSmoother(ElasticJoint):

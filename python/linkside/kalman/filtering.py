@@ -70,6 +70,7 @@ class LiveFilter(ABC, Generic[Core]):
     def __init__(self) -> None:
         self.status = 0
         self._started: Core | None = None
+        self._period = np.inf  # of the samples, where `step` has begun
 
     @property
     def covariance(self) -> FloatArray:

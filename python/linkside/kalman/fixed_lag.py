@@ -42,7 +42,7 @@ class FixedLagSmoother:
         self._filter = ExtendedKalmanFilter(robot, noise, **settings)
         self._filter.refuse_late("a fixed-lag smoother")
         self._kinds = self._filter.live_kinds
-        self._before = self._filter.core(self._kinds, self._filter.noise)
+        self._before = self._filter.core(self._kinds, self._filter.noise, np.inf)
         self.reset()
 
     def reset(self) -> None:

@@ -92,7 +92,6 @@ def smooth_pieces(
     folder
         Where a temporary directory is made, removed at the end whatever happens; by default the system's.
     """
-    smoother.refuse_late("smoothing piece by piece")
     with _spill_folder(folder) as spill:
         starts = list(_forward(smoother, pieces, spill))
         _backward(starts, spill)
@@ -123,7 +122,7 @@ def _forward(
     for index, piece in enumerate(pieces):
         if core is None:
             kinds = smoother.kinds(piece)
-            core = smoother.core(kinds, smoother.noise.for_log(piece))
+            core = smoother.core(kinds, smoother.noise.for_log(piece), piece.period)
         yield core.copy()
         arrays = smoother.arrays(piece, kinds, before)
         _save(spill / f"{index}.log", dict(zip((*READ, "t"), (*arrays, piece.t), strict=True)))

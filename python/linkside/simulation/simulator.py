@@ -246,7 +246,7 @@ def _told(feedback: Feedback, robot: Robot, period: float) -> Told:
                 f"feedback is {feedback!r}, expected 'truth', 'sensors', an ElasticJointFilter or AccelerationObserver"
             )
         return feedback == "truth"
-    core, kinds = feedback.fresh()
+    core, kinds = feedback.fresh(period)
     _same_robot(feedback.robot, robot, "names", "acceleration_channels", "gyroscope_channels")
     names = [kind for kind in SIGNALS for _ in range(SIGNALS[kind].width(robot))]
     wanted = {CHANNELS[kind].signal for kind in kinds}
