@@ -39,6 +39,9 @@ pub trait Scalar:
     + AddAssign
     + SubAssign
 {
+    /// Whether it is several numbers side by side.
+    const LANES: bool = false;
+
     /// A constant.
     fn constant(value: f64) -> Self;
 
