@@ -17,6 +17,7 @@ from .log import Log
 from .noise import Noise
 from .robot import Robot
 from .sensing import Schedule, is_late, unfiltered
+from .tolerances import considered
 
 FloatArray = npt.NDArray[np.float64]
 Arrays = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
@@ -116,6 +117,9 @@ class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanF
         Leave a reading out when its innovation exceeds this many standard deviations; None uses all.
     iterations
         How often a sample's measurement is linearised; 1 is the plain update.
+    tolerances
+        Whether the ``tolerances`` of robot.yaml count in standard deviations, as far as the readings have not narrowed
+        them (Schmidt–Kalman); the estimate itself is the same.
 
     Raises
     ------
@@ -144,11 +148,13 @@ class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanF
         torque: bool | None = None,
         gate: float | None = None,
         iterations: int = 1,
+        tolerances: bool = True,
     ) -> None:
         wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque}
         super().__init__(robot, wanted, biases, gate, iterations)
         self.noise = noise or Noise()
         self._damping = damping
+        self._uncertain = considered(robot) if tolerances else []
 
     def _refuse_late(self, what: str) -> None:
         if is_late(self.robot):
@@ -223,7 +229,11 @@ class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanF
         self, kinds: tuple[str, ...], noise: Noise, factor: FloatArray | float = 1.0
     ) -> _core.ExtendedKalmanFilter:
         return _core.ExtendedKalmanFilter(
-            self.robot.core, **self._settings(kinds, noise, factor), gate=self._gate, iterations=self._iterations
+            self.robot.core,
+            **self._settings(kinds, noise, factor),
+            gate=self._gate,
+            iterations=self._iterations,
+            told=[parameter.told for parameter in self._uncertain],
         )
 
     def _settings(self, kinds: tuple[str, ...], noise: Noise, factor: FloatArray | float = 1.0) -> dict[str, Any]:

@@ -4,6 +4,7 @@ use crate::array::{Signal, rows, shaped, write_into};
 use crate::error::{IntoPyErr, outcome};
 use crate::gil::Release;
 use crate::robot::Robot;
+use crate::tolerance::{Told, tolerances};
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
     self, FilterOutput, FilterSettings, Further, Inputs, JerkDriven, JerkModel, KalmanRecording, KalmanSample, Keep,
@@ -114,7 +115,7 @@ pub(crate) type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'
 #[pymethods]
 impl ExtendedKalmanFilter {
     #[new]
-    #[pyo3(signature = (robot, *, motor_velocities, rates, links, torques, biased, noise, gate, iterations, damping))]
+    #[pyo3(signature = (robot, *, motor_velocities, rates, links, torques, biased, noise, gate, iterations, damping, told))]
     fn new(
         robot: &Robot,
         motor_velocities: bool,
@@ -126,11 +127,13 @@ impl ExtendedKalmanFilter {
         gate: Option<f64>,
         iterations: usize,
         damping: bool,
+        told: Vec<Told>,
     ) -> PyResult<Self> {
+        let told = tolerances(&told)?;
         let build = || {
             let model =
                 JerkModel::new(Arc::clone(&robot.0), Further { motor_velocities, rates, links, torques }, &biased)?;
-            let model = JerkDriven::new(model, noise.into(), damping)?;
+            let model = JerkDriven::new(model, noise.into(), damping)?.with_tolerances(told);
             kalman::ExtendedKalmanFilter::new(model, FilterSettings { gate, iterations })
         };
         let filter = build().map_err(IntoPyErr::into_py_err)?;
@@ -189,7 +192,14 @@ impl ExtendedKalmanFilter {
     #[getter]
     fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, numpy::PyArrayDyn<f64>>> {
         let states = self.filter.model().states();
-        shaped(py, self.filter.belief().covariance.dense().collect(), vec![states, states])
+        shaped(py, self.filter.covariance().dense().collect(), vec![states, states])
+    }
+
+    /// Errors of the parameters by the readings so far, in the measure of their tolerances, and the standard deviations
+    /// of these.
+    #[getter]
+    fn parameters(&self) -> (Vec<f64>, Vec<f64>) {
+        self.filter.parameters()
     }
 
     /// Goes on from the live state with the rows of a log, or of a piece of one.

@@ -39,12 +39,12 @@ pub struct Evaluation<T> {
     pub prediction: Vec<T>,
     /// ∂h/∂(q, q̇, q̈), channels × 3n, row-major.
     pub jacobian: Vec<T>,
-    kinematics: Kinematics<T>,
+    pub(super) kinematics: Kinematics<T>,
     loads: Loads<T>,
-    tau: Vec<T>,
+    pub(super) tau: Vec<T>,
     by_q: Vec<T>,
     by_dq: Vec<T>,
-    mass: Vec<T>,
+    pub(super) mass: Vec<T>,
 }
 
 impl<T: Scalar> Evaluation<T> {

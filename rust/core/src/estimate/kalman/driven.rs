@@ -7,6 +7,7 @@ use super::model::{Linearised, Model};
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample};
 use super::slope::Slope;
+use super::uncertain::Tolerance;
 use crate::error::DesignError;
 use crate::estimate::observer::link_position_at_rest;
 use crate::robot::Robot;
@@ -29,6 +30,7 @@ pub struct JerkDriven {
     slope: Slope,
     jerk: Vec<f64>,
     dt: f64,
+    tolerances: Vec<Tolerance>,
 }
 
 impl JerkDriven {
@@ -47,10 +49,16 @@ impl JerkDriven {
             slope: Slope::new(n),
             jerk: vec![0.0; n],
             dt: 0.0,
+            tolerances: Vec::new(),
             model,
             noise,
             damping,
         })
+    }
+
+    /// The model of a robot of which some numbers are known to a tolerance only.
+    pub fn with_tolerances(self, tolerances: Vec<Tolerance>) -> Self {
+        Self { tolerances, ..self }
     }
 
     /// Number of accelerometer channels.
@@ -182,6 +190,48 @@ impl Model for JerkDriven {
         self.model.retreat(lambda, big, dt);
     }
 
+    fn tolerances(&self) -> &[Tolerance] {
+        &self.tolerances
+    }
+
+    #[inline(always)]
+    fn teaches(&self, channel: usize) -> bool {
+        !matches!(self.model.channels[channel], Channel::Motor(_) | Channel::MotorVelocity(_))
+    }
+
+    /// ∂f/∂p is zero: no parameter of the robot moves jerk.
+    #[inline(always)]
+    fn carry(&mut self, columns: &mut [f64], stride: usize, dt: f64) {
+        let size = self.model.joints() * stride;
+        let (q, rest) = columns.split_at_mut(size);
+        let (dq, ddq) = rest.split_at_mut(size);
+        for i in 0..size {
+            q[i] += dt * dq[i] + 0.5 * dt * dt * ddq[i];
+            dq[i] += dt * ddq[i];
+        }
+    }
+
+    #[inline(always)]
+    fn carry_back(&mut self, _: &[f64], columns: &mut [f64], stride: usize, dt: f64) {
+        let size = self.model.joints() * stride;
+        let (q, rest) = columns.split_at_mut(size);
+        let (dq, ddq) = rest.split_at_mut(size);
+        for i in 0..size {
+            ddq[i] += dt * dq[i] + 0.5 * dt * dt * q[i];
+            dq[i] += dt * q[i];
+        }
+    }
+
+    #[inline(always)]
+    fn signatures(&mut self, stride: usize, out: &mut [f64]) {
+        let Self { model, evaluation, reference, dtheta, tolerances, .. } = self;
+        let (n, channels) = (model.joints(), &model.channels);
+        evaluation.signatures(&model.robot, channels, tolerances, &reference[n..2 * n], dtheta, stride, out);
+        if let Some(motors) = &mut self.motors {
+            motors.signatures(model, tolerances, dtheta, stride, out);
+        }
+    }
+
     /// The first n channels are the motors': their positions by the linearisation, their velocities by its rate.
     #[inline(always)]
     fn report(&mut self, memory: &[f64], state: &[f64], i: usize, out: &mut FilterOutput) {
@@ -209,6 +259,8 @@ struct Motors {
     channels: Vec<Channel>,
     evaluation: Evaluation<Dual<1>>,
     state: Vec<Dual<1>>,
+    /// Scratch of the signatures.
+    rates: Vec<Dual<1>>,
 }
 
 impl Motors {
@@ -218,6 +270,7 @@ impl Motors {
             channels: (0..n).map(Channel::Motor).collect(),
             evaluation: Evaluation::new(robot, n),
             state: vec![Dual::default(); 3 * n],
+            rates: Vec::new(),
         }
     }
 
@@ -229,6 +282,28 @@ impl Motors {
             *x = Dual { value, gradient: [rate] };
         }
         self.evaluation.evaluate(robot, &self.channels, &self.state, dtheta);
+    }
+
+    /// Rates of the motor positions' signatures into the rows of the motor velocities.
+    #[inline(always)]
+    fn signatures(
+        &mut self,
+        model: &JerkModel,
+        tolerances: &[Tolerance],
+        dtheta: &[f64],
+        stride: usize,
+        out: &mut [f64],
+    ) {
+        let n = self.channels.len();
+        let Self { channels, evaluation, state, rates } = self;
+        rates.resize(n * stride, Dual::default());
+        evaluation.signatures(&model.robot, channels, tolerances, &state[n..2 * n], dtheta, stride, rates);
+        for (out, channel) in out.chunks_exact_mut(stride).zip(&model.channels) {
+            let Channel::MotorVelocity(j) = *channel else { continue };
+            for (out, rate) in out.iter_mut().zip(&rates[j * stride..]) {
+                *out = rate.gradient[0];
+            }
+        }
     }
 
     /// θ̇ = H ẋ and ∂θ̇/∂x = Ḣ + H ∂ẋ/∂x into the rows of the motor velocities.

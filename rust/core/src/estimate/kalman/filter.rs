@@ -1,12 +1,14 @@
 //! The extended Kalman filter: one step, and whole recordings.
 
+use super::consider::Consider;
 use super::correction::Correction;
-use super::gaussian::Gaussian;
+use super::gaussian::{Gaussian, Symmetric};
 use super::model::Model;
 use super::output::{FilterOutput, Keep, Tool};
 use super::recording::{KalmanRecording, KalmanSample};
 use super::smoother::{History, Smoother};
 use crate::error::{DesignError, RunError};
+use crate::linear;
 use crate::simd::{self, Kernel};
 use rayon::prelude::*;
 
@@ -30,6 +32,7 @@ pub struct ExtendedKalmanFilter<M> {
     pub(super) belief: Gaussian,
     prior: Gaussian,
     pub(super) correction: Correction,
+    pub(super) consider: Option<Consider>,
     pub(super) tool: Tool,
     memory: Vec<f64>,
     /// Samples taken, for messages.
@@ -57,6 +60,7 @@ impl<M: Model> ExtendedKalmanFilter<M> {
         Ok(Self {
             prior: belief.clone(),
             correction: Correction::new(&model, belief.covariance.stride),
+            consider: Consider::new(&model),
             tool: Tool::new(model.robot()),
             memory: Vec::with_capacity(model.memory()),
             taken: 0,
@@ -71,6 +75,9 @@ impl<M: Model> ExtendedKalmanFilter<M> {
     pub fn reset(&mut self) {
         self.taken = 0;
         self.started = false;
+        if let Some(consider) = &mut self.consider {
+            consider.reset();
+        }
     }
 
     /// The model.
@@ -81,6 +88,25 @@ impl<M: Model> ExtendedKalmanFilter<M> {
     /// The belief after the last sample.
     pub fn belief(&self) -> &Gaussian {
         &self.belief
+    }
+
+    /// Covariance of the state after the last sample, with what the parameters' tolerances add to it.
+    pub fn covariance(&self) -> Symmetric {
+        let mut covariance = self.belief.covariance.clone();
+        if let Some(mut consider) = self.consider.clone() {
+            let states = self.belief.mean.len();
+            consider.sum_up(states);
+            for (row, more) in covariance.data.chunks_exact_mut(covariance.stride).zip(consider.total.chunks(states)) {
+                linear::add_scaled(row, 1.0, more);
+            }
+        }
+        covariance
+    }
+
+    /// What the readings so far say of the parameters: their errors, in the measure of their tolerances, and the
+    /// standard deviations of these.
+    pub fn parameters(&self) -> (Vec<f64>, Vec<f64>) {
+        self.consider.as_ref().map(Consider::parameters).unwrap_or_default()
     }
 
     /// See [`Status`](crate::estimate::Status).
@@ -104,6 +130,9 @@ impl<M: Model> ExtendedKalmanFilter<M> {
     fn advance(&mut self, sample: &KalmanSample<'_>) -> Result<(), DesignError> {
         if self.started {
             self.model.predict(sample, &mut self.belief);
+            if let Some(consider) = &mut self.consider {
+                self.model.carry(&mut consider.columns, consider.stride, sample.dt);
+            }
         } else {
             self.model.start(sample, &mut self.belief)?;
             self.started = true;
@@ -124,6 +153,9 @@ impl<M: Model> ExtendedKalmanFilter<M> {
             self.linearise();
             self.belief.copy_from(&self.prior);
             self.correction.update(&self.model, &mut self.belief, sample.readings, None);
+        }
+        if let Some(consider) = &mut self.consider {
+            consider.update(&mut self.model, &self.correction, self.belief.mean.len());
         }
     }
 
@@ -177,14 +209,14 @@ impl<M: Model> ExtendedKalmanFilter<M> {
             let sample = recording.sample(i, &self.model);
             self.advance(&sample)?;
             if let Some(history) = &mut history {
-                history.push_prediction(sample.dt, &self.belief);
+                history.push_prediction(sample.dt, &self.belief, self.consider.as_ref());
             }
             if keep.innovations {
                 self.report_innovations(i, &sample, &mut out);
             }
             self.correct(&sample);
             if let Some(history) = &mut history {
-                history.push_update(&self.model, &self.correction);
+                history.push_update(&self.model, &self.correction, self.consider.as_ref());
             }
             if !(self.correction.log_likelihood.is_finite() && self.belief.mean.iter().all(|x| x.is_finite())) {
                 return Err(RunError::NotFinite { sample: self.taken });
@@ -211,9 +243,16 @@ impl<M: Model> ExtendedKalmanFilter<M> {
         self.memory.clear();
         self.model.remember(&mut self.memory);
         self.model.report(&self.memory, mean, i, out);
-        out.write_links(i, self.model.robot(), mean, |r, c| covariance.at(r, c), &mut self.tool);
+        let rows = if whole { mean.len() } else { self.model.robot().len() };
+        let more = self.consider.as_mut().map(|consider| {
+            consider.sum_up(rows);
+            &consider.total[..rows * rows]
+        });
+        let total = |r: usize, c: usize| covariance.at(r, c) + more.map_or(0.0, |more| more[r * rows + c]);
+        out.write_links(i, self.model.robot(), mean, total, &mut self.tool);
         if whole {
             out.write_state(i, mean, &covariance.data, covariance.stride);
+            out.add_covariance(i, more.unwrap_or_default());
         }
     }
 }

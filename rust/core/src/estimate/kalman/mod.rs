@@ -1,6 +1,8 @@
 //! Kalman filter and smoother, and the models that they run on.
 
 mod channels;
+mod consider;
+mod consider_back;
 mod correction;
 mod driven;
 mod elastic;
@@ -13,6 +15,7 @@ mod recording;
 mod slope;
 mod smoother;
 mod transition;
+mod uncertain;
 
 pub use channels::{Channel, Evaluation};
 pub use driven::JerkDriven;
@@ -25,3 +28,4 @@ pub(crate) use output::Tool;
 pub use output::{FilterOutput, Keep};
 pub use recording::{Inputs, KalmanRecording, KalmanSample};
 pub use smoother::Smoother;
+pub use uncertain::{Tolerance, Uncertain};

@@ -3,6 +3,7 @@
 use super::gaussian::{Gaussian, Symmetric};
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample};
+use super::uncertain::Tolerance;
 use crate::error::DesignError;
 use crate::robot::Robot;
 
@@ -61,6 +62,26 @@ pub trait Model: Clone + Send + Sync {
 
     /// The adjoint of [`predict`](Self::predict): λ ← Fᵀ λ, Λ ← Fᵀ Λ F.
     fn retreat(&mut self, memory: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric);
+
+    /// Numbers of the robot that are known to a tolerance only, and count in covariances; none unless asked for.
+    fn tolerances(&self) -> &[Tolerance] {
+        &[]
+    }
+
+    /// Whether a channel may say something of the parameters. A motor's reading says it only by way of how smoothly
+    /// links are taken to move, which is a guess.
+    fn teaches(&self, _channel: usize) -> bool {
+        true
+    }
+
+    /// Columns (states × `stride`, one a tolerance) through the step last predicted: Σ ← F Σ + ∂f/∂p.
+    fn carry(&mut self, _columns: &mut [f64], _stride: usize, _dt: f64) {}
+
+    /// The adjoint of what F does in [`carry`](Self::carry): Λ ← Fᵀ Λ.
+    fn carry_back(&mut self, _memory: &[f64], _columns: &mut [f64], _stride: usize, _dt: f64) {}
+
+    /// ∂h/∂p where the model was linearised (channels × `stride`).
+    fn signatures(&mut self, _stride: usize, _out: &mut [f64]) {}
 
     /// Writes links and motors at `state` into row `i`.
     fn report(&mut self, memory: &[f64], state: &[f64], i: usize, out: &mut FilterOutput);

@@ -127,6 +127,12 @@ impl FilterOutput {
         }
     }
 
+    /// Adds to the covariance of sample `i`.
+    #[inline(always)]
+    pub(super) fn add_covariance(&mut self, i: usize, more: &[f64]) {
+        crate::linear::add_scaled(&mut self.covariance[i * more.len()..][..more.len()], 1.0, more);
+    }
+
     /// This stretch and the one after it.
     pub(super) fn followed_by(mut self, mut later: Self) -> Self {
         for (mine, others) in self.fields().into_iter().zip(later.fields()) {

@@ -4,6 +4,8 @@
 //! with covariance Λ runs backwards through the same rows and gains, and the smoothed state is x⁻ − P⁻λ with
 //! covariance P⁻ − P⁻ΛP⁻. No predicted covariance is inverted, badly scaled as they are (10⁻¹² to 1).
 
+use super::consider::Consider;
+use super::consider_back::{ConsiderBack, ConsiderHistory};
 use super::correction::Correction;
 use super::filter::{ExtendedKalmanFilter, Run};
 use super::gaussian::{Gaussian, Innovation, Symmetric};
@@ -28,6 +30,7 @@ pub(super) struct History {
     innovations: Vec<Innovation>,
     /// What the model remembers.
     memories: Vec<f64>,
+    consider: ConsiderHistory,
 }
 
 impl History {
@@ -44,6 +47,7 @@ impl History {
             gains: Vec::with_capacity(count * m * stride),
             innovations: Vec::with_capacity(count * m),
             memories: Vec::with_capacity(count * model.memory()),
+            consider: ConsiderHistory::default(),
         }
     }
 
@@ -67,13 +71,19 @@ impl History {
         &self.gains[i * size..][..size]
     }
 
-    pub(super) fn push_prediction(&mut self, dt: f64, belief: &Gaussian) {
+    pub(super) fn push_prediction(&mut self, dt: f64, belief: &Gaussian, consider: Option<&Consider>) {
+        if let Some(consider) = consider {
+            self.consider.push_prediction(consider);
+        }
         self.dt.push(dt);
         self.means.extend_from_slice(&belief.mean);
         self.covariances.extend_from_slice(&belief.covariance.data[..self.kept * self.stride]);
     }
 
-    pub(super) fn push_update(&mut self, model: &impl Model, correction: &Correction) {
+    pub(super) fn push_update(&mut self, model: &impl Model, correction: &Correction, consider: Option<&Consider>) {
+        if let Some(consider) = consider {
+            self.consider.push_update(consider);
+        }
         self.jacobians.extend_from_slice(model.linearised().jacobian);
         self.gains.extend_from_slice(&correction.gains);
         self.innovations.extend_from_slice(&correction.innovations);
@@ -98,6 +108,7 @@ pub struct Smoother<M> {
     product: Vec<f64>,
     mean: Vec<f64>,
     smoothed: Vec<f64>,
+    consider: Option<ConsiderBack>,
 }
 
 /// The way back through a stretch, to be compiled for each instruction set.
@@ -118,7 +129,10 @@ impl<M: Model> Kernel for Back<'_, M> {
             smoother.back(history, i);
             smoother.smooth(history, i, keep.covariance);
             smoother.report(history, i, out, keep);
-            let Smoother { filter, lambda, big, .. } = &mut *smoother;
+            let Smoother { filter, lambda, big, consider, .. } = &mut *smoother;
+            if let Some(consider) = consider {
+                consider.retreat(&mut filter.model, history.memory(i), history.dt[i]);
+            }
             filter.model.retreat(history.memory(i), history.dt[i], lambda, big);
         }
     }
@@ -143,6 +157,7 @@ impl<M: Model> Smoother<M> {
             mean: vec![0.0; states],
             smoothed: vec![0.0; states * stride],
             big,
+            consider: filter.consider.as_ref().map(|consider| ConsiderBack::new(consider, states)),
             filter,
         }
     }
@@ -184,6 +199,9 @@ impl<M: Model> Smoother<M> {
     pub fn finish(&mut self) {
         self.lambda.fill(0.0);
         self.big.data.fill(0.0);
+        if let Some(consider) = &mut self.consider {
+            consider.finish();
+        }
     }
 
     /// Smooths a stretch of a recording, the last stretch first; `start` is the filter as it was before the stretch.
@@ -202,6 +220,9 @@ impl<M: Model> Smoother<M> {
         let mut history = History::with_capacity(count, &filter.model, self.big.stride, keep.covariance);
         let run = Run { filter: &mut filter, recording, keep, history: Some(&mut history) };
         let mut out = simd::dispatch(simd::level(), run)?;
+        if let (Some(back), Some(consider)) = (&mut self.consider, &filter.consider) {
+            back.learn(consider);
+        }
         simd::dispatch(simd::level(), Back { smoother: self, history: &history, out: &mut out, keep });
         Ok(out)
     }
@@ -235,6 +256,9 @@ impl<M: Model> Smoother<M> {
             linear::add_scaled(&mut self.lambda, -pull, row);
         }
         self.big.subtract_outer(&self.rows, &self.outer);
+        if let Some(consider) = &mut self.consider {
+            consider.back(&history.consider, i, &history.innovations[i * m..][..m], &self.rows, gains);
+        }
     }
 
     /// Whole rows of H at sample `i`, zero where a reading was not used; returns how many.
@@ -269,6 +293,12 @@ impl<M: Model> Smoother<M> {
                 let taken = linear::dot(&predicted[c * stride..][..stride], &self.product[r * stride..][..stride]);
                 self.smoothed[r * stride + c] = predicted[r * stride + c] - taken;
                 self.smoothed[c * stride + r] = self.smoothed[r * stride + c];
+            }
+        }
+        if let Some(consider) = &mut self.consider {
+            consider.sum_up(&history.consider, i, &predicted[..rows * stride], rows);
+            for r in 0..rows {
+                linear::add_scaled(&mut self.smoothed[r * stride..][..rows], 1.0, &consider.total[r * rows..][..rows]);
             }
         }
     }
