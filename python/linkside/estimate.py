@@ -49,6 +49,10 @@ class Status(IntFlag):
     """Not one reading was used: the row is a prediction."""
     UNWRAPPED = 32
     """An encoder wrapped, and its jump was taken out."""
+    CONTRADICTED = 64
+    """Readings contradict the model: the row and its standard deviations are not to be believed; see ``findings``."""
+    FAULTY = 128
+    """One channel contradicts the model and all other channels; see ``findings``."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -217,7 +221,7 @@ class Estimate:
         return f"Estimate({len(self)} rows, {len(self.names)} joints, {groups}; status: {status or 'none'})"
 
     def _form(self) -> tuple[tuple[str, ...], list[str]]:
-        arrays = (f.name for f in fields(self) if f.name not in ("names", "channels"))
+        arrays = (f.name for f in fields(self) if f.name not in ("names", "channels", "findings"))
         there = [name for name in arrays if getattr(self, name) is not None]
         return self.names, there
 

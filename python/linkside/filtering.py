@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from .errors import EstimatorError
 from .estimate import Estimate
+from .findings import Finding, named
 from .log import Log
 from .robot import Robot
 
@@ -41,6 +42,8 @@ class KalmanEstimate(Estimate):
         Readings less their predictions, and the standard deviations of these differences.
     channels : tuple of str
         The m columns of the log that were read.
+    findings : tuple of Finding
+        Contradictions between readings and model, from the recording's start on.
     """
 
     nis: FloatArray | None = None
@@ -50,6 +53,7 @@ class KalmanEstimate(Estimate):
     innovation: FloatArray | None = None
     innovation_std: FloatArray | None = None
     channels: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
 
 class CoreFilter(Protocol):
@@ -183,7 +187,9 @@ class KalmanFilter(LiveFilter[Core]):
         return tuple(name for kind in kinds for name in log.columns("theta" if kind == "motor" else kind))
 
     def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> KalmanEstimate:
-        return KalmanEstimate(t=log.t, names=self.robot.names, channels=self._columns(log, kinds), **result)
+        columns = self._columns(log, kinds)
+        found = named(result.pop("findings", ()), columns)
+        return KalmanEstimate(t=log.t, names=self.robot.names, channels=columns, findings=found, **result)
 
 
 def sized(name: str, signal: npt.ArrayLike | None, size: int) -> FloatArray:

@@ -98,11 +98,15 @@ class Schedule:
         """Rows of samples from the filter's: each with what was used since the sample before."""
         group, row = np.divmod(self.order, len(self.t))
         samples = np.flatnonzero(group == 0)
-        out = {name: np.ascontiguousarray(values[samples]) for name, values in result.items()}
+        found = result.get("findings", ())
+        out = {n: np.ascontiguousarray(values[samples]) for n, values in result.items() if n != "findings"}
+        sample = np.searchsorted(samples, np.arange(len(group)))
+        out["findings"] = [(c, int(sample[since]), int(sample[until]), *rest) for c, since, until, *rest in found]
         starts = np.concatenate([[0], samples[:-1] + 1])
         for name in ("nis", "used", "log_likelihood"):
             out[name] = np.add.reduceat(result[name], starts).astype(result[name].dtype)
-        gated = np.bitwise_or.reduceat(result["status"], starts) & Status.GATED
+        kept = Status.GATED | Status.CONTRADICTED | Status.FAULTY
+        gated = np.bitwise_or.reduceat(result["status"], starts) & kept
         missing = np.isnan(readings).any(axis=1) * Status.BRIDGED
         out["status"] = (gated | missing | (out["used"] == 0) * Status.PREDICTED).astype(np.uint8)
         for name in ("innovation", "innovation_std"):

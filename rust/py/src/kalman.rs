@@ -7,8 +7,8 @@ use crate::robot::Robot;
 use crate::tolerance::{Told, tolerances};
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
-    self, FilterOutput, FilterSettings, Further, Inputs, JerkDriven, JerkModel, KalmanRecording, KalmanSample, Keep,
-    Model,
+    self, FilterOutput, FilterSettings, Finding, Further, Inputs, JerkDriven, JerkModel, KalmanRecording, KalmanSample,
+    Keep, Kind, Model,
 };
 use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -202,6 +202,12 @@ impl ExtendedKalmanFilter {
         self.filter.parameters()
     }
 
+    /// Contradictions between readings and model since the start.
+    #[getter]
+    fn findings(&self) -> Vec<Found> {
+        findings(self.filter.findings())
+    }
+
     /// Goes on from the live state with the rows of a log, or of a piece of one.
     fn run<'py>(
         &mut self,
@@ -279,7 +285,29 @@ pub(crate) fn into_dict<'py>(
     }
     out.set_item("used", PyArray1::from_vec(py, o.used))?;
     out.set_item("status", PyArray1::from_vec(py, o.status))?;
+    out.set_item("findings", findings(&o.findings))?;
     Ok(out)
+}
+
+/// A finding: channel, first and last sample, size, the same in standard deviations, and what the readings look like.
+pub(crate) type Found = (Option<usize>, u64, u64, f64, f64, &'static str);
+
+pub(crate) fn findings(all: &[Finding]) -> Vec<Found> {
+    let one = |f: &Finding| (f.channel, f.since, f.until, f.size, f.deviations, word(f.kind));
+    all.iter().map(one).collect()
+}
+
+fn word(kind: Kind) -> &'static str {
+    match kind {
+        Kind::Stuck => "stuck",
+        Kind::Saturated => "saturated",
+        Kind::Dead => "dead",
+        Kind::Wrap => "wrap",
+        Kind::Step => "step",
+        Kind::Flipped => "flipped",
+        Kind::Gain => "gain",
+        Kind::Unknown => "unknown",
+    }
 }
 
 /// Smoother that takes a recording's stretches from the last to the first.

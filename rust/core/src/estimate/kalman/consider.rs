@@ -183,6 +183,12 @@ impl Consider {
         &self.moment
     }
 
+    /// By how much the parameters widen the standard deviation of channel `i`'s innovation.
+    #[inline(always)]
+    pub(super) fn factor(&self, i: usize) -> f64 {
+        self.variances[i].sqrt()
+    }
+
     /// E[p] and the standard deviations of p given the readings so far.
     pub(super) fn parameters(&self) -> (Vec<f64>, Vec<f64>) {
         let std = (0..self.count).map(|i| self.spread.at(i, i).max(0.0).sqrt()).collect();

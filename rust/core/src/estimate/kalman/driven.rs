@@ -113,6 +113,10 @@ impl Model for JerkDriven {
         &self.model.biases
     }
 
+    fn channel_kinds(&self) -> &[Channel] {
+        &self.model.channels
+    }
+
     fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError> {
         let needed = [("dtheta", recording.inputs.dtheta), ("jerk", recording.inputs.jerk)];
         recording.expect(self.model.channels(), self.model.joints(), &needed)
@@ -202,6 +206,11 @@ impl Model for JerkDriven {
     /// ∂f/∂p is zero: no parameter of the robot moves jerk.
     #[inline(always)]
     fn carry(&mut self, columns: &mut [f64], stride: usize, dt: f64) {
+        self.carry_noise_free(columns, stride, dt);
+    }
+
+    #[inline(always)]
+    fn carry_noise_free(&mut self, columns: &mut [f64], stride: usize, dt: f64) {
         let size = self.model.joints() * stride;
         let (q, rest) = columns.split_at_mut(size);
         let (dq, ddq) = rest.split_at_mut(size);

@@ -255,6 +255,15 @@ impl Model for ElasticModel {
         &self.biases
     }
 
+    fn channel_kinds(&self) -> &[Channel] {
+        &self.channels
+    }
+
+    #[inline(always)]
+    fn carry_noise_free(&mut self, columns: &mut [f64], stride: usize, _: f64) {
+        self.transition.carry(columns, stride);
+    }
+
     fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError> {
         recording.expect(self.channels.len(), self.robot.len(), &[("tau", recording.inputs.tau)])
     }

@@ -4,6 +4,7 @@ use super::consider::Consider;
 use super::correction::Correction;
 use super::gaussian::{Gaussian, Symmetric};
 use super::model::Model;
+use super::monitor::{Finding, Monitor};
 use super::output::{FilterOutput, Keep, Tool};
 use super::recording::{KalmanRecording, KalmanSample};
 use super::smoother::{History, Smoother};
@@ -33,6 +34,7 @@ pub struct ExtendedKalmanFilter<M> {
     prior: Gaussian,
     pub(super) correction: Correction,
     pub(super) consider: Option<Consider>,
+    monitor: Option<Monitor>,
     pub(super) tool: Tool,
     memory: Vec<f64>,
     /// Samples taken, for messages.
@@ -61,6 +63,7 @@ impl<M: Model> ExtendedKalmanFilter<M> {
             prior: belief.clone(),
             correction: Correction::new(&model, belief.covariance.stride),
             consider: Consider::new(&model),
+            monitor: Some(Monitor::new(&model)),
             tool: Tool::new(model.robot()),
             memory: Vec::with_capacity(model.memory()),
             taken: 0,
@@ -78,6 +81,19 @@ impl<M: Model> ExtendedKalmanFilter<M> {
         if let Some(consider) = &mut self.consider {
             consider.reset();
         }
+        if let Some(monitor) = &mut self.monitor {
+            monitor.reset();
+        }
+    }
+
+    /// Whether innovations are judged as they come; they are unless this says no.
+    pub fn watch(&mut self, watch: bool) {
+        self.monitor = watch.then(|| Monitor::new(&self.model));
+    }
+
+    /// Contradictions between readings and model since the start.
+    pub fn findings(&self) -> &[Finding] {
+        self.monitor.as_ref().map_or(&[], |monitor| &monitor.findings)
     }
 
     /// The model.
@@ -157,6 +173,11 @@ impl<M: Model> ExtendedKalmanFilter<M> {
         if let Some(consider) = &mut self.consider {
             consider.update(&mut self.model, &self.correction, self.belief.mean.len());
         }
+        if let Some(monitor) = &mut self.monitor {
+            let consider = self.consider.as_ref();
+            let flags = monitor.judge(&mut self.model, sample.dt, &self.correction, sample.readings, consider);
+            self.correction.status |= flags;
+        }
     }
 
     /// At the present mean.
@@ -227,6 +248,7 @@ impl<M: Model> ExtendedKalmanFilter<M> {
             }
             out.write_fit(i, &self.correction);
         }
+        out.findings.extend_from_slice(self.findings());
         Ok(out)
     }
 

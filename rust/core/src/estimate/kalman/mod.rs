@@ -1,5 +1,6 @@
 //! Kalman filter and smoother, and the models that they run on.
 
+mod bank;
 mod channels;
 mod consider;
 mod consider_back;
@@ -10,8 +11,10 @@ mod filter;
 mod gaussian;
 mod jerk;
 mod model;
+mod monitor;
 mod output;
 mod recording;
+mod signal;
 mod slope;
 mod smoother;
 mod transition;
@@ -25,7 +28,9 @@ pub use gaussian::{Gaussian, Row, Symmetric};
 pub use jerk::{Further, JerkModel, Noise};
 pub use model::{Linearised, Model};
 pub(crate) use output::Tool;
+pub use monitor::Finding;
 pub use output::{FilterOutput, Keep};
 pub use recording::{Inputs, KalmanRecording, KalmanSample};
+pub use signal::Kind;
 pub use smoother::Smoother;
 pub use uncertain::{Tolerance, Uncertain};

@@ -1,5 +1,6 @@
 //! What a Kalman filter asks of a model.
 
+use super::channels::Channel;
 use super::gaussian::{Gaussian, Symmetric};
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample};
@@ -28,6 +29,9 @@ pub trait Model: Clone + Send + Sync {
     fn channels(&self) -> usize {
         self.biases().len()
     }
+
+    /// What the channels are.
+    fn channel_kinds(&self) -> &[Channel];
 
     /// Whether a recording has all that the model needs, in arrays that fit.
     ///
@@ -76,6 +80,9 @@ pub trait Model: Clone + Send + Sync {
 
     /// Columns (states × `stride`, one a tolerance) through the step last predicted: Σ ← F Σ + ∂f/∂p.
     fn carry(&mut self, _columns: &mut [f64], _stride: usize, _dt: f64) {}
+
+    /// The same without what parameters do: Σ ← F Σ.
+    fn carry_noise_free(&mut self, columns: &mut [f64], stride: usize, dt: f64);
 
     /// The adjoint of what F does in [`carry`](Self::carry): Λ ← Fᵀ Λ.
     fn carry_back(&mut self, _memory: &[f64], _columns: &mut [f64], _stride: usize, _dt: f64) {}

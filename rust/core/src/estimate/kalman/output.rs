@@ -2,6 +2,7 @@
 
 use super::correction::Correction;
 use super::model::Model;
+use super::monitor::Finding;
 use crate::dynamics::Kinematics;
 use crate::robot::Robot;
 
@@ -45,6 +46,8 @@ pub struct FilterOutput {
     pub state: Vec<f64>,
     /// Its covariance (states × states), when kept.
     pub covariance: Vec<f64>,
+    /// Contradictions found since the recording's start.
+    pub findings: Vec<Finding>,
     /// Reading less prediction (channels), when kept.
     pub innovation: Vec<f64>,
     /// Its standard deviation (channels), when kept.
@@ -74,6 +77,7 @@ impl FilterOutput {
             log_likelihood: rows(1),
             state: rows(states),
             covariance: rows(states * states),
+            findings: Vec::new(),
             innovation: rows(innovations),
             innovation_std: rows(innovations),
         }
@@ -140,6 +144,7 @@ impl FilterOutput {
         }
         self.status.append(&mut later.status);
         self.used.append(&mut later.used);
+        self.findings = later.findings;
         self
     }
 
