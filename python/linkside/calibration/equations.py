@@ -14,10 +14,11 @@ import numpy.typing as npt
 import scipy.optimize
 import scipy.signal
 
-from ..config import JointConfig
-from ..errors import NumericalError
-from ..log import Log
-from ..robot import Robot
+from linkside.errors import NumericalError
+from linkside.recording.log import Log
+from linkside.robot import Robot
+from linkside.robot.config import JointConfig
+
 from .problem import Problem
 from .signals import derivative, filled, signals
 
