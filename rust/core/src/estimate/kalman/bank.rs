@@ -1,5 +1,6 @@
 //! What a fault that begins now would do to all later innovations of a filter.
 
+use super::consider::Consider;
 use super::correction::Correction;
 use super::model::Model;
 use crate::linear;
@@ -20,10 +21,15 @@ pub(super) struct Bank {
     /// Σ s r and Σ s² of each channel.
     score: Vec<f64>,
     information: Vec<f64>,
+    channels: usize,
+    /// Σ s sₚ of each channel with each parameter: what an error of a parameter would look like.
+    parameters: usize,
+    shared: Vec<f64>,
+    gain: Vec<f64>,
 }
 
 impl Bank {
-    pub(super) fn new(model: &impl Model, length: u32) -> Self {
+    pub(super) fn new(model: &impl Model, parameters: usize, length: u32) -> Self {
         let stride = model.channels().next_multiple_of(linear::LANES);
         let row = || vec![0.0; stride];
         Self {
@@ -34,6 +40,10 @@ impl Bank {
             own: row(),
             score: row(),
             information: row(),
+            channels: model.channels(),
+            parameters: parameters.next_multiple_of(linear::LANES),
+            shared: vec![0.0; stride * parameters.next_multiple_of(linear::LANES)],
+            gain: vec![0.0; parameters.next_multiple_of(linear::LANES)],
         }
     }
 
@@ -42,17 +52,17 @@ impl Bank {
         self.columns.fill(0.0);
         self.score.fill(0.0);
         self.information.fill(0.0);
+        self.shared.fill(0.0);
     }
 
-    /// Takes a sample with its residuals, each in standard deviations `std` of its innovation.
+    /// Takes a sample.
     #[inline(always)]
     pub(super) fn update(
         &mut self,
         model: &mut impl Model,
         dt: f64,
         correction: &Correction,
-        residuals: &[f64],
-        std: &[f64],
+        consider: Option<&Consider>,
     ) {
         if self.age == self.length {
             self.restart();
@@ -60,8 +70,8 @@ impl Bank {
         self.age += 1;
         let (p, d) = (self.stride, model.dense());
         model.carry_noise_free(&mut self.columns, p, dt);
-        let width = correction.gains.len() / residuals.len();
-        for (i, residual) in residuals.iter().enumerate().filter(|(_, r)| r.is_finite()) {
+        let width = correction.gains.len() / self.channels;
+        for (i, innovation) in correction.innovations.iter().enumerate().filter(|(_, v)| v.variance.is_finite()) {
             self.own.fill(0.0);
             self.own[i] = 1.0;
             let row = &model.linearised().jacobian[i * d..][..d];
@@ -75,23 +85,34 @@ impl Bank {
             for (k, column) in gain.iter().zip(self.columns.chunks_exact_mut(p)) {
                 linear::add_scaled(column, -k, &self.own);
             }
-            let weight = 1.0 / std[i];
-            for (c, own) in self.own.iter().enumerate() {
-                let s = own * weight;
-                self.score[c] += s * residual;
-                self.information[c] += s * s;
+            let precision = 1.0 / innovation.variance;
+            for (c, s) in self.own.iter().take(self.channels).enumerate() {
+                self.score[c] += s * innovation.value * precision;
+                self.information[c] += s * s * precision;
+                if let Some(consider) = consider {
+                    let q = self.parameters;
+                    let signature = &consider.signatures[i * q..][..q];
+                    linear::add_scaled(&mut self.shared[c * q..][..q], s * precision, signature);
+                }
             }
         }
     }
 
-    /// The channel whose fault explains most, its likelihood ratio (χ² with one degree) and the size of the fault.
+    /// The channel whose fault explains most, its likelihood ratio (χ² with one degree) and the size of the fault: of what
+    /// the parameters do not explain, within what they may explain yet. Exact only where it is beyond `bound`.
     #[inline(always)]
-    pub(super) fn worst(&self, channels: usize) -> (usize, f64, f64) {
-        let mut worst = (0, 0.0, 0.0);
-        for c in 0..channels {
-            let ratio = self.score[c] * self.score[c] / self.information[c].max(f64::MIN_POSITIVE);
+    pub(super) fn worst(&mut self, consider: Option<&Consider>, bound: f64) -> (usize, f64, f64) {
+        let (mut worst, q) = ((0, 0.0, 0.0), self.parameters);
+        for c in 0..self.channels {
+            let shared = &self.shared[c * q..][..q];
+            let score = self.score[c] - consider.map_or(0.0, |consider| consider.explained(shared));
+            let mut variance = self.information[c].max(f64::MIN_POSITIVE);
+            if let Some(consider) = consider.filter(|_| score * score > bound * variance) {
+                variance += consider.doubt(shared, &mut self.gain);
+            }
+            let ratio = score * score / variance;
             if ratio > worst.1 {
-                worst = (c, ratio, self.score[c] / self.information[c]);
+                worst = (c, ratio, score / self.information[c]);
             }
         }
         worst

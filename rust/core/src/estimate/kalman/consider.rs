@@ -183,6 +183,21 @@ impl Consider {
         &self.moment
     }
 
+    /// E[s · p] for a signature s.
+    #[inline(always)]
+    pub(super) fn explained(&self, signature: &[f64]) -> f64 {
+        linear::dot(signature, &self.mean)
+    }
+
+    /// Var[s · p] for a signature s.
+    #[inline(always)]
+    pub(super) fn doubt(&self, signature: &[f64], gain: &mut [f64]) -> f64 {
+        for (g, row) in gain.iter_mut().zip(self.spread.data.chunks_exact(self.stride)) {
+            *g = linear::dot(row, signature);
+        }
+        linear::dot(gain, signature)
+    }
+
     /// By how much the parameters widen the standard deviation of channel `i`'s innovation.
     #[inline(always)]
     pub(super) fn factor(&self, i: usize) -> f64 {

@@ -57,6 +57,7 @@ pub(super) struct Monitor {
     solution: Vec<f64>,
     taken: u64,
     calm: u64,
+    stuck: Option<usize>,
     /// The finding that goes on.
     open: Option<usize>,
     pub(super) findings: Vec<Finding>,
@@ -68,7 +69,7 @@ impl Monitor {
         Self {
             signals: vec![Signal::NEW; m],
             turns: model.channel_kinds().iter().map(|c| matches!(c, Channel::Motor(_) | Channel::Link(_))).collect(),
-            banks: BANKS.map(|length| Bank::new(model, length)),
+            banks: BANKS.map(|length| Bank::new(model, model.tolerances().len(), length)),
             ring: vec![(0.0, 0); WINDOWS[2]],
             residuals: vec![f64::NAN; m],
             std: vec![1.0; m],
@@ -76,6 +77,7 @@ impl Monitor {
             solution: vec![0.0; m],
             taken: 0,
             calm: 0,
+            stuck: None,
             open: None,
             findings: Vec::with_capacity(MOST),
         }
@@ -100,15 +102,19 @@ impl Monitor {
         consider: Option<&Consider>,
     ) -> u8 {
         let (nis, used) = self.load(correction, consider);
+        self.stuck = None;
         for (i, reading) in readings.iter().enumerate().filter(|(_, r)| !r.is_nan()) {
             let predicted = reading - self.whole_innovation(correction, i);
             self.signals[i].take(*reading, predicted);
+            if self.signals[i].is_stuck(model.variance(i)) {
+                self.stuck = self.stuck.or(Some(i));
+            }
         }
         for bank in &mut self.banks {
-            bank.update(model, dt, correction, &self.residuals, &self.std);
+            bank.update(model, dt, correction, consider);
         }
         let row = self.windows(nis, used);
-        let alarm = self.alarm(correction, nis);
+        let alarm = self.alarm(correction, consider, nis);
         self.taken += 1;
         self.record(row, alarm)
     }
@@ -162,10 +168,10 @@ impl Monitor {
 
     /// The channel that contradicts the others most, if one does: which, size and deviations, since how many samples.
     #[inline(always)]
-    fn alarm(&mut self, correction: &Correction, nis: f64) -> Option<(usize, f64, f64, u32)> {
-        if let Some(channel) = self.signals.iter().position(Signal::is_stuck) {
+    fn alarm(&mut self, correction: &Correction, consider: Option<&Consider>, nis: f64) -> Option<(usize, f64, f64, u32)> {
+        if let Some(channel) = self.stuck {
             let run = self.signals[channel].run;
-            return Some((channel, self.residuals[channel] * self.std[channel], f64::from(run), run - 1));
+            return Some((channel, 0.0, f64::from(run), run - 1));
         }
         if nis > DEVIATIONS * DEVIATIONS {
             let (channel, size, deviations) = self.isolate(correction);
@@ -173,9 +179,8 @@ impl Monitor {
                 return Some((channel, size, deviations, 0));
             }
         }
-        let m = self.signals.len();
-        let worst = self.banks.iter().map(|bank| (bank.worst(m), bank.age)).max_by(|a, b| a.0.1.total_cmp(&b.0.1))?;
-        let ((channel, ratio, size), age) = worst;
+        let all = self.banks.iter_mut().map(|bank| (bank.worst(consider, DEVIATIONS * DEVIATIONS), bank.age));
+        let ((channel, ratio, size), age) = all.max_by(|a, b| a.0.1.total_cmp(&b.0.1))?;
         (ratio > DEVIATIONS * DEVIATIONS).then(|| (channel, size, ratio.sqrt(), age))
     }
 

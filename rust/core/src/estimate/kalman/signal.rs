@@ -23,17 +23,17 @@ pub enum Kind {
 
 /// Repetitions of a reading, to the last bit, from which a channel that used to change is stuck.
 pub(super) const RUN: u32 = 8;
-/// Readings that tell how often a channel repeats itself.
-const LEARNT: u32 = 64;
+/// Standard deviations of a reading by which its prediction moves on while it is stuck.
+const MOVED: f64 = 6.0;
 
 /// One channel's readings so far.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Signal {
     last: f64,
-    /// How often the last reading has come in a row, and the longest such row before.
+    /// How often the last reading has come in a row, and how far its prediction has moved meanwhile.
     pub(super) run: u32,
-    longest: u32,
-    taken: u32,
+    from: f64,
+    moved: f64,
     largest: f64,
     /// Since a fault was found: Σ y ŷ, Σ ŷ², and their counts.
     product: f64,
@@ -42,29 +42,26 @@ pub(super) struct Signal {
 
 impl Signal {
     pub(super) const NEW: Self =
-        Self { last: f64::NAN, run: 0, longest: 1, taken: 0, largest: 0.0, product: 0.0, power: 0.0 };
+        Self { last: f64::NAN, run: 0, from: 0.0, moved: 0.0, largest: 0.0, product: 0.0, power: 0.0 };
 
     #[inline(always)]
     pub(super) fn take(&mut self, reading: f64, predicted: f64) {
         if reading == self.last {
             self.run += 1;
         } else {
-            if self.run < RUN {
-                self.longest = self.longest.max(self.run);
-            }
-            self.run = 1;
+            (self.run, self.from) = (1, predicted);
         }
+        self.moved = (predicted - self.from).abs();
         self.last = reading;
-        self.taken += 1;
         self.largest = self.largest.max(reading.abs());
         self.product = 0.9 * self.product + reading * predicted;
         self.power = 0.9 * self.power + predicted * predicted;
     }
 
-    /// Whether a channel that hardly ever repeats itself does.
+    /// Whether readings of this noise stay where they are while the prediction moves on.
     #[inline(always)]
-    pub(super) fn is_stuck(&self) -> bool {
-        self.run >= RUN.max(4 * self.longest) && self.taken > LEARNT + self.run
+    pub(super) fn is_stuck(&self, variance: f64) -> bool {
+        self.run >= RUN && self.moved * self.moved > MOVED * MOVED * variance
     }
 
     /// What the readings look like, after a jump of `size` where one was seen.
