@@ -109,8 +109,11 @@ def main(ctx: click.Context, debug: bool) -> None:
 @click.option("--particles", type=int, default=1000, show_default=True, help="How many a particle filter has.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of a particle filter's random numbers.")
 @click.option("--gain", type=float, default=100, show_default=True, help="Gain of a velocity observer [1/s].")
+@click.option("--strict", is_flag=True, help="Exit with status 3 where readings contradict the model.")
 @click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this file; one for each log.")
-def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, truths: tuple[str, ...], **options: Any) -> None:
+def estimate(
+    robot: str, logs: tuple[str, ...], method: str, out: str, truths: tuple[str, ...], strict: bool, **options: Any
+) -> int:
     """Estimate the motion of ROBOT's links from recordings.
 
     ROBOT is a robot.yaml, each LOG a Parquet or CSV file. Logs are read piece by piece and may be larger than memory.
@@ -129,7 +132,8 @@ def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, truths: t
         for output in outputs:
             check_writable(output)
         files = zip(logs, outputs, truths or [None] * len(logs), strict=True)
-        _estimate_all([Job(loaded, run, rows, *three) for three in files])
+        believable = _estimate_all([Job(loaded, run, rows, *three) for three in files])
+    return 3 if strict and not believable else 0
 
 
 def _refuse_untaken(method: str) -> None:
@@ -319,16 +323,19 @@ class Job:
     truth: str | None
 
 
-def _estimate_all(jobs: Sequence[Job]) -> None:
-    """Estimate each log; of several, one that cannot be used does not keep the others waiting."""
+def _estimate_all(jobs: Sequence[Job]) -> bool:
+    """Estimate each log; of several, one that cannot be used does not keep the others waiting.
+
+    Returns whether all are to be believed.
+    """
     from . import progress
 
-    failed = 0
+    failed, believable = 0, True
     counts = [log_rows(job.log) for job in jobs]
     with progress.bar(None if None in counts else sum(cast("list[int]", counts))) as advance:
         for job in jobs:
             try:
-                _estimate_one(job, partial(advance, job.log))
+                believable &= _estimate_one(job, partial(advance, job.log))
             except LinksideError as error:
                 if len(jobs) == 1:
                     raise
@@ -336,9 +343,10 @@ def _estimate_all(jobs: Sequence[Job]) -> None:
                 _complain(_in_words(error))
     if failed:
         raise click.ClickException(f"{failed} of {len(jobs)} logs could not be estimated")
+    return believable
 
 
-def _estimate_one(job: Job, advance: Callable[[int], None]) -> None:
+def _estimate_one(job: Job, advance: Callable[[int], None]) -> bool:
     from . import progress
 
     known = None if job.truth is None else Estimate.read(job.truth)
@@ -355,6 +363,9 @@ def _estimate_one(job: Job, advance: Callable[[int], None]) -> None:
     if error is not None:
         progress.show(progress.error_tables(error, job.robot, str(job.truth)))
     click.echo(f"{job.output}: {tally}")
+    for finding in tally.findings:
+        click.echo(f"{job.log}: {finding}")
+    return tally.believable
 
 
 def _pieces(job: Job, tally: progress.Tally) -> Iterator[Estimate]:

@@ -15,7 +15,7 @@ from linkside.errors import EstimatorError
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
-from linkside.trust.findings import Finding, named
+from linkside.trust.findings import named
 
 FloatArray = npt.NDArray[np.float64]
 Signal = FloatArray | Sequence[float]
@@ -30,8 +30,6 @@ class KalmanEstimate(Estimate):
 
     Attributes
     ----------
-    nis : (T,)
-        Normalised innovation squared; its mean should be that of ``used``.
     used : (T,)
         Readings used at each sample.
     log_likelihood : (T,)
@@ -42,18 +40,14 @@ class KalmanEstimate(Estimate):
         Readings less their predictions, and the standard deviations of these differences.
     channels : tuple of str
         The m columns of the log that were read.
-    findings : tuple of Finding
-        Contradictions between readings and model, from the recording's start on.
     """
 
-    nis: FloatArray | None = None
     used: npt.NDArray[np.uint32] | None = None
     log_likelihood: FloatArray | None = None
     state: FloatArray | None = None
     innovation: FloatArray | None = None
     innovation_std: FloatArray | None = None
     channels: tuple[str, ...] = ()
-    findings: tuple[Finding, ...] = ()
 
 
 class CoreFilter(Protocol):

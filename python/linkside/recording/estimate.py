@@ -21,6 +21,7 @@ import pyarrow.parquet as pq
 
 from linkside.errors import EstimatorError, LinksideError, LogError, OutputError
 from linkside.files.tables import numbers, open_table
+from linkside.trust.findings import Finding
 
 if TYPE_CHECKING:
     import pandas  # type: ignore[import-untyped]
@@ -79,6 +80,10 @@ class Estimate:
         Standard deviations, where the method has a covariance [rad, m].
     covariance : (T, k, k), optional
         Covariance of the method's state. It is kept in memory only: files have the standard deviations.
+    nis : (T,), optional
+        Normalised innovation squared, where the method has innovations; its mean should be the number of readings used.
+    findings : tuple of Finding
+        Contradictions between readings and model, from the recording's start on; not in files.
     """
 
     t: FloatArray
@@ -93,6 +98,8 @@ class Estimate:
     q_std: FloatArray | None = None
     tool_std: FloatArray | None = None
     covariance: FloatArray | None = None
+    nis: FloatArray | None = None
+    findings: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:
         """Check shapes, once."""
@@ -103,7 +110,7 @@ class Estimate:
             array = getattr(self, name)
             if array is not None and array.shape != shape:
                 raise EstimatorError(f"{name} of an estimate has shape {array.shape}, expected {shape}")
-        for name in ("t", "status", "covariance"):
+        for name in ("t", "status", "covariance", "nis"):
             array = getattr(self, name)
             if array is not None and (len(array) != rows or array.ndim != (3 if name == "covariance" else 1)):
                 raise EstimatorError(f"{name} of an estimate has shape {array.shape} for {rows} rows")
@@ -417,12 +424,12 @@ def _writing(path: Path) -> Iterator[None]:
 def _groups(names: tuple[str, ...]) -> dict[str, list[str]]:
     """Columns of a file by field of `Estimate`, in order."""
     groups = {s: [f"{s}_{joint}" for joint in names] for s in ("q", "dq", "ddq", "theta", "dtheta", "q_std")}
-    groups |= {"t": ["t"], "status": ["status"]}
+    groups |= {"t": ["t"], "status": ["status"], "nis": ["nis"]}
     groups |= {
         "tool_position": [f"tool_{axis}" for axis in "xyz"],
         "tool_std": [f"tool_std_{axis}" for axis in "xyz"],
     }
-    order = ("t", "q", "dq", "ddq", "theta", "dtheta", "tool_position", "q_std", "tool_std", "status")
+    order = ("t", "q", "dq", "ddq", "theta", "dtheta", "tool_position", "q_std", "tool_std", "nis", "status")
     return {group: groups[group] for group in order}
 
 
@@ -452,6 +459,8 @@ def _complete(arrays: dict[str, FloatArray], joints: int, source: str) -> dict[s
         raise LogError(f"{source}: column 'status' has a value that is no status")
     missing = {name: np.full((rows, joints), np.nan) for name in ("dq", "theta", "dtheta") if name not in arrays}
     flat = {"t": t, "status": status.reshape(-1).astype(np.uint8)}
+    if "nis" in arrays:
+        flat["nis"] = arrays.pop("nis").reshape(-1)
     return arrays | missing | flat
 
 

@@ -8,6 +8,12 @@ from dataclasses import dataclass
 Told = tuple[int | None, int, int, float, float, str]
 """A finding as the core has it: channel, first and last sample, size, deviations, kind."""
 
+DEVIATIONS = 6.5
+"""Quantile of the normal distribution that a test must exceed, as in the core."""
+
+CORRELATED = 4.0
+"""So many times fewer degrees of freedom than readings, as in the core."""
+
 CAUSES = {
     "stuck": ("the sensor or its cable has failed", "the recorder repeated an old value"),
     "saturated": ("the sensor's range is too small for this motion",),
@@ -15,11 +21,10 @@ CAUSES = {
     "wrap": ("the encoder wrapped and its turns were not counted",),
     "flipped": ("the sign of this channel is turned in the log", "the sensor is mounted the other way round"),
     "step": (
-        "the sensor was moved or changed its zero",
+        "the sensor was moved, or changed its zero or its scale",
         "something pushed the robot, or it took up a load",
         "robot.yaml is wrong about this sensor or its joint",
     ),
-    "gain": ("the unit or the scale of this channel is not what robot.yaml says",),
     "unknown": (
         "the robot is not as robot.yaml says, by more than its tolerances",
         "the noise of the readings is larger than robot.yaml says",
@@ -65,11 +70,23 @@ class Finding:
         causes = "; or ".join(self.causes)
         if self.channel is None:
             return f"{where}: readings contradict the model. Likely: {causes}"
-        by = f"for {self.deviations:.0f} readings" if self.kind in ("stuck", "saturated", "dead") else (
-            f"by {self.size:.3g}, {self.deviations:.3g} standard deviations"
+        by = (
+            f"for {self.deviations:.0f} readings"
+            if self.kind in ("stuck", "saturated", "dead")
+            else (f"by {self.size:.3g}, {self.deviations:.3g} standard deviations")
         )
         word = "contradicts the other channels" if self.kind == "step" else f"looks {self.kind}"
         return f"{where}: '{self.channel}' {word}, {by}. Likely: {causes}"
+
+
+def largest_nis(used: int) -> float:
+    """Bound of the sum of ``used`` normalised innovations squared: exceeded by chance once in 10¹⁰ recordings.
+
+    Four neighbours are taken to move together; Wilson and Hilferty (1931).
+    """
+    degrees = max(used / CORRELATED, 1.0)
+    cube = 1 - 2 / (9 * degrees) + DEVIATIONS * (2 / (9 * degrees)) ** 0.5
+    return CORRELATED * degrees * cube**3
 
 
 def named(found: Iterable[Told], columns: tuple[str, ...]) -> tuple[Finding, ...]:

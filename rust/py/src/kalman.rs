@@ -305,7 +305,6 @@ fn word(kind: Kind) -> &'static str {
         Kind::Wrap => "wrap",
         Kind::Step => "step",
         Kind::Flipped => "flipped",
-        Kind::Gain => "gain",
         Kind::Unknown => "unknown",
     }
 }

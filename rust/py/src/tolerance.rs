@@ -8,7 +8,9 @@ use pyo3::prelude::*;
 pub(crate) type Told = (String, usize, usize, f64);
 
 pub(crate) fn tolerances(told: &[Told]) -> PyResult<Vec<Tolerance>> {
-    told.iter().map(|(kind, i, axis, std)| Ok(Tolerance { parameter: uncertain(kind, *i, *axis)?, std: *std })).collect()
+    told.iter()
+        .map(|(kind, i, axis, std)| Ok(Tolerance { parameter: uncertain(kind, *i, *axis)?, std: *std }))
+        .collect()
 }
 
 fn uncertain(kind: &str, i: usize, axis: usize) -> PyResult<Uncertain> {

@@ -183,6 +183,12 @@ impl Consider {
         &self.moment
     }
 
+    /// Normalised innovation squared, with what the parameters explain and what they may.
+    #[inline(always)]
+    pub(super) fn nis(&self) -> f64 {
+        self.residuals.iter().filter(|r| r.is_finite()).map(|r| r * r).sum()
+    }
+
     /// E[s · p] for a signature s.
     #[inline(always)]
     pub(super) fn explained(&self, signature: &[f64]) -> f64 {

@@ -172,6 +172,7 @@ impl<M: Model> ExtendedKalmanFilter<M> {
         }
         if let Some(consider) = &mut self.consider {
             consider.update(&mut self.model, &self.correction, self.belief.mean.len());
+            self.correction.nis = consider.nis();
         }
         if let Some(monitor) = &mut self.monitor {
             let consider = self.consider.as_ref();

@@ -106,7 +106,7 @@ impl Monitor {
         for (i, reading) in readings.iter().enumerate().filter(|(_, r)| !r.is_nan()) {
             let predicted = reading - self.whole_innovation(correction, i);
             self.signals[i].take(*reading, predicted);
-            if self.signals[i].is_stuck(model.variance(i)) {
+            if !self.turns[i] && self.signals[i].is_stuck(model.variance(i)) {
                 self.stuck = self.stuck.or(Some(i));
             }
         }
@@ -168,7 +168,12 @@ impl Monitor {
 
     /// The channel that contradicts the others most, if one does: which, size and deviations, since how many samples.
     #[inline(always)]
-    fn alarm(&mut self, correction: &Correction, consider: Option<&Consider>, nis: f64) -> Option<(usize, f64, f64, u32)> {
+    fn alarm(
+        &mut self,
+        correction: &Correction,
+        consider: Option<&Consider>,
+        nis: f64,
+    ) -> Option<(usize, f64, f64, u32)> {
         if let Some(channel) = self.stuck {
             let run = self.signals[channel].run;
             return Some((channel, 0.0, f64::from(run), run - 1));
@@ -231,14 +236,15 @@ impl Monitor {
                 kind,
             });
         } else if row && self.open.is_none() {
-            let unknown = Finding { channel: None, since: now, until: now, size: 0.0, deviations: 0.0, kind: Kind::Unknown };
+            let unknown =
+                Finding { channel: None, since: now, until: now, size: 0.0, deviations: 0.0, kind: Kind::Unknown };
             self.push(unknown);
         }
         let Some(open) = self.open else { return 0 };
         let finding = &mut self.findings[open];
         finding.until = now;
         if let Some(channel) = finding.channel.filter(|_| now < finding.since + 2 * CALM) {
-            let seen = self.signals[channel].kind(finding.size, self.turns[channel]);
+            let seen = self.signals[channel].kind(f64::INFINITY, self.turns[channel]);
             if !matches!(seen, Kind::Step | Kind::Wrap) && finding.kind != Kind::Wrap {
                 finding.kind = seen;
             }

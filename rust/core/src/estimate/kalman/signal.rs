@@ -11,12 +11,10 @@ pub enum Kind {
     Dead,
     /// A jump by about a whole turn.
     Wrap,
-    /// A step that stays.
+    /// A step that stays, of zero or of scale.
     Step,
     /// The sign is turned.
     Flipped,
-    /// Readings are too large, or too small, by a factor.
-    Gain,
     /// None of these.
     Unknown,
 }
@@ -35,7 +33,7 @@ pub(super) struct Signal {
     from: f64,
     moved: f64,
     largest: f64,
-    /// Since a fault was found: Σ y ŷ, Σ ŷ², and their counts.
+    /// Σ y ŷ and Σ ŷ² of the latest readings.
     product: f64,
     power: f64,
 }
@@ -78,11 +76,11 @@ impl Signal {
                 _ => Kind::Stuck,
             };
         }
-        let factor = self.product / self.power.max(f64::MIN_POSITIVE);
-        match factor {
-            f if (f + 1.0).abs() < 0.2 => Kind::Flipped,
-            f if f.abs() < 0.02 => Kind::Dead,
-            _ => Kind::Step,
+        let onset = self.last / (self.last - size);
+        let lasting = self.product / self.power.max(f64::MIN_POSITIVE);
+        if (onset + 1.0).abs() < 0.1 || (lasting + 1.0).abs() < 0.2 {
+            return Kind::Flipped;
         }
+        if self.last == 0.0 { Kind::Dead } else { Kind::Step }
     }
 }

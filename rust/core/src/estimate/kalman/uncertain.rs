@@ -145,8 +145,7 @@ impl<T: Scalar> Evaluation<T> {
         let Some(body) = tree.bodies.iter().position(|b| b.joint == link) else { return };
         let state = &self.kinematics.bodies[body];
         let inertia = self.kinematics.inertia(tree, body);
-        let force =
-            inertia.apply(&state.acceleration) + state.velocity.cross_force(&inertia.apply(&state.velocity));
+        let force = inertia.apply(&state.acceleration) + state.velocity.cross_force(&inertia.apply(&state.velocity));
         for i in tree.path(body) {
             let j = tree.bodies[i].joint;
             let share = self.kinematics.bodies[i].axis.dot(&force);
@@ -171,7 +170,8 @@ impl<T: Scalar> Evaluation<T> {
         mut each: impl FnMut(usize, usize, &Vec3<T>, &dyn Fn(&Vec3<T>) -> Vec3<T>),
     ) {
         let sensor = &robot.accelerometers[s];
-        let Some(first) = channels.iter().position(|c| matches!(c, Channel::Acceleration { sensor, .. } if *sensor == s))
+        let Some(first) =
+            channels.iter().position(|c| matches!(c, Channel::Acceleration { sensor, .. } if *sensor == s))
         else {
             return;
         };
