@@ -1,4 +1,4 @@
-"""Numbers of robot.yaml that are known to a tolerance only: they count in standard deviations, and are not estimated."""
+"""Numbers of robot.yaml that are known to a tolerance only: they count in standard deviations, unestimated."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ class Uncertain:
 def considered(robot: Robot, *, motors: bool = False) -> list[Uncertain]:
     """Give the parameters whose tolerances count, in the order of the core; ``motors``: those of the motors as well.
 
-    Stiffness, damping where it is declared, and hardening where it is declared, of elastic joints; how much a joint that is
-    taken as rigid gives way; masses of links; friction of links; mounting of accelerometers.
+    Stiffness, and damping and hardening where they are declared, of elastic joints; how much a joint that is taken as
+    rigid gives way; masses of links; friction of links; mounting of accelerometers.
     """
     found = [*_of_joints(robot), *_of_sensors(robot)]
     return found + list(_of_motors(robot)) if motors else found

@@ -1,15 +1,16 @@
 //! Kalman filter and smoother on the acceleration-driven model.
 
 use crate::array::{Signal, rows, shaped, write_into};
-use crate::error::{IntoPyErr, outcome};
+use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
 use crate::robot::Robot;
 use crate::tolerance::{Told, tolerances};
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
-    self, FilterOutput, FilterSettings, Finding, Further, Inputs, JerkDriven, JerkModel, KalmanRecording, KalmanSample,
-    Keep, Kind, Model,
+    self, Fault, FilterOutput, FilterSettings, Finding, Inputs, JerkDriven, JerkModel, KalmanRecording, KalmanSample,
+    Keep, Model,
 };
+use linkside_core::estimate::measurement::Kind;
 use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -100,6 +101,14 @@ impl Live {
     }
 }
 
+/// Kinds of channels by name.
+pub(crate) fn named(kinds: &[String]) -> PyResult<Vec<Kind>> {
+    let find = |name: &String| {
+        Kind::named(name).ok_or_else(|| EstimatorError::new_err(format!("{name:?} is no kind of channel")))
+    };
+    kinds.iter().map(find).collect()
+}
+
 /// Copies a signal, or NaN where there is none.
 pub(crate) fn fill(to: &mut [f64], name: &str, signal: Option<&Signal<'_>>) -> PyResult<()> {
     match signal {
@@ -115,13 +124,10 @@ pub(crate) type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'
 #[pymethods]
 impl ExtendedKalmanFilter {
     #[new]
-    #[pyo3(signature = (robot, *, motor_velocities, rates, links, torques, biased, noise, gate, iterations, damping, told))]
+    #[pyo3(signature = (robot, *, kinds, biased, noise, gate, iterations, damping, told))]
     fn new(
         robot: &Robot,
-        motor_velocities: bool,
-        rates: bool,
-        links: bool,
-        torques: bool,
+        kinds: Vec<String>,
         biased: Vec<bool>,
         noise: Noise,
         gate: Option<f64>,
@@ -130,9 +136,9 @@ impl ExtendedKalmanFilter {
         told: Vec<Told>,
     ) -> PyResult<Self> {
         let told = tolerances(&told)?;
+        let kinds = named(&kinds)?;
         let build = || {
-            let model =
-                JerkModel::new(Arc::clone(&robot.0), Further { motor_velocities, rates, links, torques }, &biased)?;
+            let model = JerkModel::new(Arc::clone(&robot.0), &kinds, &biased)?;
             let model = JerkDriven::new(model, noise.into(), damping)?.with_tolerances(told);
             kalman::ExtendedKalmanFilter::new(model, FilterSettings { gate, iterations })
         };
@@ -293,19 +299,19 @@ pub(crate) fn into_dict<'py>(
 pub(crate) type Found = (Option<usize>, u64, u64, f64, f64, &'static str);
 
 pub(crate) fn findings(all: &[Finding]) -> Vec<Found> {
-    let one = |f: &Finding| (f.channel, f.since, f.until, f.size, f.deviations, word(f.kind));
+    let one = |f: &Finding| (f.channel, f.since, f.until, f.size, f.deviations, word(f.fault));
     all.iter().map(one).collect()
 }
 
-fn word(kind: Kind) -> &'static str {
-    match kind {
-        Kind::Stuck => "stuck",
-        Kind::Saturated => "saturated",
-        Kind::Dead => "dead",
-        Kind::Wrap => "wrap",
-        Kind::Step => "step",
-        Kind::Flipped => "flipped",
-        Kind::Unknown => "unknown",
+fn word(fault: Fault) -> &'static str {
+    match fault {
+        Fault::Stuck => "stuck",
+        Fault::Saturated => "saturated",
+        Fault::Dead => "dead",
+        Fault::Wrap => "wrap",
+        Fault::Step => "step",
+        Fault::Flipped => "flipped",
+        Fault::Unknown => "unknown",
     }
 }
 

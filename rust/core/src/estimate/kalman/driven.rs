@@ -1,6 +1,5 @@
 //! The acceleration-driven model as a filter runs it.
 
-use super::channels::{Channel, Evaluation};
 use super::gaussian::{Gaussian, Symmetric};
 use super::jerk::{JerkModel, Noise};
 use super::model::{Linearised, Model};
@@ -9,6 +8,7 @@ use super::recording::{KalmanRecording, KalmanSample};
 use super::slope::Slope;
 use super::uncertain::Tolerance;
 use crate::error::DesignError;
+use crate::estimate::measurement::{Channel, Evaluation};
 use crate::estimate::observer::link_position_at_rest;
 use crate::robot::Robot;
 use crate::scalar::Dual;
@@ -235,7 +235,7 @@ impl Model for JerkDriven {
     fn signatures(&mut self, stride: usize, out: &mut [f64]) {
         let Self { model, evaluation, reference, dtheta, tolerances, .. } = self;
         let (n, channels) = (model.joints(), &model.channels);
-        evaluation.signatures(&model.robot, channels, tolerances, &reference[n..2 * n], dtheta, stride, out);
+        evaluation.motion.signatures(&model.robot, channels, tolerances, &reference[n..2 * n], dtheta, stride, out);
         if let Some(motors) = &mut self.motors {
             motors.signatures(model, tolerances, dtheta, stride, out);
         }
@@ -306,7 +306,7 @@ impl Motors {
         let n = self.channels.len();
         let Self { channels, evaluation, state, rates } = self;
         rates.resize(n * stride, Dual::default());
-        evaluation.signatures(&model.robot, channels, tolerances, &state[n..2 * n], dtheta, stride, rates);
+        evaluation.motion.signatures(&model.robot, channels, tolerances, &state[n..2 * n], dtheta, stride, rates);
         for (out, channel) in out.chunks_exact_mut(stride).zip(&model.channels) {
             let Channel::MotorVelocity(j) = *channel else { continue };
             for (out, rate) in out.iter_mut().zip(&rates[j * stride..]) {

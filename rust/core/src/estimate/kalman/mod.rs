@@ -1,7 +1,6 @@
 //! Kalman filter and smoother, and the models that they run on.
 
 mod bank;
-mod channels;
 mod consider;
 mod consider_back;
 mod correction;
@@ -13,6 +12,7 @@ mod jerk;
 mod model;
 mod monitor;
 mod output;
+mod phases;
 mod recording;
 mod signal;
 mod slope;
@@ -20,17 +20,18 @@ mod smoother;
 mod transition;
 mod uncertain;
 
-pub use channels::{Channel, Evaluation};
 pub use driven::JerkDriven;
 pub use elastic::{Discretization, ElasticModel, ElasticNoise, ElasticSettings};
 pub use filter::{ExtendedKalmanFilter, FilterSettings};
 pub use gaussian::{Gaussian, Row, Symmetric};
-pub use jerk::{Further, JerkModel, Noise};
+pub use jerk::{JerkModel, Noise};
 pub use model::{Linearised, Model};
 pub use monitor::Finding;
 pub(crate) use output::Tool;
 pub use output::{FilterOutput, Keep};
+pub use phases::Phases;
+pub(crate) use phases::{Linearise, Predict};
 pub use recording::{Inputs, KalmanRecording, KalmanSample};
-pub use signal::Kind;
+pub use signal::Fault;
 pub use smoother::Smoother;
 pub use uncertain::{Tolerance, Uncertain};

@@ -1,11 +1,11 @@
 //! What a Kalman filter asks of a model.
 
-use super::channels::Channel;
 use super::gaussian::{Gaussian, Symmetric};
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample};
 use super::uncertain::Tolerance;
 use crate::error::DesignError;
+use crate::estimate::measurement::Channel;
 use crate::robot::Robot;
 
 /// A process and the channels that measure it.

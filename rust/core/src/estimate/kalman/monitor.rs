@@ -6,12 +6,12 @@
 //! filter says, as those of smooth motions are, make alarms rarer.
 
 use super::bank::Bank;
-use super::channels::Channel;
 use super::consider::Consider;
 use super::correction::Correction;
 use super::model::Model;
-use super::signal::{Kind, Signal};
+use super::signal::{Fault, Signal};
 use crate::estimate::Status;
+use crate::estimate::measurement::Channel;
 
 /// Quantile of the normal distribution for the tests of single channels.
 const DEVIATIONS: f64 = 6.5;
@@ -40,7 +40,7 @@ pub struct Finding {
     /// The same in standard deviations.
     pub deviations: f64,
     /// What the readings look like.
-    pub kind: Kind,
+    pub fault: Fault,
 }
 
 /// Tests on the innovations of a filter.
@@ -226,27 +226,27 @@ impl Monitor {
         }
         let now = self.taken - 1;
         if let (Some((channel, size, deviations, age)), true) = (alarm, self.open_channel().is_none()) {
-            let kind = self.signals[channel].kind(size, self.turns[channel]);
+            let fault = self.signals[channel].fault(size, self.turns[channel]);
             self.push(Finding {
                 channel: Some(channel),
                 since: now.saturating_sub(u64::from(age)),
                 until: now,
                 size,
                 deviations,
-                kind,
+                fault,
             });
         } else if row && self.open.is_none() {
             let unknown =
-                Finding { channel: None, since: now, until: now, size: 0.0, deviations: 0.0, kind: Kind::Unknown };
+                Finding { channel: None, since: now, until: now, size: 0.0, deviations: 0.0, fault: Fault::Unknown };
             self.push(unknown);
         }
         let Some(open) = self.open else { return 0 };
         let finding = &mut self.findings[open];
         finding.until = now;
         if let Some(channel) = finding.channel.filter(|_| now < finding.since + 2 * CALM) {
-            let seen = self.signals[channel].kind(f64::INFINITY, self.turns[channel]);
-            if !matches!(seen, Kind::Step | Kind::Wrap) && finding.kind != Kind::Wrap {
-                finding.kind = seen;
+            let seen = self.signals[channel].fault(f64::INFINITY, self.turns[channel]);
+            if !matches!(seen, Fault::Step | Fault::Wrap) && finding.fault != Fault::Wrap {
+                finding.fault = seen;
             }
         }
         let channel = if finding.channel.is_some() { Status::FAULTY } else { 0 };
@@ -258,7 +258,7 @@ impl Monitor {
     }
 
     fn push(&mut self, finding: Finding) {
-        let known = self.findings.iter().position(|f| f.channel == finding.channel && f.kind == finding.kind);
+        let known = self.findings.iter().position(|f| f.channel == finding.channel && f.fault == finding.fault);
         self.open = known.or_else(|| {
             (self.findings.len() < MOST).then(|| {
                 self.findings.push(finding);

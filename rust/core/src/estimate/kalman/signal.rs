@@ -2,7 +2,7 @@
 
 /// Kinds of faults, by how the readings of a channel look where they contradict the model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum Fault {
     /// The same reading over and over.
     Stuck,
     /// The same reading over and over, at the end of what the channel ever read.
@@ -63,24 +63,24 @@ impl Signal {
     }
 
     /// What the readings look like, after a jump of `size` where one was seen.
-    pub(super) fn kind(&self, size: f64, turns: bool) -> Kind {
+    pub(super) fn fault(&self, size: f64, turns: bool) -> Fault {
         let turn = (size.abs() / core::f64::consts::TAU).round();
         if turns && turn >= 1.0 && (size.abs() - turn * core::f64::consts::TAU).abs() < 0.1 {
-            return Kind::Wrap;
+            return Fault::Wrap;
         }
         if self.run >= RUN / 2 {
             let at_end = self.last.abs() >= self.largest * (1.0 - 1e-9);
             return match (self.last == 0.0, at_end) {
-                (true, _) => Kind::Dead,
-                (false, true) => Kind::Saturated,
-                _ => Kind::Stuck,
+                (true, _) => Fault::Dead,
+                (false, true) => Fault::Saturated,
+                _ => Fault::Stuck,
             };
         }
         let onset = self.last / (self.last - size);
         let lasting = self.product / self.power.max(f64::MIN_POSITIVE);
         if (onset + 1.0).abs() < 0.1 || (lasting + 1.0).abs() < 0.2 {
-            return Kind::Flipped;
+            return Fault::Flipped;
         }
-        if self.last == 0.0 { Kind::Dead } else { Kind::Step }
+        if self.last == 0.0 { Fault::Dead } else { Fault::Step }
     }
 }

@@ -1,7 +1,7 @@
 //! Numbers of a robot that are known to a tolerance only, and what a unit error of each does to the readings.
 
-use super::channels::{Channel, Evaluation};
 use crate::dynamics::Kinematics;
+use crate::estimate::measurement::{Channel, LinkMotion};
 use crate::robot::{Drive, Robot};
 use crate::scalar::Scalar;
 use crate::spatial::Vec3;
@@ -44,14 +44,14 @@ pub struct Tolerance {
     pub std: f64,
 }
 
-impl<T: Scalar> Evaluation<T> {
+impl<T: Scalar> LinkMotion<T> {
     /// N = ∂h/∂p at the state that was last evaluated, into `out` (channels × `stride`, one column a parameter).
     ///
     /// With δ the torsion and φ′ the tangent stiffness, of a motor position: −φ/φ′ for ln K, −D(θ̇ − q̇)/φ′ for ln D and
     /// Yᵢπᵢ/φ′ for the mass of link i; of an accelerometer that reads y: [y]× for its rotation and [ω̇]× + [ω]×² for
     /// its displacement, in its own axes.
     #[inline(always)]
-    pub(super) fn signatures(
+    pub(crate) fn signatures(
         &mut self,
         robot: &Robot,
         channels: &[Channel],
