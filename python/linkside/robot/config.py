@@ -225,6 +225,7 @@ class TolerancesConfig(_Section):
     link_friction: Positive = 0.5
     torque_constant: Positive = 0.05
     motor_friction: Positive = 0.5
+    calibrated: dict[Name, Positive] = {}  # of single parameters, by the names that `calibrate` gives them
     rigid_frequency: Positive = 20.0  # Hz; on which a joint taken as rigid may ring after all
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,11 +44,13 @@ class Uncertain:
 def considered(robot: Robot, *, motors: bool = False) -> list[Uncertain]:
     """Give the parameters whose tolerances count, in the order of the core; ``motors``: those of the motors as well.
 
+    Those that ``tolerances.calibrated`` names have the standard errors that a calibration found.
     Stiffness, and damping and hardening where they are declared, of elastic joints; how much a joint that is taken as
     rigid gives way; masses of links; friction of links; mounting of accelerometers.
     """
-    found = [*_of_joints(robot), *_of_sensors(robot)]
-    return found + list(_of_motors(robot)) if motors else found
+    found = [*_of_joints(robot), *_of_sensors(robot), *(_of_motors(robot) if motors else ())]
+    known = robot.config.tolerances.calibrated
+    return [replace(one, std=known.get(one.name, one.std)) for one in found]
 
 
 def _of_joints(robot: Robot) -> Iterator[Uncertain]:
@@ -64,7 +66,8 @@ def _of_joints(robot: Robot) -> Iterator[Uncertain]:
         stds["link_friction"] = wide.link_friction if any(drive.link_friction) else 0.0
         for kind, std in stds.items():
             if std:
-                yield Uncertain(f"{kind}_{drive.name}", kind, j, 0, float(std))
+                name = "mass_scale" if kind == "mass" else kind
+                yield Uncertain(f"{name}_{drive.name}", kind, j, 0, float(std))
 
 
 def _of_sensors(robot: Robot) -> Iterator[Uncertain]:

@@ -176,7 +176,7 @@ impl Monitor {
     ) -> Option<(usize, f64, f64, u32)> {
         if let Some(channel) = self.stuck {
             let run = self.signals[channel].run;
-            return Some((channel, 0.0, f64::from(run), run - 1));
+            return Some((channel, 0.0, f64::from(run), run - 2));
         }
         if nis > DEVIATIONS * DEVIATIONS {
             let (channel, size, deviations) = self.isolate(correction);
@@ -226,31 +226,23 @@ impl Monitor {
         }
         let now = self.taken - 1;
         if let (Some((channel, size, deviations, age)), true) = (alarm, self.open_channel().is_none()) {
-            let fault = self.signals[channel].fault(size, self.turns[channel]);
-            self.push(Finding {
-                channel: Some(channel),
-                since: now.saturating_sub(u64::from(age)),
-                until: now,
-                size,
-                deviations,
-                fault,
-            });
+            let since = now.saturating_sub(u64::from(age));
+            let fault = self.signals[channel].fault(size, self.turns[channel], now - since);
+            self.push(Finding { channel: Some(channel), since, until: now, size, deviations, fault });
         } else if row && self.open.is_none() {
-            let unknown =
-                Finding { channel: None, since: now, until: now, size: 0.0, deviations: 0.0, fault: Fault::Unknown };
-            self.push(unknown);
+            let fault = Fault::Unknown;
+            self.push(Finding { channel: None, since: now, until: now, size: 0.0, deviations: 0.0, fault });
         }
-        let Some(open) = self.open else { return 0 };
+        let Some(open) = self.open else {
+            return if self.calm == 0 { Status::CONTRADICTED } else { 0 };
+        };
         let finding = &mut self.findings[open];
         finding.until = now;
-        if let Some(channel) = finding.channel.filter(|_| now < finding.since + 2 * CALM) {
-            let seen = self.signals[channel].fault(f64::INFINITY, self.turns[channel]);
-            if !matches!(seen, Fault::Step | Fault::Wrap) && finding.fault != Fault::Wrap {
-                finding.fault = seen;
-            }
+        let Some(channel) = finding.channel else { return Status::CONTRADICTED };
+        if finding.fault == Fault::Step && now < finding.since + 2 * CALM {
+            finding.fault = self.signals[channel].fault(f64::INFINITY, self.turns[channel], now - finding.since);
         }
-        let channel = if finding.channel.is_some() { Status::FAULTY } else { 0 };
-        Status::CONTRADICTED | channel
+        Status::CONTRADICTED | Status::FAULTY
     }
 
     fn open_channel(&self) -> Option<usize> {

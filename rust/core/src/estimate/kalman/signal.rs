@@ -62,25 +62,21 @@ impl Signal {
         self.run >= RUN && self.moved * self.moved > MOVED * MOVED * variance
     }
 
-    /// What the readings look like, after a jump of `size` where one was seen.
-    pub(super) fn fault(&self, size: f64, turns: bool) -> Fault {
+    /// What the readings look like `elapsed` samples after a jump of `size`; infinite where that is not known any more.
+    pub(super) fn fault(&self, size: f64, turns: bool, elapsed: u64) -> Fault {
         let turn = (size.abs() / core::f64::consts::TAU).round();
         if turns && turn >= 1.0 && (size.abs() - turn * core::f64::consts::TAU).abs() < 0.1 {
             return Fault::Wrap;
         }
-        if self.run >= RUN / 2 {
+        if self.last == 0.0 {
+            return Fault::Dead;
+        }
+        if u64::from(self.run) > elapsed + 1 {
             let at_end = self.last.abs() >= self.largest * (1.0 - 1e-9);
-            return match (self.last == 0.0, at_end) {
-                (true, _) => Fault::Dead,
-                (false, true) => Fault::Saturated,
-                _ => Fault::Stuck,
-            };
+            return if at_end { Fault::Saturated } else { Fault::Stuck };
         }
         let onset = self.last / (self.last - size);
         let lasting = self.product / self.power.max(f64::MIN_POSITIVE);
-        if (onset + 1.0).abs() < 0.1 || (lasting + 1.0).abs() < 0.2 {
-            return Fault::Flipped;
-        }
-        if self.last == 0.0 { Fault::Dead } else { Fault::Step }
+        if (onset + 1.0).abs() < 0.1 || (lasting + 1.0).abs() < 0.2 { Fault::Flipped } else { Fault::Step }
     }
 }
