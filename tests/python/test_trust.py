@@ -79,9 +79,10 @@ def test_standard_deviations_are_those_of_the_parameters_effect(robot: Robot, lo
     tiny = dict.fromkeys(("mass_scale", "damping"), 1e-12)
     share = 0.01
 
-    def build(stiffness: float, **tolerances: float) -> Robot:
-        joints = [{**j, "stiffness": j["stiffness"] * stiffness, "damping": 0.0} for j in yaml["joints"]]
-        more = {"tolerances": {**tiny, "stiffness": 1e-12, **tolerances}}
+    def build(factor: float, **tolerances: float) -> Robot:
+        joints = [{**j, "damping": 0.0} for j in yaml["joints"]]
+        joints[0]["stiffness"] *= factor
+        more = {"tolerances": {**tiny, **tolerances, "calibrated": {"stiffness_axis3": 1e-12}}}
         return Robot.from_urdf(SQUARE / "robot.urdf", joints, **settings, **more)
 
     noise = Noise(jerk=1e3)
@@ -99,8 +100,7 @@ def test_standard_deviations_are_those_of_the_parameters_effect(robot: Robot, lo
     total = ExtendedKalmanFilter(nominal, noise, damping=False).run(data)
     plain = ExtendedKalmanFilter(nominal, noise, damping=False, tolerances=False).run(data)
     effect = np.sqrt(total.q_std**2 - plain.q_std**2) / share
-    own = np.abs(slope)  # each joint's own spring moves it most; the other's is in the sum of squares
-    assert (effect > 0.98 * own)[50:].all() and (effect < 1.2 * own.max() + 1e-5)[50:].all()
+    np.testing.assert_allclose(effect[50:], np.abs(slope)[50:], rtol=0.02, atol=0.03 * np.abs(slope).max())
 
 
 def test_correct_data_raise_no_flag(clean: Any) -> None:
@@ -150,9 +150,9 @@ def test_the_command_line_says_which_channel_and_strict_fails(robot: Robot, log:
     import pyarrow.parquet as pq
 
     table = pq.read_table(SQUARE / "log.parquet").slice(0, 900)
-    bad = table["tool_acc_z"].to_numpy().copy()
-    bad[600:] = 0
-    table = table.set_column(table.column_names.index("tool_acc_z"), "tool_acc_z", pa.array(bad))
+    bad = table["tool_acc_x"].to_numpy().copy()
+    bad[600:] *= 1.3  # nothing that a look at the readings alone would tell
+    table = table.set_column(table.column_names.index("tool_acc_x"), "tool_acc_x", pa.array(bad))
     pq.write_table(table, tmp_path / "log.parquet")
     out = tmp_path / "estimate.parquet"
     arguments = ["estimate", str(SQUARE / "robot.yaml"), str(tmp_path / "log.parquet"), "--with", "ekf", "--out", str(out)]

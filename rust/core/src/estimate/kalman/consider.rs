@@ -157,10 +157,23 @@ impl Consider {
         }
         if learn {
             self.moment.data.copy_from_slice(&self.spread.data);
+            let doubt = self.doubt_of_model();
             for (m, row) in self.mean.iter().zip(self.moment.data.chunks_exact_mut(self.stride)) {
                 linear::add_scaled(row, *m, &self.mean);
+                row.iter_mut().for_each(|x| *x *= doubt);
             }
         }
+    }
+
+    /// Deviation of what lasts and no parameter explains, in deviations of the noise; at least 1. As long as it is there,
+    /// the error that the parameters tell of is not all of the model's.
+    #[inline(always)]
+    fn doubt_of_model(&self) -> f64 {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for (lasting, _) in self.lasting.iter().zip(&self.teaches).filter(|(_, teaches)| **teaches) {
+            (sum, count) = (sum + lasting, count + 1.0);
+        }
+        if count > 0.0 { f64::max(sum / count, 1.0).sqrt() } else { 1.0 }
     }
 
     /// Kalman's update of the parameters by a residual of this variance, the gain holding Cov[p] s.
