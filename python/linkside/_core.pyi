@@ -137,6 +137,7 @@ class ExtendedKalmanFilter:
         iterations: int,
         damping: bool,
         told: Sequence[tuple[str, int, int, float]],
+        late: Sequence[tuple[float, float, int] | None] | None = None,
     ) -> ExtendedKalmanFilter: ...
     @property
     def states(self) -> int: ...
@@ -177,6 +178,7 @@ class ElasticJointFilter:
         noise: Mapping[str, Any],
         gate: float | None,
         iterations: int,
+        late: Sequence[tuple[float, float, int] | None] | None = None,
     ) -> ElasticJointFilter: ...
     @property
     def states(self) -> int: ...

@@ -19,13 +19,12 @@ from linkside.observers import poles as patterns
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
-from linkside.text import show
 
-from .bar import bar
 from .error_tables import tool_table
 from .estimate_logs import Job, estimate_all, naming, output_folder
 from .failures import Commands
 from .methods import METHODS, Options
+from .terminal import bar, show
 
 ROWS = 8192
 """Rows of a log that are in memory at a time."""

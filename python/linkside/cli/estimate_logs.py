@@ -17,13 +17,12 @@ from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log, log_rows
 from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
-from linkside.text import show
 
-from .bar import bar
 from .error_tables import error_tables
 from .failures import complain, in_words
 from .methods import Run
 from .tally import Tally
+from .terminal import bar, show
 
 
 @dataclass(frozen=True)

@@ -93,7 +93,6 @@ def smooth_pieces(
     folder
         Where a temporary directory is made, removed at the end whatever happens; by default the system's.
     """
-    smoother.refuse_late("smoothing piece by piece")
     with _spill_folder(folder) as spill:
         starts, columns = _forward(smoother, pieces, spill)
         found = named(starts.pop().findings, columns) if starts else ()
@@ -127,7 +126,8 @@ def _forward(
     for index, piece in enumerate(pieces):
         if core is None:
             kinds = smoother.kinds(piece)
-            core, columns = smoother.core(kinds, smoother.noise.for_log(piece)), smoother.columns(piece, kinds)
+            core = smoother.core(kinds, smoother.noise.for_log(piece), piece.period)
+            columns = smoother.columns(piece, kinds)
         starts.append(core.copy())
         arrays = smoother.arrays(piece, kinds, before)
         _save(spill / f"{index}.log", dict(zip((*READ, "t"), (*arrays, piece.t), strict=True)))

@@ -8,7 +8,7 @@ use crate::tolerance::{Told, tolerances};
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
     self, Fault, FilterOutput, FilterSettings, Finding, Inputs, JerkDriven, JerkModel, KalmanRecording, KalmanSample,
-    Keep, Model,
+    Keep, Lateness, Model,
 };
 use linkside_core::estimate::measurement::Kind;
 use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
@@ -101,6 +101,15 @@ impl Live {
     }
 }
 
+/// Time constant and delay inside a channel's sensor [s], and how many steps of time the delay can have.
+pub(crate) type Inside = Option<(f64, f64, usize)>;
+
+/// None inside any where there is no list.
+pub(crate) fn inside(late: Option<Vec<Inside>>) -> Vec<Option<Lateness>> {
+    let one = |(time_constant, delay, steps)| Lateness { time_constant, delay, steps };
+    late.unwrap_or_default().into_iter().map(|inside| inside.map(one)).collect()
+}
+
 /// Kinds of channels by name.
 pub(crate) fn named(kinds: &[String]) -> PyResult<Vec<Kind>> {
     let find = |name: &String| {
@@ -124,7 +133,7 @@ pub(crate) type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'
 #[pymethods]
 impl ExtendedKalmanFilter {
     #[new]
-    #[pyo3(signature = (robot, *, kinds, biased, noise, gate, iterations, damping, told))]
+    #[pyo3(signature = (robot, *, kinds, biased, noise, gate, iterations, damping, told, late=None))]
     fn new(
         robot: &Robot,
         kinds: Vec<String>,
@@ -134,12 +143,13 @@ impl ExtendedKalmanFilter {
         iterations: usize,
         damping: bool,
         told: Vec<Told>,
+        late: Option<Vec<Inside>>,
     ) -> PyResult<Self> {
         let told = tolerances(&told)?;
         let kinds = named(&kinds)?;
         let build = || {
             let model = JerkModel::new(Arc::clone(&robot.0), &kinds, &biased)?;
-            let model = JerkDriven::new(model, noise.into(), damping)?.with_tolerances(told);
+            let model = JerkDriven::new(model, noise.into(), damping)?.with_tolerances(told).with_late(&inside(late))?;
             kalman::ExtendedKalmanFilter::new(model, FilterSettings { gate, iterations })
         };
         let filter = build().map_err(IntoPyErr::into_py_err)?;
