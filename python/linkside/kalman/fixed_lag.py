@@ -113,7 +113,7 @@ class FixedLagSmoother:
         arrays = self._stacked(len(self._window))
         result = _core.StretchSmoother(self._before).back(self._before, arrays, True)
         t = self._t + np.cumsum(arrays[0]) - arrays[0][0]
-        first: dict[str, Any] = {name: a[:rows] for name, a in result.items()}
+        first: dict[str, Any] = {name: a[:rows] for name, a in result.items() if name != "findings"}
         return KalmanEstimate(t=t[:rows], names=self.robot.names, **first)
 
     def _forget(self) -> None:
