@@ -78,8 +78,11 @@ def main(ctx: click.Context, debug: bool) -> None:
 @click.option("--particles", type=int, default=1000, show_default=True, help="How many a particle filter has.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of a particle filter's random numbers.")
 @click.option("--gain", type=float, default=100, show_default=True, help="Gain of a velocity observer [1/s].")
+@click.option("--strict", is_flag=True, help="Exit with status 3 where readings contradict the model.")
 @click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this file; one for each log.")
-def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, truths: tuple[str, ...], **options: Any) -> None:
+def estimate(
+    robot: str, logs: tuple[str, ...], method: str, out: str, truths: tuple[str, ...], strict: bool, **options: Any
+) -> int:
     """Estimate the motion of ROBOT's links from recordings.
 
     ROBOT is a robot.yaml, each LOG a Parquet or CSV file. Logs are read piece by piece and may be larger than memory.
@@ -98,7 +101,8 @@ def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, truths: t
         for output in outputs:
             check_writable(output)
         files = zip(logs, outputs, truths or [None] * len(logs), strict=True)
-        estimate_all([Job(loaded, run, rows, *three) for three in files])
+        believable = estimate_all([Job(loaded, run, rows, *three) for three in files])
+    return 3 if strict and not believable else 0
 
 
 def _refuse_untaken(method: str) -> None:

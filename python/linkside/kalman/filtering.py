@@ -18,6 +18,7 @@ from linkside.errors import EstimatorError
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.trust.findings import named
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -26,8 +27,6 @@ class KalmanEstimate(Estimate):
 
     Attributes
     ----------
-    nis : (T,)
-        Normalised innovation squared; its mean should be that of ``used``.
     used : (T,)
         Readings used at each sample.
     log_likelihood : (T,)
@@ -40,7 +39,6 @@ class KalmanEstimate(Estimate):
         The m columns of the log that were read.
     """
 
-    nis: FloatArray | None = None
     used: npt.NDArray[np.uint32] | None = None
     log_likelihood: FloatArray | None = None
     state: FloatArray | None = None
@@ -175,4 +173,6 @@ class KalmanMethod(ABC):
         return tuple(name for kind in kinds for name in log.columns(CHANNELS[kind].signal))
 
     def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> KalmanEstimate:
-        return KalmanEstimate(t=log.t, names=self.robot.names, channels=self.columns(log, kinds), **result)
+        columns = self.columns(log, kinds)
+        found = named(result.pop("findings", ()), columns)
+        return KalmanEstimate(t=log.t, names=self.robot.names, channels=columns, findings=found, **result)

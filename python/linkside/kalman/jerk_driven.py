@@ -14,6 +14,7 @@ from linkside.recording.estimate import result_of
 from linkside.recording.log import Log
 from linkside.robot import Robot
 from linkside.robot.requirements import refuse_unsupported
+from linkside.trust.tolerances import considered
 
 from .filtering import CoreFilter, KalmanEstimate, KalmanMethod, LiveFilter
 from .late_sensors import inside, is_late
@@ -107,19 +108,21 @@ class JerkDriven(KalmanMethod):
         dq: bool | None = None,
         gate: float | None = None,
         iterations: int = 1,
+        tolerances: bool = True,
     ) -> None:
         refuse_unsupported(robot, "a filter on the acceleration-driven model")
         wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
         super().__init__(robot, wanted, biases, gate, iterations)
         self.noise = noise or Noise()
         self._damping = damping
+        self._uncertain = considered(robot) if tolerances else []
 
     def refuse_late(self, what: str) -> None:
-        """Raise `EstimatorError` where an accelerometer has a filter or delay inside, which ``what`` does not know."""
+        """Raise `EstimatorError` where a sensor has a filter or delay inside, which ``what`` does not know."""
         if is_late(self.robot):
             raise EstimatorError(
-                f"{what} takes readings as they come, and robot.yaml gives an accelerometer a corner_frequency or a "
-                "delay; use a Kalman filter"
+                f"{what} takes readings as they come, and robot.yaml gives a sensor a corner_frequency or a delay; "
+                "use a Kalman filter"
             )
 
     def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
@@ -143,6 +146,7 @@ class JerkDriven(KalmanMethod):
             gate=self._gate,
             iterations=self._iterations,
             late=inside(self.robot, kinds, period),
+            told=[parameter.told for parameter in self._uncertain],
         )
 
     def settings(self, kinds: tuple[str, ...], noise: Noise) -> dict[str, Any]:
@@ -189,6 +193,9 @@ class ExtendedKalmanFilter(JerkDriven, JerkDrivenFilter[_core.ExtendedKalmanFilt
         Leave a reading out when its innovation exceeds this many standard deviations; None uses all.
     iterations
         How often a sample's measurement is linearised; 1 is the plain update.
+    tolerances
+        Whether the ``tolerances`` of robot.yaml count in standard deviations, as far as independent sensors have not
+        narrowed them (Schmidt–Kalman); the estimate itself is the same.
 
     Raises
     ------
@@ -197,8 +204,8 @@ class ExtendedKalmanFilter(JerkDriven, JerkDrivenFilter[_core.ExtendedKalmanFilt
 
     Notes
     -----
-    An accelerometer's ``corner_frequency`` and ``delay`` in robot.yaml are accounted for: what the sensor holds is part
-    of the state, behind the biases. In `step` the first ``dt`` says how many samples a delay spans.
+    ``corner_frequency`` and ``delay`` of accelerometers and gyroscopes in robot.yaml are accounted for: what the sensor
+    holds is part of the state, behind the biases. In `step` the first ``dt`` says how many samples a delay spans.
 
     A reading that is NaN is missing, which equals deleting it. Steps of time may vary, and sensors have rates of their
     own: leave NaN where a sensor has no sample.

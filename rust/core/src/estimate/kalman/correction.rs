@@ -20,6 +20,8 @@ pub(super) struct Correction {
     pub(super) gains: Vec<f64>,
     halves: Vec<f64>,
     pub(super) innovations: Vec<Innovation>,
+    /// Innovations before any is used are this, lower triangular with a diagonal of 1, times `innovations`.
+    pub(super) factors: Vec<f64>,
     /// Channels left out at this sample by the gate.
     pub(super) gated: Vec<bool>,
     pub(super) status: u8,
@@ -37,6 +39,7 @@ impl Correction {
             gains: vec![0.0; m * stride],
             halves: vec![0.0; m * stride],
             innovations: vec![Innovation::NONE; m],
+            factors: vec![0.0; m * m],
             gated: vec![false; m],
             status: 0,
             nis: 0.0,
@@ -98,7 +101,9 @@ impl Correction {
         for (j, earlier) in before.chunks_exact(stride).enumerate() {
             let variance = self.innovations[j].variance;
             if variance.is_finite() {
-                linear::add_scaled(own, -row.dot(earlier) / variance, earlier);
+                let factor = row.dot(earlier) / variance;
+                self.factors[i * self.innovations.len() + j] = factor;
+                linear::add_scaled(own, -factor, earlier);
             }
         }
         let variance = row.dot(own) + model.variance(i);

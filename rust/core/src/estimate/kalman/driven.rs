@@ -6,6 +6,7 @@ use super::model::{Linearised, Measurement, Paired, Report};
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample};
 use super::slope::Slope;
+use super::uncertain::Tolerance;
 use crate::error::DesignError;
 use crate::estimate::measurement::{Channel, Evaluation};
 use crate::robot::Robot;
@@ -23,6 +24,12 @@ impl JerkDriven {
         model.check(&noise)?;
         let measurement = JerkMeasurement::new(model.clone(), noise.clone(), damping);
         Ok(Self::of(JerkProcess { model, noise }, measurement))
+    }
+
+    /// The model of a robot of which some numbers are known to a tolerance only.
+    pub fn with_tolerances(mut self, tolerances: Vec<Tolerance>) -> Self {
+        self.measurement.tolerances = tolerances;
+        self
     }
 
     /// Number of accelerometer channels.
@@ -63,6 +70,7 @@ pub struct JerkMeasurement {
     slope: Slope,
     jerk: Vec<f64>,
     dt: f64,
+    tolerances: Vec<Tolerance>,
 }
 
 impl JerkMeasurement {
@@ -76,6 +84,7 @@ impl JerkMeasurement {
             slope: Slope::new(n),
             jerk: vec![0.0; n],
             dt: 0.0,
+            tolerances: Vec::new(),
             model,
             noise,
             damping,
@@ -110,6 +119,24 @@ impl Measurement for JerkMeasurement {
             self.dtheta.copy_from_slice(sample.inputs.dtheta);
             self.slope.push(sample.dt, &sample.readings[..self.jerk.len()]);
             self.slope.fill(&mut self.dtheta);
+        }
+    }
+
+    fn channels(&self) -> &[Channel] {
+        &self.model.channels
+    }
+
+    fn tolerances(&self) -> &[Tolerance] {
+        &self.tolerances
+    }
+
+    #[inline(always)]
+    fn signatures(&mut self, stride: usize, out: &mut [f64]) {
+        let Self { model, evaluation, reference, dtheta, tolerances, .. } = self;
+        let (n, channels) = (model.joints(), &model.channels);
+        evaluation.motion.signatures(&model.robot, channels, tolerances, &reference[n..2 * n], dtheta, stride, out);
+        if let Some(motors) = &mut self.motors {
+            motors.signatures(model, tolerances, dtheta, stride, out);
         }
     }
 
@@ -203,6 +230,8 @@ struct Motors {
     channels: Vec<Channel>,
     evaluation: Evaluation<Dual<1>>,
     state: Vec<Dual<1>>,
+    /// Scratch of the signatures.
+    rates: Vec<Dual<1>>,
 }
 
 impl Motors {
@@ -212,6 +241,7 @@ impl Motors {
             channels: (0..n).map(Channel::Motor).collect(),
             evaluation: Evaluation::new(robot, n),
             state: vec![Dual::default(); 3 * n],
+            rates: Vec::new(),
         }
     }
 
@@ -223,6 +253,28 @@ impl Motors {
             *x = Dual { value, gradient: [rate] };
         }
         self.evaluation.evaluate(robot, &self.channels, &self.state, dtheta);
+    }
+
+    /// Rates of the motor positions' signatures into the rows of the motor velocities.
+    #[inline(always)]
+    fn signatures(
+        &mut self,
+        model: &JerkModel,
+        tolerances: &[Tolerance],
+        dtheta: &[f64],
+        stride: usize,
+        out: &mut [f64],
+    ) {
+        let n = self.channels.len();
+        let Self { channels, evaluation, state, rates } = self;
+        rates.resize(n * stride, Dual::default());
+        evaluation.motion.signatures(&model.robot, channels, tolerances, &state[n..2 * n], dtheta, stride, rates);
+        for (out, channel) in out.chunks_exact_mut(stride).zip(&model.channels) {
+            let Channel::MotorVelocity(j) = *channel else { continue };
+            for (out, rate) in out.iter_mut().zip(&rates[j * stride..]) {
+                *out = rate.gradient[0];
+            }
+        }
     }
 
     /// θ̇ = H ẋ into the motor velocities.

@@ -195,6 +195,11 @@ impl Process for ElasticProcess {
         self.tau.copy_from_slice(after);
     }
 
+    #[inline(always)]
+    fn carry(&mut self, columns: &mut [f64], stride: usize, _: f64) {
+        self.transition.carry(columns, stride);
+    }
+
     fn memory(&self) -> usize {
         self.transition.layout.dense.pow(2)
     }

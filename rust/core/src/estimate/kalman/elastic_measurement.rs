@@ -59,6 +59,10 @@ impl Measurement for ElasticMeasurement {
         &self.biases
     }
 
+    fn channels(&self) -> &[Channel] {
+        &self.channels
+    }
+
     fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError> {
         recording.expect(self.channels.len(), self.robot.len(), &[("tau", recording.inputs.tau)])
     }

@@ -44,6 +44,28 @@ impl Process for JerkProcess {
         self.model.predict(belief, &self.noise, sample.dt, sample.inputs.jerk);
     }
 
+    #[inline(always)]
+    fn carry(&mut self, columns: &mut [f64], stride: usize, dt: f64) {
+        let size = self.model.joints() * stride;
+        let (q, rest) = columns.split_at_mut(size);
+        let (dq, ddq) = rest.split_at_mut(size);
+        for i in 0..size {
+            q[i] += dt * dq[i] + 0.5 * dt * dt * ddq[i];
+            dq[i] += dt * ddq[i];
+        }
+    }
+
+    #[inline(always)]
+    fn carry_back(&mut self, _: &[f64], columns: &mut [f64], stride: usize, dt: f64) {
+        let size = self.model.joints() * stride;
+        let (q, rest) = columns.split_at_mut(size);
+        let (dq, ddq) = rest.split_at_mut(size);
+        for i in 0..size {
+            ddq[i] += dt * dq[i] + 0.5 * dt * dt * q[i];
+            dq[i] += dt * q[i];
+        }
+    }
+
     fn memory(&self) -> usize {
         0
     }

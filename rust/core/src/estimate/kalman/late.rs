@@ -214,6 +214,62 @@ impl Late {
         Linearised { prediction: &self.prediction, jacobian: &self.jacobian }
     }
 
+    /// Columns of sensitivities through [`advance`](Self::advance), `driven` being those of the channels themselves.
+    #[inline(always)]
+    pub(super) fn carry(&self, columns: &mut [f64], stride: usize, driven: Option<&[f64]>) {
+        let dense = self.jacobian.len() / self.prediction.len();
+        for (i, line) in self.lines.iter().enumerate() {
+            let h = &self.rows[i * dense..][..dense];
+            for (state, terms, factor) in steps(*line, self.weights[i]) {
+                let bias = self.own[line.channel].map(|b| (b, factor));
+                for c in 0..stride {
+                    let mut sum = driven.map_or(0.0, |driven| factor * driven[line.channel * stride + c]);
+                    for (j, weight) in terms.into_iter().chain(bias) {
+                        sum += weight * columns[j * stride + c];
+                    }
+                    if factor != 0.0 {
+                        for (j, slope) in h.iter().enumerate() {
+                            sum += factor * slope * columns[j * stride + c];
+                        }
+                    }
+                    columns[state * stride + c] = sum;
+                }
+            }
+        }
+    }
+
+    /// The adjoint of [`carry`](Self::carry) for a step that [`remember`](Self::remember) wrote.
+    #[inline(always)]
+    pub(super) fn carry_back(&self, memory: &[f64], columns: &mut [f64], stride: usize) {
+        let (rows, weights) = memory.split_at(self.rows.len());
+        let dense = self.jacobian.len() / self.prediction.len();
+        for (i, line) in self.lines.iter().enumerate().rev() {
+            let w = &weights[5 * i..][..5];
+            let weights = Weights { filter: [w[0], w[1], w[2]], at: w[3] as usize, part: w[4] };
+            let h = &rows[i * dense..][..dense];
+            for (state, terms, factor) in steps(*line, weights).rev() {
+                let bias = self.own[line.channel].map(|b| (b, factor));
+                for c in 0..stride {
+                    let pulled = core::mem::take(&mut columns[state * stride + c]);
+                    for (j, weight) in terms.into_iter().chain(bias) {
+                        columns[j * stride + c] += weight * pulled;
+                    }
+                    for (j, slope) in h.iter().enumerate() {
+                        columns[j * stride + c] += factor * slope * pulled;
+                    }
+                }
+            }
+        }
+    }
+
+    /// To the measurement update late channels are states: a parameter acts on them by way of these.
+    #[inline(always)]
+    pub(super) fn mask_signatures(&self, stride: usize, out: &mut [f64]) {
+        for line in &self.lines {
+            out[line.channel * stride..][..stride].fill(0.0);
+        }
+    }
+
     /// How many numbers [`remember`](Self::remember) writes.
     pub(super) fn memory(&self) -> usize {
         self.rows.len() + 5 * self.lines.len()
@@ -366,6 +422,25 @@ mod tests {
             let expected = 5.0 + 3.0 * t - 3.0 * 2e-3 * (1.0 - crate::scalar::Scalar::exp(-t / 2e-3));
             let read = late.biases()[0].map_or(f64::NAN, |state| belief.mean[state]);
             assert!((read - expected).abs() < 1e-13, "{read} {expected}");
+        }
+    }
+
+    #[test]
+    fn columns_and_their_adjoint_follow_the_mean() {
+        let (mut late, t) = (late(), transition());
+        let n = late.states();
+        moved(&mut late, &mut Gaussian::independent(&vec![1.0; n]));
+        let mut memory = Vec::new();
+        late.remember(&mut memory);
+        let unit = || -> Vec<f64> { (0..n * n).map(|i| f64::from(u8::from(i % (n + 1) == 0))).collect() };
+        let (mut forward, mut back) = (unit(), unit());
+        late.carry(&mut forward, n, None);
+        late.carry_back(&memory, &mut back, n);
+        for r in 0..n {
+            for c in 0..n {
+                assert!((forward[r * n + c] - t[c][r]).abs() < 1e-14, "{r} {c}");
+                assert!((back[r * n + c] - t[r][c]).abs() < 1e-14, "{r} {c}");
+            }
         }
     }
 }

@@ -1,5 +1,8 @@
 //! Kalman filter and smoother, and the models that they run on.
 
+mod bank;
+mod consider;
+mod consider_back;
 mod correction;
 mod driven;
 mod elastic;
@@ -10,12 +13,15 @@ mod jerk;
 mod jerk_process;
 mod late;
 mod model;
+mod monitor;
 mod output;
 mod phases;
 mod recording;
+mod signal;
 mod slope;
 mod smoother;
 mod transition;
+mod uncertain;
 
 pub use driven::{JerkDriven, JerkMeasurement};
 pub use elastic::{Discretization, ElasticModel, ElasticNoise, ElasticProcess, ElasticSettings};
@@ -26,9 +32,12 @@ pub use jerk::{JerkModel, Noise};
 pub use jerk_process::JerkProcess;
 pub use late::Lateness;
 pub use model::{Linearised, Measurement, Model, Paired, Process, Report};
+pub use monitor::Finding;
 pub(crate) use output::Tool;
 pub use output::{FilterOutput, Keep};
 pub use phases::Phases;
 pub(crate) use phases::{Linearise, Predict};
 pub use recording::{Inputs, KalmanRecording, KalmanSample};
+pub use signal::Fault;
 pub use smoother::Smoother;
+pub use uncertain::{Tolerance, Uncertain};

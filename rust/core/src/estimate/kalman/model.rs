@@ -4,8 +4,10 @@ use super::gaussian::{Gaussian, Symmetric};
 use super::late::{Late, Lateness};
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample};
+use super::uncertain::Tolerance;
 use crate::check::{expect, expect_length};
 use crate::error::DesignError;
+use crate::estimate::measurement::Channel;
 use crate::robot::Robot;
 
 /// How the state moves: f, Q, and the adjoint that a smoother needs.
@@ -35,6 +37,12 @@ pub trait Process: Clone + Send + Sync {
 
     /// Time update from the sample before: x ← f(x), P ← F P Fᵀ + Q.
     fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian);
+
+    /// Columns (states × `stride`) through the step last predicted: Σ ← F Σ.
+    fn carry(&mut self, columns: &mut [f64], stride: usize, dt: f64);
+
+    /// The adjoint of [`carry`](Self::carry): Λ ← Fᵀ Λ; of a process on which parameters count.
+    fn carry_back(&mut self, _memory: &[f64], _columns: &mut [f64], _stride: usize, _dt: f64) {}
 
     /// How many numbers [`remember`](Self::remember) writes.
     fn memory(&self) -> usize;
@@ -77,6 +85,17 @@ pub trait Measurement: Clone + Send + Sync {
 
     /// Variance of a channel's noise, where the channels were linearised.
     fn variance(&self, channel: usize) -> f64;
+
+    /// What the channels are.
+    fn channels(&self) -> &[Channel];
+
+    /// Numbers of the robot that are known to a tolerance only, and count in covariances; none unless asked for.
+    fn tolerances(&self) -> &[Tolerance] {
+        &[]
+    }
+
+    /// ∂h/∂p where the channels were linearised (channels × `stride`).
+    fn signatures(&mut self, _stride: usize, _out: &mut [f64]) {}
 }
 
 /// What an estimate says of links and motors.
@@ -143,6 +162,30 @@ pub trait Model: Clone + Send + Sync {
     /// See [`Process::retreat`].
     fn retreat(&mut self, memory: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric);
 
+    /// See [`Measurement::channels`].
+    fn channel_kinds(&self) -> &[Channel];
+
+    /// See [`Measurement::tolerances`].
+    fn tolerances(&self) -> &[Tolerance];
+
+    /// Whether a channel may say something of the parameters. A motor's reading says it only by way of how smoothly
+    /// links are taken to move, which is a guess.
+    fn teaches(&self, channel: usize) -> bool {
+        !matches!(self.channel_kinds()[channel], Channel::Motor(_) | Channel::MotorVelocity(_))
+    }
+
+    /// Columns (states × `stride`, one a tolerance) through the step last predicted: Σ ← F Σ + ∂f/∂p.
+    fn carry(&mut self, columns: &mut [f64], stride: usize, dt: f64);
+
+    /// The same without what parameters do: Σ ← F Σ.
+    fn carry_noise_free(&mut self, columns: &mut [f64], stride: usize, dt: f64);
+
+    /// The adjoint of what F does in [`carry`](Self::carry): Λ ← Fᵀ Λ.
+    fn carry_back(&mut self, memory: &[f64], columns: &mut [f64], stride: usize, dt: f64);
+
+    /// See [`Measurement::signatures`].
+    fn signatures(&mut self, stride: usize, out: &mut [f64]);
+
     /// See [`Report::report`].
     fn report(&mut self, memory: &[f64], state: &[f64], i: usize, out: &mut FilterOutput);
 }
@@ -156,12 +199,14 @@ pub struct Paired<P, M> {
     pub(crate) measurement: M,
     /// Channels whose sensors have a filter or a delay inside.
     late: Option<Box<Late>>,
+    /// Scratch: ∂h/∂p of the late channels.
+    driven: Vec<f64>,
 }
 
 impl<P: Process, M: Measurement> Paired<P, M> {
     /// A process and the measurement of its state.
     pub fn of(process: P, measurement: M) -> Self {
-        Self { process, measurement, late: None }
+        Self { process, measurement, late: None, driven: Vec::new() }
     }
 
     /// With what is `inside` the sensor of each channel, as states behind the model's own; an empty list is nothing.
@@ -277,6 +322,49 @@ impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
             late.retreat(&memory[own + self.measurement.memory()..], lambda, big);
         }
         self.process.retreat(&memory[..own], dt, lambda, big);
+    }
+
+    fn channel_kinds(&self) -> &[Channel] {
+        self.measurement.channels()
+    }
+
+    fn tolerances(&self) -> &[Tolerance] {
+        self.measurement.tolerances()
+    }
+
+    #[inline(always)]
+    fn carry(&mut self, columns: &mut [f64], stride: usize, dt: f64) {
+        self.process.carry(columns, stride, dt);
+        if let Some(late) = &mut self.late {
+            self.driven.resize(self.measurement.channels().len() * stride, 0.0);
+            self.measurement.signatures(stride, &mut self.driven);
+            late.carry(columns, stride, Some(&self.driven));
+        }
+    }
+
+    #[inline(always)]
+    fn carry_noise_free(&mut self, columns: &mut [f64], stride: usize, dt: f64) {
+        self.process.carry(columns, stride, dt);
+        if let Some(late) = &mut self.late {
+            late.carry(columns, stride, None);
+        }
+    }
+
+    #[inline(always)]
+    fn carry_back(&mut self, memory: &[f64], columns: &mut [f64], stride: usize, dt: f64) {
+        let own = self.process.memory();
+        if let Some(late) = &self.late {
+            late.carry_back(&memory[own + self.measurement.memory()..], columns, stride);
+        }
+        self.process.carry_back(&memory[..own], columns, stride, dt);
+    }
+
+    #[inline(always)]
+    fn signatures(&mut self, stride: usize, out: &mut [f64]) {
+        self.measurement.signatures(stride, out);
+        if let Some(late) = &self.late {
+            late.mask_signatures(stride, out);
+        }
     }
 
     #[inline(always)]

@@ -33,6 +33,7 @@ pub(super) struct Transition {
     start: Vec<f64>,
     probe: Vec<f64>,
     tau: Vec<f64>,
+    carried: Vec<f64>,
 }
 
 /// Motor torques (n) at the beginning and at the end of a step; in between they change linearly.
@@ -56,6 +57,7 @@ impl Transition {
             start: vec![0.0; d],
             probe: vec![0.0; d],
             tau: vec![0.0; robot.len()],
+            carried: Vec::new(),
             layout,
         }
     }
@@ -204,6 +206,20 @@ impl Transition {
         for row in self.phi.chunks_exact(self.stride) {
             memory.extend_from_slice(&row[..self.layout.dense]);
         }
+    }
+
+    /// Columns (states × `stride`) through the step: Σ ← Φ Σ.
+    #[inline(always)]
+    pub(super) fn carry(&mut self, columns: &mut [f64], stride: usize) {
+        let (d, rows) = (self.layout.dense, self.layout.dense * stride);
+        self.carried.resize(rows, 0.0);
+        for (out, row) in self.carried.chunks_exact_mut(stride).zip(self.phi.chunks_exact(self.stride)) {
+            out.fill(0.0);
+            for (factor, column) in row[..d].iter().zip(columns.chunks_exact(stride)) {
+                linear::add_scaled(out, *factor, column);
+            }
+        }
+        columns[..rows].copy_from_slice(&self.carried);
     }
 
     /// The adjoint of a step that [`remember`](Self::remember) wrote: λ ← Φᵀ λ, Λ ← Φᵀ Λ Φ.

@@ -65,10 +65,10 @@ impl<T: Scalar> Sensing<T> for Kinematics<T> {
 pub(crate) struct LinkMotion<T> {
     pub(crate) kinematics: Kinematics<T>,
     loads: Loads<T>,
-    tau: Vec<T>,
+    pub(crate) tau: Vec<T>,
     by_q: Vec<T>,
     by_dq: Vec<T>,
-    mass: Vec<T>,
+    pub(crate) mass: Vec<T>,
 }
 
 impl<T: Scalar> LinkMotion<T> {
