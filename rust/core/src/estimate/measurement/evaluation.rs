@@ -14,7 +14,7 @@ pub struct Evaluation<T> {
     pub prediction: Vec<T>,
     /// ∂h/∂(q, q̇, q̈), channels × 3n, row-major.
     pub jacobian: Vec<T>,
-    motion: LinkMotion<T>,
+    pub(crate) motion: LinkMotion<T>,
     plain: PlainMotion<T>,
 }
 
