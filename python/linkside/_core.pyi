@@ -113,7 +113,6 @@ class Likelihood:
         noise: Mapping[str, Any],
         biased: Sequence[bool],
         torque: bool,
-        held: bool,
         fixed: Sequence[tuple[tuple[str, int, int], float]],
         huber: float,
     ) -> Likelihood: ...

@@ -15,13 +15,16 @@ from .errors import EstimatorError, NumericalError
 from .estimate import result_of
 from .filtering import KalmanEstimate, KalmanFilter, Signal, sized
 from .log import Log
-from .noise import PositiveStd, Std, channel_arrays, motor_noise, per_joint
+from .noise import PositiveStd, Std, Time, channel_arrays, motor_noise, per_joint
 from .robot import Robot
 from .sensing import is_late
 from .source import Source
 
 FloatArray = npt.NDArray[np.float64]
 Arrays = tuple[FloatArray, FloatArray, FloatArray]
+
+TORQUE_TIME = 0.5
+"""Times over which a log is asked how far its torques wander end here [s]."""
 
 
 class ElasticNoise(BaseModel):
@@ -34,13 +37,16 @@ class ElasticNoise(BaseModel):
         [rad/s/√s].
     torque
         Noise of the motor torques, in multiples of robot.yaml's ``torque.noise_std``.
+    torque_walk
+        By how much a motor torque may have wandered from its last reading after one second without [N m/√s]. None: the
+        most that the log's torques do over any time up to `TORQUE_TIME`.
     disturbance, disturbance_walk
         Initial uncertainty of each motor's disturbance torque, and by how much it wanders in a second, in multiples of
         the torque that the motor's friction has at 1 rad/s (N m if it has none).
     transmission, motor_velocity, acceleration, rate, link, joint_torque
         Noise of readings, as of `Noise`.
-    motor_bias, acceleration_bias, rate_bias, motor_bias_walk, acceleration_bias_walk, rate_bias_walk
-        Of biases, as of `Noise`.
+    motor_bias, acceleration_bias, rate_bias
+        Initial uncertainty of biases, as of `Noise`; likewise ``…_bias_walk`` and ``…_bias_time``.
     position, velocity
         Uncertainty of links and motors at the first sample, where the robot is taken to be at rest [rad, rad/s].
     """
@@ -50,6 +56,7 @@ class ElasticNoise(BaseModel):
     link_acceleration: Std | tuple[Std, ...] = 3e-3
     motor_acceleration: Std | tuple[Std, ...] = 1e-2
     torque: Std = 1.0
+    torque_walk: Std | tuple[Std, ...] | None = None
     disturbance: Std = 0.1
     disturbance_walk: Std = 0.1
     transmission: Std | tuple[Std, ...] = 1e-5
@@ -60,10 +67,13 @@ class ElasticNoise(BaseModel):
     joint_torque: PositiveStd = 1.0
     motor_bias: Std = 1e-5
     motor_bias_walk: Std = 1e-6
+    motor_bias_time: Time | None = None
     acceleration_bias: Std = 0.1
     acceleration_bias_walk: Std = 1e-3
+    acceleration_bias_time: Time | None = None
     rate_bias: Std = 1e-3
     rate_bias_walk: Std = 1e-5
+    rate_bias_time: Time | None = None
     position: Std = 1e-4
     velocity: Std = 1e-3
 
@@ -71,6 +81,13 @@ class ElasticNoise(BaseModel):
     def read(cls, path: str | PathLike[str]) -> ElasticNoise:
         """Read a tuning file: YAML with any of the attributes as keys; `ConfigError` names file, line and key."""
         return Source.read(path).validate(cls)
+
+    def for_log(self, log: Log, robot: Robot) -> ElasticNoise:
+        """Fill in what is to be read off the log: how far torques wander where they are missing."""
+        if self.torque_walk is not None or log.tau is None or not np.isnan(log.tau).any():
+            return self
+        walk = torque_walk(log, self.torque * robot.config.torque.noise_std)
+        return type(self).model_validate(self.model_dump() | {"torque_walk": tuple(walk.tolist())})
 
     def arrays(self, robot: Robot, kinds: tuple[str, ...]) -> dict[str, list[float]]:
         """Arrays for the filter: one number a joint or channel, the channels being those of ``kinds`` in order."""
@@ -82,6 +99,7 @@ class ElasticNoise(BaseModel):
             "link": per_joint("link_acceleration", self.link_acceleration, n),
             "motor": per_joint("motor_acceleration", self.motor_acceleration, n),
             "torque": np.full(n, self.torque * robot.config.torque.noise_std),
+            "torque_walk": per_joint("torque_walk", self.torque_walk or 0.0, n),
             "disturbance_walk": self.disturbance_walk * drag,
             "initial": np.concatenate(initial),
         }
@@ -164,7 +182,7 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
         for piece in pieces:
             if core is None:
                 kinds = self._kinds(piece)
-                core = self._core(kinds, held=self._held)
+                core = self._core(kinds, self.noise.for_log(piece, self.robot), held=self._held)
             dt, readings, tau = self._arrays(piece, kinds, before)
             try:
                 result = core.run((dt, readings, self._acting(tau, before)))
@@ -221,7 +239,7 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
 
         It has taken no sample; a sample's torques are those that have acted, held, since the one before.
         """
-        return self._core(self._live_kinds, held=True), self._live_kinds
+        return self._core(self._live_kinds, self.noise, held=True), self._live_kinds
 
     @property
     def _live_kinds(self) -> tuple[str, ...]:
@@ -230,11 +248,11 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
         return ("motor", *(kind for kind, use in wanted.items() if use))
 
     def _start(self) -> _core.ElasticJointFilter:
-        return self._core(self._live_kinds, held=self._held)
+        return self._core(self._live_kinds, self.noise, held=self._held)
 
     def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
         kinds = self._kinds(log)
-        core = self._core(kinds, held=self._held)
+        core = self._core(kinds, self.noise.for_log(log, self.robot), held=self._held)
         dt, readings, tau = self._arrays(log, kinds)
         (outcome,) = core.run_all([(dt, readings, self._acting(tau))], self._smooth, covariance, innovations)
         return self._estimate(log, kinds, result_of(log.source, outcome))
@@ -246,7 +264,7 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
         log.require("tau", purpose=purpose)
         return self._with_wanted(("motor",), log, purpose)
 
-    def _core(self, kinds: tuple[str, ...], *, held: bool) -> _core.ElasticJointFilter:
+    def _core(self, kinds: tuple[str, ...], noise: ElasticNoise, *, held: bool) -> _core.ElasticJointFilter:
         if "acceleration" in kinds and is_late(self.robot):
             raise EstimatorError(
                 "the elastic-joint filter takes accelerations as they come, and robot.yaml gives an accelerometer a "
@@ -259,7 +277,7 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
             disturbances=self._disturbances,
             first_order=self._transition == "first-order",
             held=held,
-            noise=self.noise.arrays(self.robot, kinds),
+            noise=noise.arrays(self.robot, kinds),
             gate=self._gate,
             iterations=self._iterations,
         )
@@ -270,7 +288,7 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
             log.require_start("a filter", ("theta", "tau"))
         readings = np.hstack([log.theta if kind == "motor" else getattr(log, kind) for kind in kinds])
         dt = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before[0])
-        return dt, np.ascontiguousarray(readings), _torques(log, None if before is None else before[1])
+        return dt, np.ascontiguousarray(readings), log.tau
 
     def _acting(self, tau: FloatArray, before: tuple[float, FloatArray] | None = None) -> FloatArray:
         """Motor torques as the core takes them: held ones belong to the sample at which they end."""
@@ -289,12 +307,19 @@ class ElasticJointSmoother(ElasticJointFilter):
         raise EstimatorError("a smoother looks back from a recording's end; read the log whole and call run")
 
 
-def _torques(log: Log, before: FloatArray | None) -> FloatArray:
-    """Motor torques (T, n); a missing one is the one before it, at first that of the row ``before``."""
-    assert log.tau is not None  # `_kinds` has asked for it
-    missing = np.isnan(log.tau)
-    if not missing.any():
-        return log.tau
-    tau = log.tau if before is None else np.vstack([before, log.tau])
-    rows = np.arange(len(tau))[:, None] * ~np.isnan(tau)
-    return np.ascontiguousarray(np.take_along_axis(tau, np.maximum.accumulate(rows, axis=0), axis=0)[-len(log) :])
+def torque_walk(log: Log, noise: float) -> FloatArray:
+    """Density of a random walk (n,) that wanders at least as far as the log's torques over any time [N m/√s].
+
+    For each lag, a power of two of samples, the mean square of the change beyond ``noise`` [N m], over the lag.
+    """
+    assert log.tau is not None
+    longest = min(TORQUE_TIME, float(log.t[-1] - log.t[0]) / 2)
+    squares = [np.zeros(log.tau.shape[1])]
+    lag = 1
+    while lag < len(log) and (lag == 1 or lag * log.period <= longest):
+        change, time = log.tau[lag:] - log.tau[:-lag], log.t[lag:] - log.t[:-lag]
+        there = ~np.isnan(change)
+        total = np.where(there, change**2 - 2 * noise**2, 0.0).sum(axis=0)
+        squares.append(total / np.maximum((there * time[:, None]).sum(axis=0), log.period))
+        lag *= 2
+    return np.asarray(np.sqrt(np.max(squares, axis=0)))

@@ -18,6 +18,7 @@ from .source import Source, write_yaml
 FloatArray = npt.NDArray[np.float64]
 Std = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 PositiveStd = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Time = Annotated[float, Field(gt=0)]
 
 JERK_TIME = 0.02
 """Over this time jerk is taken to stay the same, where its size is read off a log [s]."""
@@ -61,6 +62,10 @@ class Noise(BaseModel):
         Initial uncertainty of biases [rad, m/s², rad/s].
     motor_bias_walk, acceleration_bias_walk, rate_bias_walk
         By how much biases wander in one second [rad/√s, m/s²/√s, rad/s/√s].
+    motor_bias_time, acceleration_bias_time, rate_bias_time
+        Over which time biases forget where they were [s] (Gauss and Markov's process): beyond it they wander no further
+        than ``walk · √(time/2)``. None: the time with which that is their initial uncertainty, so that they are as
+        uncertain at any time. Infinite: they wander without bound, and over a long recording the estimate with them.
     position, velocity, initial_acceleration
         Uncertainty of the links' state at the first sample, where the robot is taken to be at rest
         [rad, rad/s, rad/s²].
@@ -80,10 +85,13 @@ class Noise(BaseModel):
     velocity_walk: Std | tuple[Std, ...] = 0.0
     motor_bias: Std = 1e-5
     motor_bias_walk: Std = 1e-6
+    motor_bias_time: Time | None = None
     acceleration_bias: Std = 0.1
     acceleration_bias_walk: Std = 1e-3
+    acceleration_bias_time: Time | None = None
     rate_bias: Std = 1e-3
     rate_bias_walk: Std = 1e-5
+    rate_bias_time: Time | None = None
     position: Std = 1e-4
     velocity: Std = 1e-3
     initial_acceleration: Std = 0.1
@@ -129,24 +137,26 @@ def channel_arrays(noise: Any, motor: FloatArray, robot: Robot, kinds: tuple[str
     ``noise`` has the attributes of `Noise` that describe readings; ``motor`` is that of motor positions (n,) [rad].
     """
     n = robot.n
-    per_kind = {
-        "motor": (motor, noise.motor_bias, noise.motor_bias_walk),
-        "acceleration": (
-            noise.acceleration * sensor_noise(robot.accelerometers),
-            noise.acceleration_bias,
-            noise.acceleration_bias_walk,
-        ),
-        "dtheta": (np.full(n, noise.motor_velocity), 0.0, 0.0),
-        "rate": (noise.rate * sensor_noise(robot.gyroscopes), noise.rate_bias, noise.rate_bias_walk),
-        "q": (np.full(n, noise.link), 0.0, 0.0),
-        "torque": (np.full(n, noise.joint_torque), 0.0, 0.0),
+    readings = {
+        "motor": motor,
+        "acceleration": noise.acceleration * sensor_noise(robot.accelerometers),
+        "dtheta": np.full(n, noise.motor_velocity),
+        "rate": noise.rate * sensor_noise(robot.gyroscopes),
+        "q": np.full(n, noise.link),
+        "torque": np.full(n, noise.joint_torque),
     }
-    chosen = [per_kind[kind] for kind in kinds]
-    return {
-        "reading": np.concatenate([own for own, _, _ in chosen]),
-        "bias_walk": np.concatenate([np.full(len(own), walk) for own, _, walk in chosen]),
-        "initial_bias": np.concatenate([np.full(len(own), bias) for own, bias, _ in chosen]),
-    }
+    own = [readings[kind] for kind in kinds]
+    biases = np.repeat([_bias(noise, kind) for kind in kinds], [len(values) for values in own], axis=0)
+    bias, walk, time = biases.T
+    return {"reading": np.concatenate(own), "initial_bias": bias, "bias_walk": walk, "bias_time": time}
+
+
+def _bias(noise: Any, kind: str) -> tuple[float, float, float]:
+    """Initial uncertainty, walk and time constant of the biases of a kind."""
+    bias, walk, time = (getattr(noise, f"{kind}_bias{what}", 0.0) for what in ("", "_walk", "_time"))
+    if time is None and bias > 0 and walk > 0:
+        time = 2 * (bias / walk) ** 2
+    return bias, walk, time or np.inf
 
 
 def motor_noise(robot: Robot, transmission: float | tuple[float, ...]) -> FloatArray:

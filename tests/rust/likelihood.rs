@@ -47,7 +47,7 @@ fn recording(torque: bool) -> LikelihoodRecording {
     }
 }
 
-fn settings(torque: bool, held: bool) -> LikelihoodSettings {
+fn settings(torque: bool) -> LikelihoodSettings {
     let channels = JOINTS + SENSORS + if torque { JOINTS } else { 0 };
     let mut reading = vec![1e-4; JOINTS];
     reading.extend([0.05; SENSORS]);
@@ -58,19 +58,20 @@ fn settings(torque: bool, held: bool) -> LikelihoodSettings {
         reading,
         torsion: 1e-2,
         bias_walk: vec![1e-5; channels],
+        bias_time: vec![5.0; channels],
         initial: vec![1e-3; 3 * JOINTS],
         initial_bias: vec![1e-3; channels],
     };
-    LikelihoodSettings { noise, biased: vec![true; channels], torque, held, fixed: vec![], huber: f64::INFINITY }
+    LikelihoodSettings { noise, biased: vec![true; channels], torque, fixed: vec![], huber: f64::INFINITY }
 }
 
-fn likelihood(torque: bool, held: bool) -> Likelihood {
-    Likelihood::new(robot(), settings(torque, held), recording(torque)).unwrap()
+fn likelihood(torque: bool) -> Likelihood {
+    Likelihood::new(robot(), settings(torque), recording(torque)).unwrap()
 }
 
 #[test]
 fn equals_that_of_the_kalman_filter() {
-    let LikelihoodSettings { noise, biased, .. } = settings(false, true);
+    let LikelihoodSettings { noise, biased, .. } = settings(false);
     let log = recording(false);
     let model = JerkModel::new(robot(), Further::default(), &biased).unwrap();
     let model = JerkDriven::new(model, noise, true).unwrap();
@@ -84,7 +85,7 @@ fn equals_that_of_the_kalman_filter() {
     let dt = vec![1e-3; COUNT];
     let out = filter.run(KalmanRecording { dt: &dt, readings: &readings, inputs }, Keep::default()).unwrap();
     let theirs: f64 = out.log_likelihood.iter().sum();
-    let ours = likelihood(false, true).log_likelihood(&[], &[]).unwrap();
+    let ours = likelihood(false).log_likelihood(&[], &[]).unwrap();
     assert!((ours / theirs - 1.0).abs() < 1e-9, "{ours} {theirs}");
 }
 
@@ -129,7 +130,7 @@ fn difference(f: impl Fn(f64) -> f64, step: f64) -> f64 {
 
 #[test]
 fn gradient_is_that_of_the_likelihood_in_every_parameter() {
-    let likelihood = likelihood(true, false);
+    let likelihood = likelihood(true);
     let all = everything();
     let (names, values) = split(&all);
     let found = likelihood.evaluate(&names, &values, true).unwrap();
@@ -156,7 +157,7 @@ fn gradient_is_that_of_the_likelihood_in_every_parameter() {
 
 #[test]
 fn derivatives_do_not_depend_on_the_pass_that_carries_them() {
-    let likelihood = likelihood(true, false);
+    let likelihood = likelihood(true);
     let mut all = everything();
     let (names, values) = split(&all);
     let forth = likelihood.evaluate(&names, &values, false).unwrap();
@@ -177,7 +178,7 @@ fn an_outlier_counts_linearly_beyond_the_limit() {
     let spoilt = |size: f64, huber: f64| {
         let mut log = recording(false);
         log.theta[COUNT * JOINTS - 1] = size;
-        let likelihood = Likelihood::new(robot(), LikelihoodSettings { huber, ..settings(false, true) }, log).unwrap();
+        let likelihood = Likelihood::new(robot(), LikelihoodSettings { huber, ..settings(false) }, log).unwrap();
         likelihood.log_likelihood(&[], &[]).unwrap()
     };
     let growth = |huber| (spoilt(4.0, huber) - spoilt(2.0, huber)) / (spoilt(2.0, huber) - spoilt(1.0, huber));
@@ -187,7 +188,7 @@ fn an_outlier_counts_linearly_beyond_the_limit() {
 
 #[test]
 fn what_does_not_fit_is_refused() {
-    let found = likelihood(false, true);
+    let found = likelihood(false);
     let missing = Err(RunError::Design(DesignError::NoParameter { parameter: Parameter::Damping(2) }));
     assert_eq!(found.log_likelihood(&[Parameter::Damping(2)], &[1.0]), missing);
     let short = RunError::Design(DesignError::Length { what: "values", found: 0, expected: 1 });
@@ -195,14 +196,14 @@ fn what_does_not_fit_is_refused() {
     let broken = found.log_likelihood(&[Parameter::SensorNoise(0)], &[f64::NAN]);
     assert!(matches!(broken, Err(RunError::NotFinite { .. })));
     let refused = |settings: LikelihoodSettings, log| Likelihood::new(robot(), settings, log).unwrap_err();
-    let huber = refused(LikelihoodSettings { huber: 0.0, ..settings(false, true) }, recording(false));
+    let huber = refused(LikelihoodSettings { huber: 0.0, ..settings(false) }, recording(false));
     assert!(matches!(huber, DesignError::Range { what: "huber", .. }));
-    let torque = refused(settings(true, true), recording(false));
+    let torque = refused(settings(true), recording(false));
     assert!(matches!(torque, DesignError::Length { what: "ddtheta", .. }));
     let mut log = recording(false);
     log.t[7] = log.t[6];
-    assert!(matches!(refused(settings(false, true), log), DesignError::Range { what: "t", .. }));
+    assert!(matches!(refused(settings(false), log), DesignError::Range { what: "t", .. }));
     let mut log = recording(false);
     log.theta[1] = f64::NAN;
-    assert_eq!(refused(settings(false, true), log), DesignError::NoStart { joint: 1 });
+    assert_eq!(refused(settings(false), log), DesignError::NoStart { joint: 1 });
 }

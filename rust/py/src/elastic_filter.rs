@@ -24,15 +24,39 @@ struct Noise {
     torque: Vec<f64>,
     disturbance_walk: Vec<f64>,
     reading: Vec<f64>,
+    torque_walk: Vec<f64>,
     bias_walk: Vec<f64>,
+    bias_time: Vec<f64>,
     initial: Vec<f64>,
     initial_bias: Vec<f64>,
 }
 
 impl From<Noise> for ElasticNoise {
     fn from(n: Noise) -> Self {
-        let Noise { link, motor, torque, disturbance_walk, reading, bias_walk, initial, initial_bias } = n;
-        Self { link, motor, torque, disturbance_walk, reading, bias_walk, initial, initial_bias }
+        let Noise {
+            link,
+            motor,
+            torque,
+            disturbance_walk,
+            torque_walk,
+            reading,
+            bias_walk,
+            bias_time,
+            initial,
+            initial_bias,
+        } = n;
+        Self {
+            link,
+            motor,
+            torque,
+            disturbance_walk,
+            torque_walk,
+            reading,
+            bias_walk,
+            bias_time,
+            initial,
+            initial_bias,
+        }
     }
 }
 

@@ -23,14 +23,15 @@ pub(crate) struct Noise {
     reading: Vec<f64>,
     torsion: f64,
     bias_walk: Vec<f64>,
+    bias_time: Vec<f64>,
     initial: Vec<f64>,
     initial_bias: Vec<f64>,
 }
 
 impl From<Noise> for kalman::Noise {
     fn from(n: Noise) -> Self {
-        let Noise { jerk, link_walk, reading, torsion, bias_walk, initial, initial_bias } = n;
-        Self { jerk, link_walk, reading, torsion, bias_walk, initial, initial_bias }
+        let Noise { jerk, link_walk, reading, torsion, bias_walk, bias_time, initial, initial_bias } = n;
+        Self { jerk, link_walk, reading, torsion, bias_walk, bias_time, initial, initial_bias }
     }
 }
 

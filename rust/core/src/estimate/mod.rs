@@ -1,5 +1,6 @@
 //! Estimators: a model and a method.
 
+pub(crate) mod bias;
 pub(crate) mod jerk_noise;
 pub mod kalman;
 pub mod likelihood;

@@ -179,7 +179,12 @@ impl Model for JerkDriven {
 
     #[inline(always)]
     fn retreat(&mut self, _: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric) {
-        self.model.retreat(lambda, big, dt);
+        self.model.retreat(lambda, big, &self.noise, dt);
+    }
+
+    #[inline(always)]
+    fn noise_rows(&mut self, _: &[f64], dt: f64, rows: &mut [f64], stride: usize) {
+        self.model.noise_rows(rows, stride, &self.noise, dt);
     }
 
     /// The first n channels are the motors': their positions by the linearisation, their velocities by its rate.

@@ -1,11 +1,12 @@
 //! The elastic-joint model: links and motors moved by motor torques, everything that is recorded as a measurement.
 
 use super::channels::Channel;
+use super::drift::Biases;
 use super::gaussian::{Gaussian, Symmetric};
 use super::jerk::Further;
 use super::model::{Linearised, Model};
 use super::output::FilterOutput;
-use super::recording::{KalmanRecording, KalmanSample, check_deviations, check_readings, expect_length};
+use super::recording::{KalmanRecording, KalmanSample, check_deviations, check_readings, check_times, expect_length};
 use super::transition::Transition;
 use crate::dynamics::ElasticLayout;
 use crate::error::DesignError;
@@ -27,8 +28,12 @@ pub struct ElasticNoise {
     pub disturbance_walk: Vec<f64>,
     /// One reading's noise (channels) [the channel's unit].
     pub reading: Vec<f64>,
+    /// By how much a motor torque whose reading is missing may wander from the last one in one second (n) [N m/√s].
+    pub torque_walk: Vec<f64>,
     /// By how much each channel's bias wanders in one second (channels) [unit/√s].
     pub bias_walk: Vec<f64>,
+    /// Over which time each channel's bias forgets (channels) [s], infinite for a random walk.
+    pub bias_time: Vec<f64>,
     /// Initial position, velocity (of links and of motors) and disturbance torque of each joint (3n).
     pub initial: Vec<f64>,
     /// Initial bias (channels).
@@ -76,7 +81,12 @@ pub struct ElasticModel {
     transition: Transition,
     prediction: Vec<f64>,
     jacobian: Vec<f64>,
+    /// The latest torques that were read.
     tau: Vec<f64>,
+    /// How long ago that was (n) [s].
+    age: Vec<f64>,
+    /// Torques at the sample before.
+    before: Vec<f64>,
     held: bool,
 }
 
@@ -98,11 +108,14 @@ impl ElasticModel {
             biased.then(|| states - 1)
         };
         let biases = settings.biased.iter().map(&mut number).collect();
+        let sources = sources(&robot, &layout, &noise);
         Ok(Self {
-            transition: Transition::new(&robot, layout, settings.discretization, states),
+            transition: Transition::new(&robot, layout, settings.discretization, states, sources),
             prediction: vec![0.0; m],
             jacobian: vec![0.0; m * d],
             tau: vec![0.0; n],
+            age: vec![0.0; n],
+            before: vec![0.0; n],
             held: settings.held,
             robot,
             channels,
@@ -115,6 +128,31 @@ impl ElasticModel {
     /// What is measured, in the order of the readings.
     pub fn channel_list(&self) -> &[Channel] {
         &self.channels
+    }
+
+    fn drift(&self) -> Biases<'_> {
+        Biases { states: &self.biases, walk: &self.noise.bias_walk, time: &self.noise.bias_time }
+    }
+
+    /// Variance of each torque over a step of `dt` to `tau`, with NaN where the reading is missing.
+    ///
+    /// A torque that nobody reads is held, and true torque wanders from it. What that does to the velocity, an integral of a
+    /// random walk, is given the right variance at every moment by noise that is constant over each step.
+    #[inline(always)]
+    fn set_torque_variances(&mut self, tau: &[f64], dt: f64) {
+        let Self { noise, age, transition, .. } = self;
+        let variances = age.iter().enumerate().map(|(j, &age)| {
+            let read = noise.torque[j] * noise.torque[j];
+            if age == 0.0 && !tau[j].is_nan() {
+                return read;
+            }
+            let grown = (age + dt) * (age + dt) * (age + dt) - age * age * age;
+            read + noise.torque_walk[j] * noise.torque_walk[j] * grown / (3.0 * dt * dt)
+        });
+        transition.set_torque_variances(variances);
+        for (age, tau) in self.age.iter_mut().zip(tau) {
+            *age = if tau.is_nan() { *age + dt } else { 0.0 };
+        }
     }
 
     fn initial(&self, q: &[f64], theta: &[f64]) -> Gaussian {
@@ -141,27 +179,6 @@ impl ElasticModel {
         let mut belief = Gaussian::independent(&std);
         belief.mean.copy_from_slice(&mean);
         belief
-    }
-
-    #[inline(always)]
-    fn add_process_noise(&mut self, p: &mut Symmetric, dt: f64) {
-        let (layout, noise, n) = (&self.transition.layout, &self.noise, self.robot.len());
-        let mut add = |i: usize, density: f64| p.data[i * p.stride + i] += density * density * dt;
-        for j in 0..n {
-            add(n + j, noise.link[j]);
-            if self.robot.drives[j].elastic {
-                add(layout.dtheta[j], noise.motor[j]);
-            }
-            if let Some(first) = layout.disturbance {
-                add(first + j, noise.disturbance_walk[j]);
-            }
-        }
-        for (bias, walk) in self.biases.iter().zip(&noise.bias_walk) {
-            if let Some(b) = *bias {
-                add(b, *walk);
-            }
-        }
-        self.transition.add_torque_noise(&self.robot, p, &noise.torque, dt);
     }
 
     /// Rows of an accelerometer at q̈ of the model: by q and q̇ directly, and by all that moves q̈.
@@ -267,17 +284,23 @@ impl Model for ElasticModel {
         let q = link_position_at_rest(&self.robot, theta)?;
         *belief = self.initial(&q, theta);
         self.tau.copy_from_slice(sample.inputs.tau);
+        self.age.fill(0.0);
         self.transition.start(&self.robot, &belief.mean, &self.tau);
         Ok(())
     }
 
     #[inline(always)]
     fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
-        let after = sample.inputs.tau;
-        let before = if self.held { after } else { &self.tau };
-        self.transition.advance(&self.robot, belief, (before, after), sample.dt);
-        self.add_process_noise(&mut belief.covariance, sample.dt);
-        self.tau.copy_from_slice(after);
+        self.set_torque_variances(sample.inputs.tau, sample.dt);
+        self.before.copy_from_slice(&self.tau);
+        for (tau, read) in self.tau.iter_mut().zip(sample.inputs.tau) {
+            if !read.is_nan() {
+                *tau = *read;
+            }
+        }
+        let before = if self.held { &self.tau } else { &self.before };
+        self.transition.advance(&self.robot, belief, (before, &self.tau), sample.dt);
+        self.drift().predict(belief, sample.dt);
     }
 
     #[inline(always)]
@@ -312,10 +335,10 @@ impl Model for ElasticModel {
     }
 
     fn memory(&self) -> usize {
-        self.transition.layout.dense.pow(2) + self.robot.len()
+        2 * self.transition.layout.dense.pow(2) + self.robot.len()
     }
 
-    /// The transition to this sample, and the torques at it.
+    /// The transition to this sample with its noise, and the torques at it.
     #[inline(always)]
     fn remember(&self, memory: &mut Vec<f64>) {
         self.transition.remember(memory);
@@ -323,9 +346,20 @@ impl Model for ElasticModel {
     }
 
     #[inline(always)]
-    fn retreat(&mut self, memory: &[f64], _: f64, lambda: &mut [f64], big: &mut Symmetric) {
-        let size = memory.len() - self.robot.len();
-        self.transition.retreat(&memory[..size], lambda, big);
+    fn noise_rows(&mut self, memory: &[f64], dt: f64, rows: &mut [f64], stride: usize) {
+        let rest = self.drift().noise_rows(rows, stride, dt);
+        self.transition.noise_rows(&memory[..memory.len() - self.robot.len()], rest, stride);
+    }
+
+    #[inline(always)]
+    fn retreat(&mut self, memory: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric) {
+        self.drift().retreat(lambda, big, dt);
+        self.transition.retreat(memory, lambda, big);
+    }
+
+    #[inline(always)]
+    fn bridged(&self) -> bool {
+        self.age.iter().any(|&age| age > 0.0)
     }
 
     #[inline(always)]
@@ -352,11 +386,25 @@ fn check(noise: &ElasticNoise, n: usize, m: usize) -> Result<(), DesignError> {
         ("motor", &noise.motor, n),
         ("torque", &noise.torque, n),
         ("disturbance_walk", &noise.disturbance_walk, n),
+        ("torque_walk", &noise.torque_walk, n),
         ("reading", &noise.reading, m),
         ("bias_walk", &noise.bias_walk, m),
         ("initial", &noise.initial, 3 * n),
         ("initial_bias", &noise.initial_bias, m),
     ];
     lengths.iter().try_for_each(|(what, values, expected)| check_deviations(what, values, *expected))?;
+    check_times(&noise.bias_time, m)?;
     check_readings(&noise.reading)
+}
+
+/// The states that white noise drives, and its densities.
+fn sources(robot: &Robot, layout: &ElasticLayout, noise: &ElasticNoise) -> Vec<(usize, f64)> {
+    let n = robot.len();
+    let links = (0..n).map(|j| (n + j, noise.link[j]));
+    let motors = (0..n).filter(|&j| robot.drives[j].elastic).map(|j| (layout.dtheta[j], noise.motor[j]));
+    let disturbances = layout
+        .disturbance
+        .into_iter()
+        .flat_map(|first| noise.disturbance_walk.iter().enumerate().map(move |(j, walk)| (first + j, *walk)));
+    links.chain(motors).chain(disturbances).filter(|(_, density)| *density > 0.0).collect()
 }

@@ -7,6 +7,7 @@ use super::output::{FilterOutput, Keep, Tool};
 use super::recording::{KalmanRecording, KalmanSample};
 use super::smoother::{History, Smoother};
 use crate::error::{DesignError, RunError};
+use crate::estimate::Status;
 use crate::simd::{self, Kernel};
 use rayon::prelude::*;
 
@@ -124,6 +125,9 @@ impl<M: Model> ExtendedKalmanFilter<M> {
             self.linearise();
             self.belief.copy_from(&self.prior);
             self.correction.update(&self.model, &mut self.belief, sample.readings, None);
+        }
+        if self.model.bridged() {
+            self.correction.status |= Status::BRIDGED;
         }
     }
 

@@ -2,16 +2,19 @@
 
 mod channels;
 mod correction;
+mod drift;
 mod driven;
 mod elastic;
 mod filter;
 mod gaussian;
+mod information;
 mod jerk;
 mod model;
 mod output;
 mod recording;
 mod slope;
 mod smoother;
+mod step_noise;
 mod transition;
 
 pub use channels::{Channel, Evaluation};

@@ -53,13 +53,21 @@ pub trait Model: Clone + Send + Sync {
     /// Variance of a channel's noise, where the model was linearised.
     fn variance(&self, channel: usize) -> f64;
 
+    /// Whether what drives the model was missing at the sample last predicted to, and was bridged.
+    fn bridged(&self) -> bool {
+        false
+    }
+
     /// How many numbers [`remember`](Self::remember) writes.
     fn memory(&self) -> usize;
 
     /// What [`report`](Self::report) and [`retreat`](Self::retreat) need of this sample.
     fn remember(&self, memory: &mut Vec<f64>);
 
-    /// The adjoint of [`predict`](Self::predict): λ ← Fᵀ λ, Λ ← Fᵀ Λ F.
+    /// Writes rows Gᵀ with G Gᵀ = Q of [`predict`](Self::predict), one a state, `stride` apart, into `rows`, which are zero.
+    fn noise_rows(&mut self, memory: &[f64], dt: f64, rows: &mut [f64], stride: usize);
+
+    /// The adjoint of [`predict`](Self::predict) without its noise: λ ← Fᵀ λ, Λ ← Fᵀ Λ F.
     fn retreat(&mut self, memory: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric);
 
     /// Writes links and motors at `state` into row `i`.

@@ -94,6 +94,16 @@ pub(super) fn check_deviations(what: &'static str, values: &[f64], expected: usi
 }
 
 /// # Errors
+/// Another number of times than `expected`, or one that is not greater than 0.
+pub(super) fn check_times(values: &[f64], expected: usize) -> Result<(), DesignError> {
+    expect_length("bias_time", values.len(), expected)?;
+    match values.iter().find(|v| v.is_nan() || **v <= 0.0) {
+        Some(&value) => Err(DesignError::Range { what: "bias_time", value, expected: "a time greater than 0" }),
+        None => Ok(()),
+    }
+}
+
+/// # Errors
 /// A reading without noise.
 pub(super) fn check_readings(values: &[f64]) -> Result<(), DesignError> {
     match values.iter().find(|v| **v == 0.0) {
