@@ -85,8 +85,11 @@ pub struct ElasticModel {
     tau: Vec<f64>,
     /// How long ago that was (n) [s].
     age: Vec<f64>,
-    /// Torques at the sample before.
+    /// Torques at the beginning and at the end of a step.
     before: Vec<f64>,
+    after: Vec<f64>,
+    /// Mean and variance of each disturbance before its torque's readings were missing.
+    outage: Vec<(f64, f64)>,
     held: bool,
 }
 
@@ -116,6 +119,8 @@ impl ElasticModel {
             tau: vec![0.0; n],
             age: vec![0.0; n],
             before: vec![0.0; n],
+            after: vec![0.0; n],
+            outage: vec![(0.0, 0.0); n],
             held: settings.held,
             robot,
             channels,
@@ -134,25 +139,52 @@ impl ElasticModel {
         Biases { states: &self.biases, walk: &self.noise.bias_walk, time: &self.noise.bias_time }
     }
 
-    /// Variance of each torque over a step of `dt` to `tau`, with NaN where the reading is missing.
+    /// Readies the step of `dt` to motor torques `read`, NaN where missing.
     ///
-    /// A torque that nobody reads is held, and true torque wanders from it. What that does to the velocity, an integral of a
-    /// random walk, is given the right variance at every moment by noise that is constant over each step.
+    /// A torque that nobody reads is held, and the true one wanders from it: with the motor's disturbance, until the reading is
+    /// back and the disturbance is again what it was before. Without disturbances the wandering is noise of the torque that
+    /// is constant over each step, of a variance that gives velocity the right one.
     #[inline(always)]
-    fn set_torque_variances(&mut self, tau: &[f64], dt: f64) {
-        let Self { noise, age, transition, .. } = self;
-        let variances = age.iter().enumerate().map(|(j, &age)| {
-            let read = noise.torque[j] * noise.torque[j];
-            if age == 0.0 && !tau[j].is_nan() {
-                return read;
+    fn expect_torques(&mut self, belief: &Gaussian, read: &[f64], dt: f64) {
+        let Self { noise, age, transition, outage, .. } = self;
+        transition.replaced.clear();
+        for (j, age) in age.iter_mut().enumerate() {
+            let gone = read[j].is_nan();
+            let wander = if gone || *age > 0.0 { noise.torque_walk[j] } else { 0.0 };
+            transition.torque[j] = noise.torque[j] * noise.torque[j];
+            if let Some(first) = transition.layout.disturbance {
+                let (state, walk) = (first + j, noise.disturbance_walk[j]);
+                transition.noise.set_density(state, walk.hypot(wander));
+                if gone && *age == 0.0 {
+                    outage[j] = (belief.mean[state], belief.covariance.at(state, state));
+                } else if !gone && *age > 0.0 {
+                    transition.replaced.push((state, outage[j].1 + walk * walk * (*age + dt)));
+                }
+            } else {
+                let grown = (*age + dt) * (*age + dt) * (*age + dt) - *age * *age * *age;
+                transition.torque[j] += wander * wander * grown / (3.0 * dt * dt);
             }
-            let grown = (age + dt) * (age + dt) * (age + dt) - age * age * age;
-            read + noise.torque_walk[j] * noise.torque_walk[j] * grown / (3.0 * dt * dt)
-        });
-        transition.set_torque_variances(variances);
-        for (age, tau) in self.age.iter_mut().zip(tau) {
-            *age = if tau.is_nan() { *age + dt } else { 0.0 };
+            *age = if gone { *age + dt } else { 0.0 };
         }
+    }
+
+    /// The torques between the sample before and one of which `read` is read.
+    #[inline(always)]
+    fn take_torques(&mut self, read: &[f64]) {
+        for (j, read) in read.iter().enumerate() {
+            let back = self.transition.layout.disturbance.is_some_and(|first| self.is_replaced(first + j));
+            self.before[j] = self.tau[j];
+            // At the end of an outage it is the disturbance that has what the held torque lacks.
+            self.after[j] = if back || read.is_nan() { self.tau[j] } else { *read };
+            if !read.is_nan() {
+                self.tau[j] = *read;
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn is_replaced(&self, state: usize) -> bool {
+        self.transition.replaced.iter().any(|(replaced, _)| *replaced == state)
     }
 
     fn initial(&self, q: &[f64], theta: &[f64]) -> Gaussian {
@@ -291,15 +323,14 @@ impl Model for ElasticModel {
 
     #[inline(always)]
     fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
-        self.set_torque_variances(sample.inputs.tau, sample.dt);
-        self.before.copy_from_slice(&self.tau);
-        for (tau, read) in self.tau.iter_mut().zip(sample.inputs.tau) {
-            if !read.is_nan() {
-                *tau = *read;
-            }
+        self.expect_torques(belief, sample.inputs.tau, sample.dt);
+        self.take_torques(sample.inputs.tau);
+        let before = if self.held { &self.after } else { &self.before };
+        self.transition.advance(&self.robot, belief, (before, &self.after), sample.dt);
+        let first = self.transition.layout.disturbance.unwrap_or(0);
+        for &(state, _) in &self.transition.replaced {
+            belief.mean[state] = self.outage[state - first].0;
         }
-        let before = if self.held { &self.tau } else { &self.before };
-        self.transition.advance(&self.robot, belief, (before, &self.tau), sample.dt);
         self.drift().predict(belief, sample.dt);
     }
 
@@ -406,5 +437,5 @@ fn sources(robot: &Robot, layout: &ElasticLayout, noise: &ElasticNoise) -> Vec<(
         .disturbance
         .into_iter()
         .flat_map(|first| noise.disturbance_walk.iter().enumerate().map(move |(j, walk)| (first + j, *walk)));
-    links.chain(motors).chain(disturbances).filter(|(_, density)| *density > 0.0).collect()
+    links.chain(motors).chain(disturbances).collect()
 }

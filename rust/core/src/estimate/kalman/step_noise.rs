@@ -47,6 +47,23 @@ impl StepNoise {
         }
     }
 
+    /// From now on noise drives `state` with this density.
+    #[inline(always)]
+    pub(super) fn set_density(&mut self, state: usize, density: f64) {
+        for source in self.sources.iter_mut().filter(|(driven, _)| *driven == state) {
+            source.1 = density;
+        }
+    }
+
+    /// At the end of the step `state` is another one, independent of all, of this variance.
+    #[inline(always)]
+    pub(super) fn replace(&mut self, state: usize, variance: f64) {
+        for k in 0..self.covariance.n {
+            self.covariance.put(state, k, 0.0);
+        }
+        self.covariance.put(state, state, variance);
+    }
+
     /// Before the first [`term`](Self::term).
     #[inline(always)]
     pub(super) fn clear(&mut self) {

@@ -20,9 +20,11 @@ pub(super) struct Transition {
     pub(super) layout: ElasticLayout,
     pub(super) dynamics: ElasticDynamics,
     discretization: Discretization,
-    noise: StepNoise,
+    pub(super) noise: StepNoise,
     /// Variance of each torque over a step (n).
-    torque: Vec<f64>,
+    pub(super) torque: Vec<f64>,
+    /// States that are others after the next step, independent of all, of these variances.
+    pub(super) replaced: Vec<(usize, f64)>,
     /// Upper bound of the fastest mode [rad/s], where the model was last linearised.
     fastest: f64,
     /// Numbers between rows of the matrices.
@@ -59,6 +61,7 @@ impl Transition {
             discretization,
             noise: StepNoise::new(d, sources, robot.len()),
             torque: vec![0.0; robot.len()],
+            replaced: Vec::with_capacity(robot.len()),
             fastest: 0.0,
             stride,
             phi: matrix(),
@@ -78,14 +81,6 @@ impl Transition {
         self.probe.copy_from_slice(&x[..self.layout.dense]);
         self.tau.copy_from_slice(tau);
         self.linearise(robot);
-    }
-
-    /// Torques that are constant over the next steps are wrong by these `variances` (n).
-    #[inline(always)]
-    pub(super) fn set_torque_variances(&mut self, variances: impl Iterator<Item = f64>) {
-        for (own, variance) in self.torque.iter_mut().zip(variances) {
-            *own = variance;
-        }
     }
 
     /// Moves `belief` by `dt` [s], its noise included.
@@ -115,8 +110,12 @@ impl Transition {
                 self.square(doublings);
             }
         }
-        self.congruence(&mut belief.covariance, false);
         self.noise.add_torques(&self.torque);
+        for &(state, variance) in &self.replaced {
+            self.noise.replace(state, variance);
+            self.phi[state * self.stride..][..d].fill(0.0);
+        }
+        self.congruence(&mut belief.covariance, false);
         let (p, q) = (&mut belief.covariance, self.noise.covariance());
         for (row, noise) in p.data.chunks_exact_mut(p.stride).zip(q.data.chunks_exact(q.stride)) {
             linear::add_scaled(&mut row[..d], 1.0, noise);
