@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from os import PathLike
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -13,12 +13,13 @@ from pydantic import BaseModel, ConfigDict
 from . import _core
 from .errors import EstimatorError, NumericalError
 from .estimate import result_of
-from .filtering import KalmanEstimate, KalmanFilter, Signal, sized
+from .filtering import KalmanEstimate, KalmanFilter, Signal, first_readings, sized, with_first
 from .log import Log
-from .noise import PositiveStd, Std, Time, channel_arrays, motor_noise, per_joint
+from .noise import LEAST_JERK, PositiveStd, Std, Time, channel_arrays, jerk_scale, motor_noise, per_joint
 from .robot import Robot
 from .sensing import is_late
 from .source import Source
+from .start import Moving, Readings, Start
 
 FloatArray = npt.NDArray[np.float64]
 Arrays = tuple[FloatArray, FloatArray, FloatArray]
@@ -133,7 +134,7 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
     transition
         How the covariance is carried over a step: ``"exact"``, by the exponential of the derivatives, or
         ``"first-order"``, 1 + A h, as in the paper.
-    gate, iterations
+    gate, iterations, start
         As of `ExtendedKalmanFilter`.
 
     Raises
@@ -163,9 +164,10 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
         transition: Literal["exact", "first-order"] = "exact",
         gate: float | None = None,
         iterations: int = 1,
+        start: Start = "auto",
     ) -> None:
         wanted = {"acceleration": accelerations, "dtheta": dtheta, "rate": rate, "q": q, "torque": torque}
-        super().__init__(robot, wanted, biases, gate, iterations)
+        super().__init__(robot, wanted, biases, gate, iterations, start)
         if transition not in ("exact", "first-order"):
             raise EstimatorError(f"transition is {transition!r}, expected 'exact' or 'first-order'")
         if motor_torque not in ("sampled", "held"):
@@ -179,11 +181,14 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
         core: _core.ElasticJointFilter | None = None
         kinds: tuple[str, ...] = ()
         before: tuple[float, FloatArray] | None = None
+        first, pieces = with_first(pieces)
         for piece in pieces:
             if core is None:
                 kinds = self._kinds(piece)
-                core = self._core(kinds, self.noise.for_log(piece, self.robot), held=self._held)
             dt, readings, tau = self._arrays(piece, kinds, before)
+            if core is None and first is not None:
+                core = self._started_core(kinds, piece, first)
+            assert core is not None  # there is a first piece
             try:
                 result = core.run((dt, readings, self._acting(tau, before)))
             except NumericalError as error:
@@ -202,7 +207,7 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
         further: Signal | None = None,
         out: FloatArray | None = None,
     ) -> FloatArray:
-        """Take one sample and give the mean of the state at its time; the first sample starts from rest.
+        """Take one sample and give the mean of the state at its time.
 
         Parameters
         ----------
@@ -225,6 +230,29 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
             Link positions (n) and velocities (n), motor positions and velocities of the elastic joints, disturbance
             torques, biases. ``covariance`` and ``status`` tell the rest.
         """
+        if self._deciding():
+            sample: dict[str, Any] = {"dt": dt, "theta": theta, "tau": tau, "dtheta": dtheta}
+            sample |= {"acceleration": acceleration, "further": further}
+            jerk = np.full(self.robot.n, LEAST_JERK)
+            state = self._decide(
+                sample, self._step, lambda first: self._begin(self._live, first, self._live_kinds, self.noise, jerk)
+            )
+            if out is None:
+                return np.asarray(state)
+            out[:] = sized("out", state, len(out))
+            return out
+        return self._step(dt, theta, tau, dtheta, acceleration, further, out)
+
+    def _step(
+        self,
+        dt: float,
+        theta: Signal,
+        tau: Signal,
+        dtheta: Signal | None,
+        acceleration: Signal | None,
+        further: Signal | None,
+        out: FloatArray | None = None,
+    ) -> FloatArray:
         live, kinds = self._live, self._live_kinds
         given = {"motor": theta, "acceleration": acceleration, "dtheta": dtheta}
         names = {"motor": "theta"}
@@ -233,6 +261,24 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
         out = np.empty(live.states) if out is None else out
         self.status = live.step(dt, np.concatenate(parts), tau, out)
         return out
+
+    def _state(self, moving: Moving, arrays: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
+        elastic = self.robot.elastic
+        disturbance = np.array(arrays["initial"])[2 * self.robot.n :]
+        mean = [moving.q, moving.dq, moving.theta[elastic], moving.dtheta[elastic]]
+        motors = np.hypot(arrays["reading"][: self.robot.n], self.noise.position)
+        std = [moving.q_std, moving.dq_std, motors[elastic], moving.dtheta_std[elastic]]
+        if self._disturbances:
+            mean.append(np.zeros(self.robot.n))
+            std.append(disturbance)
+        return np.concatenate(mean), np.concatenate(std)
+
+    def _started_core(self, kinds: tuple[str, ...], log: Log, first: Readings) -> _core.ElasticJointFilter:
+        """A filter of the core that starts where the first samples say."""
+        noise = self.noise.for_log(log, self.robot)
+        core = self._core(kinds, noise, held=self._held)
+        self._begin(core, first, kinds, noise, jerk_scale(log))
+        return core
 
     def fresh(self) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
         """Build a filter of the core for a loop, and the kinds of its channels.
@@ -252,8 +298,8 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
 
     def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
         kinds = self._kinds(log)
-        core = self._core(kinds, self.noise.for_log(log, self.robot), held=self._held)
         dt, readings, tau = self._arrays(log, kinds)
+        core = self._started_core(kinds, log, first_readings(log))
         (outcome,) = core.run_all([(dt, readings, self._acting(tau))], self._smooth, covariance, innovations)
         return self._estimate(log, kinds, result_of(log.source, outcome))
 
@@ -288,6 +334,7 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
             log.require_start("a filter", ("theta", "tau"))
         readings = np.hstack([log.theta if kind == "motor" else getattr(log, kind) for kind in kinds])
         dt = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before[0])
+        assert log.tau is not None  # `_kinds` has asked for it
         return dt, np.ascontiguousarray(readings), log.tau
 
     def _acting(self, tau: FloatArray, before: tuple[float, FloatArray] | None = None) -> FloatArray:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any, Generic, Protocol, TypeVar, overload
 
 import numpy as np
@@ -15,6 +16,7 @@ from .errors import EstimatorError
 from .estimate import Estimate
 from .log import Log
 from .robot import Robot
+from .start import WINDOW, Moving, Readings, Spread, Start, find_start, given
 
 FloatArray = npt.NDArray[np.float64]
 Signal = FloatArray | Sequence[float]
@@ -64,6 +66,16 @@ class CoreFilter(Protocol):
         """Covariance of the state, (states, states)."""
 
 
+class Startable(CoreFilter, Protocol):
+    """A filter of the core that can be told where it starts."""
+
+    def reset(self) -> None:
+        """Forget the state."""
+
+    def set_start(self, mean: FloatArray, covariance: FloatArray) -> None:
+        """Let a first sample find this belief."""
+
+
 Core = TypeVar("Core", bound=CoreFilter)
 
 
@@ -80,7 +92,7 @@ class LiveFilter(ABC, Generic[Core]):
         return self._live.covariance
 
     def reset(self) -> None:
-        """Forget the state: the next `step` starts anew, from rest."""
+        """Forget the state: the next `step` starts anew."""
         self._started = None
 
     @property
@@ -106,8 +118,12 @@ class KalmanFilter(LiveFilter[Core]):
         biases: Sequence[str],
         gate: float | None,
         iterations: int,
+        start: Start = "auto",
     ) -> None:
         super().__init__()
+        if isinstance(start, str) and start not in ("auto", "rest"):
+            raise EstimatorError(f"start is {start!r}, expected 'auto', 'rest', or a mean and a covariance")
+        self._at, self._early = start, list[dict[str, Any]]()
         unknown = sorted(set(biases) - set(BIASED))
         if unknown:
             raise EstimatorError(f"biases: {unknown[0]!r} is not one of {', '.join(map(repr, BIASED))}")
@@ -126,7 +142,7 @@ class KalmanFilter(LiveFilter[Core]):
     def run(
         self, log: Log | Sequence[Log], *, covariance: bool = False, innovations: bool = False
     ) -> KalmanEstimate | list[KalmanEstimate]:
-        """Estimate a recording, or several on all cores; each starts from rest at its first sample.
+        """Estimate a recording, or several on all cores; each starts as ``start`` says.
 
         Parameters
         ----------
@@ -148,6 +164,69 @@ class KalmanFilter(LiveFilter[Core]):
             return self._run(log, covariance, innovations)
         with ThreadPoolExecutor() as pool:
             return list(pool.map(lambda one: self._run(one, covariance, innovations), log))
+
+    def reset(self) -> None:
+        """Forget the state: the next `step` starts anew."""
+        super().reset()
+        self._early = []
+
+    def _begin(self, core: Startable, first: Readings, kinds: tuple[str, ...], noise: Any, jerk: FloatArray) -> None:
+        """Tell a filter of the core where it starts, by its first samples, or by what the user says."""
+        if self._at == "rest":
+            return
+        arrays = noise.arrays(self.robot, kinds)
+        biased = self._channels(kinds)["biased"]
+        bias = np.array(arrays["initial_bias"])[biased]
+        if not isinstance(self._at, str):
+            core.set_start(
+                *given(self._at, np.concatenate([np.zeros(core.states - len(bias)), bias]), core.states - len(bias))
+            )
+            return
+        n = self.robot.n
+        sensors = np.array(arrays["reading"])[n:][: self._width("acceleration") if "acceleration" in kinds else 0]
+        spread = Spread(np.array(arrays["reading"])[:n], max(noise.motor_velocity, 1e-9), sensors, jerk)
+        if "acceleration" not in kinds:
+            first = Readings(first.t, first.theta, first.dtheta, None)
+        moving = find_start(self.robot, first, spread)
+        if moving is not None:
+            mean, std = self._state(moving, arrays)
+            std = np.concatenate([std, bias])
+            core.set_start(np.concatenate([mean, np.zeros(len(bias))]), np.diag(std**2))
+
+    @abstractmethod
+    def _state(self, moving: Moving, arrays: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
+        """Mean and standard deviations of the state without biases, of a robot that is moving."""
+
+    def _decide(
+        self, sample: dict[str, Any], step: Callable[..., FloatArray], begin: Callable[[Readings], None]
+    ) -> Any:
+        """Take one of the first samples, which decide where the filter starts: all of them, from where they say."""
+        self._early.append({name: np.array(x, float) if np.ndim(x) else x for name, x in sample.items()})
+        try:
+            self._start_anew()
+            begin(self._early_readings())
+            for early in self._early:
+                state = step(**early)
+        except EstimatorError:
+            self._early.pop()
+            raise
+        return state
+
+    def _start_anew(self) -> None:
+        """Let the live filter forget its samples, but not that it lives."""
+        self._started = self._start()
+
+    def _deciding(self) -> bool:
+        return self._at == "auto" and len(self._early) < WINDOW
+
+    def _early_readings(self) -> Readings:
+        """The first samples that `step` took."""
+        n = self.robot.n
+        columns = {"theta": n, "dtheta": n, "acceleration": self._width("acceleration")}
+        signals = {name: np.array([sized(name, s.get(name), k) for s in self._early]) for name, k in columns.items()}
+        t = np.cumsum([s["dt"] for s in self._early])
+        there = {name: None if np.isnan(values).all() else values for name, values in signals.items()}
+        return Readings(t, signals["theta"], there["dtheta"], there["acceleration"])
 
     @abstractmethod
     def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
@@ -184,6 +263,29 @@ class KalmanFilter(LiveFilter[Core]):
 
     def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> KalmanEstimate:
         return KalmanEstimate(t=log.t, names=self.robot.names, channels=self._columns(log, kinds), **result)
+
+
+def first_readings(log: Log) -> Readings:
+    """The samples of a recording that decide where it starts."""
+    dtheta, acceleration = (None if s is None else s[:WINDOW] for s in (log.dtheta, log.acceleration))
+    return Readings(log.t[:WINDOW], log.theta[:WINDOW], dtheta, acceleration)
+
+
+def with_first(pieces: Iterable[Log]) -> tuple[Readings | None, Iterator[Log]]:
+    """The samples that decide where a recording starts, and all of its pieces."""
+    taken: list[Log] = []
+    rest = iter(pieces)
+    while sum(map(len, taken)) < WINDOW and (piece := next(rest, None)) is not None:
+        taken.append(piece)
+    if not taken:
+        return None, iter(())
+    firsts = [first_readings(piece) for piece in taken]
+    joined = (np.concatenate([np.atleast_1d(getattr(f, name)) for f in firsts])[:WINDOW] for name in ("t", "theta"))
+    optional = []
+    for name in ("dtheta", "acceleration"):
+        parts = [getattr(f, name) for f in firsts]
+        optional.append(None if any(part is None for part in parts) else np.concatenate(parts)[:WINDOW])
+    return Readings(*joined, *optional), chain(taken, rest)
 
 
 def sized(name: str, signal: npt.ArrayLike | None, size: int) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Protocol, TypeVar
 
@@ -12,11 +12,12 @@ import numpy.typing as npt
 from . import _core
 from .errors import EstimatorError, NumericalError
 from .estimate import result_of
-from .filtering import CoreFilter, KalmanEstimate, KalmanFilter, LiveFilter, Signal
+from .filtering import CoreFilter, KalmanEstimate, KalmanFilter, LiveFilter, Signal, first_readings, with_first
 from .log import Log
 from .noise import Noise
 from .robot import Robot
 from .sensing import Schedule, is_late, unfiltered
+from .start import Moving, Readings, Start
 
 FloatArray = npt.NDArray[np.float64]
 Arrays = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
@@ -55,7 +56,7 @@ class JerkDrivenFilter(LiveFilter[Core]):
         further: Signal | None = None,
         out: FloatArray | None = None,
     ) -> FloatArray:
-        """Take one sample and give the mean of the state at its time; the first sample starts from rest.
+        """Take one sample and give the mean of the state at its time.
 
         Parameters
         ----------
@@ -116,6 +117,10 @@ class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanF
         Leave a reading out when its innovation exceeds this many standard deviations; None uses all.
     iterations
         How often a sample's measurement is linearised; 1 is the plain update.
+    start
+        The state at the first sample: ``"auto"``, the first 32 samples decide, be the robot at rest or in motion;
+        ``"rest"``; or a mean and a covariance of the state, with or without its biases. `step` answers at once: its
+        first rows are as uncertain as the samples up to then leave them.
 
     Raises
     ------
@@ -144,11 +149,35 @@ class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanF
         torque: bool | None = None,
         gate: float | None = None,
         iterations: int = 1,
+        start: Start = "auto",
     ) -> None:
         wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque}
-        super().__init__(robot, wanted, biases, gate, iterations)
+        super().__init__(robot, wanted, biases, gate, iterations, start)
         self.noise = noise or Noise()
         self._damping = damping
+
+    def step(self, **sample: Any) -> FloatArray:
+        """Take one sample and give the mean of the state at its time; arguments as of `JerkDrivenFilter.step`."""
+        if not self._deciding():
+            return super().step(**sample)
+        noise, out = self.noise, sample.pop("out", None)
+        jerk = np.array(noise.arrays(self.robot, self._live_kinds)["jerk"])
+        state = self._decide(
+            sample, super().step, lambda first: self._begin(self._live, first, self._live_kinds, noise, jerk)
+        )
+        return state if out is None else _written(state, out)
+
+    def _state(self, moving: Moving, arrays: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
+        mean = np.concatenate([moving.q, moving.dq, moving.ddq])
+        return mean, np.concatenate([moving.q_std, moving.dq_std, moving.ddq_std])
+
+    def _started_core(
+        self, kinds: tuple[str, ...], noise: Noise, first: Readings, factor: FloatArray | float = 1.0
+    ) -> _core.ExtendedKalmanFilter:
+        """A filter of the core that starts where the first samples say."""
+        core = self._core(kinds, noise, factor)
+        self._begin(core, first, kinds, noise, np.array(noise.arrays(self.robot, kinds)["jerk"]))
+        return core
 
     def _refuse_late(self, what: str) -> None:
         if is_late(self.robot):
@@ -172,8 +201,9 @@ class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanF
         if is_late(self.robot):
             result = self._run_late(log, kinds, noise, covariance, innovations)
         else:
-            core = self._core(kinds, noise)
-            (outcome,) = core.run_all([self._arrays(log, kinds)], self._smooth, covariance, innovations)
+            arrays = self._arrays(log, kinds)
+            core = self._started_core(kinds, noise, first_readings(log))
+            (outcome,) = core.run_all([arrays], self._smooth, covariance, innovations)
             result = result_of(log.source, outcome)
         return self._estimate(log, kinds, result)
 
@@ -187,7 +217,7 @@ class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanF
         lag = np.zeros(arrays[1].shape[1])
         lag[self.robot.n :][: len(late)] = late
         schedule = Schedule(log.t, lag)
-        core = self._core(kinds, noise, factor)
+        core = self._started_core(kinds, noise, first_readings(log), factor)
         (outcome,) = core.run_all([schedule.spread(arrays, log.period)], self._smooth, covariance, innovations)
         return schedule.gather(result_of(log.source, outcome), arrays[1])
 
@@ -200,11 +230,14 @@ class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanF
         core: _core.ExtendedKalmanFilter | None = None
         kinds: tuple[str, ...] = ()
         before: Log | None = None
+        first, pieces = with_first(pieces)
         for piece in pieces:
             if core is None:
                 kinds = self._kinds(piece)
-                core = self._core(kinds, self.noise.for_log(piece))
             arrays = self._arrays(piece, kinds, before)
+            if core is None and first is not None:
+                core = self._started_core(kinds, self.noise.for_log(piece), first)
+            assert core is not None  # there is a first piece
             try:
                 result = core.run(arrays, False, False)
             except NumericalError as error:
@@ -258,6 +291,14 @@ class RauchTungStriebelSmoother(ExtendedKalmanFilter):
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
         """Not for a smoother, which needs what comes later; see `run`."""
         raise EstimatorError("a smoother looks back from a recording's end; read the log whole and call run")
+
+
+def _written(state: FloatArray, out: FloatArray) -> FloatArray:
+    """``out``, with the state in it."""
+    if len(out) != len(state):
+        raise EstimatorError(f"out has {len(out)} entries, expected {len(state)}")
+    out[:] = state
+    return out
 
 
 def commanded_jerk(log: Log, dt: FloatArray, before: Log | None) -> FloatArray:

@@ -23,6 +23,9 @@ Time = Annotated[float, Field(gt=0)]
 JERK_TIME = 0.02
 """Over this time jerk is taken to stay the same, where its size is read off a log [s]."""
 
+SHORTEST = 5
+"""Readings that a cubic is put through at least."""
+
 LINK_WALKS = ("position_walk", "velocity_walk")
 """What lets links wander, in the order of the core."""
 
@@ -174,15 +177,34 @@ def per_joint(name: str, value: float | tuple[float, ...], n: int) -> FloatArray
 
 
 def jerk_scale(log: Log) -> FloatArray:
-    """Density of each joint's jerk (n,), from the third derivative of the motor positions [rad/s³/√Hz]."""
-    half = min(len(log) - 1, 2 * round(JERK_TIME / log.period)) // 2
-    if half < 2:
-        return np.full(log.theta.shape[1], LEAST_JERK)
-    filled = np.where(np.isnan(log.theta), np.nanmean(log.theta, axis=0), log.theta)
-    # A cubic through each window of samples: its third derivative is a fixed combination of them.
-    weights = 6 * np.linalg.pinv(np.vander(np.arange(-half, half + 1) * log.period, 4, increasing=True))[3]
-    jerk = np.stack([np.correlate(joint, weights, "valid") for joint in filled.T], axis=1)
-    return np.asarray(np.maximum(LEAST_JERK, np.sqrt(np.mean(jerk**2, axis=0) * JERK_TIME)))
+    """Density of each joint's jerk (n,), from the third derivative of the motor positions [rad/s³/√Hz].
+
+    That of cubics through windows of `JERK_TIME`, of five readings at least; readings that are missing are left out.
+    """
+    return np.array([_jerk_scale(log.t, theta) for theta in log.theta.T])
+
+
+def _jerk_scale(t: FloatArray, theta: FloatArray) -> float:
+    there = ~np.isnan(theta)
+    t, theta = t[there], theta[there]
+    if len(t) < SHORTEST:
+        return LEAST_JERK
+    period = float(np.median(np.diff(t)))
+    count = min(len(t), max(SHORTEST, 2 * round(JERK_TIME / period) + 1))
+    every = max(1, count // 8)
+    times, angles = (np.lib.stride_tricks.sliding_window_view(x, count)[::every] for x in (t, theta))
+    whole = times[:, -1] - times[:, 0] < 2 * (count - 1) * period
+    if not whole.any():
+        return LEAST_JERK
+    times, angles = times[whole], angles[whole]
+    span = 0.5 * (times[:, -1:] - times[:, :1])
+    s = (times - times[:, :1]) / span - 1.0
+    powers = np.stack([np.ones_like(s), s, s * s, s * s * s], axis=2)
+    normal, right = powers.swapaxes(1, 2) @ powers, powers.swapaxes(1, 2) @ (angles - angles[:, :1])[:, :, None]
+    jerk = 6 * np.linalg.solve(normal, right)[:, 3, 0] / span[:, 0] ** 3
+    # Over a window longer than that, jerk that lasts is as much as more of it that does not.
+    lasting = max(JERK_TIME, (count - 1) * period / 2)
+    return max(LEAST_JERK, float(np.sqrt(np.mean(jerk**2) * lasting)))
 
 
 def sensor_noise(sensors: Any) -> FloatArray:

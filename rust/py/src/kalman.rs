@@ -6,8 +6,8 @@ use crate::gil::Release;
 use crate::robot::Robot;
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
-    self, FilterOutput, FilterSettings, Further, Inputs, JerkDriven, JerkModel, KalmanRecording, KalmanSample, Keep,
-    Model,
+    self, FilterOutput, FilterSettings, Further, Gaussian, Inputs, JerkDriven, JerkModel, KalmanRecording,
+    KalmanSample, Keep, Model,
 };
 use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -153,6 +153,15 @@ impl ExtendedKalmanFilter {
 
     fn reset(&mut self) {
         self.filter.reset();
+        self.live.ddqref.clear();
+    }
+
+    /// From now on a first sample finds this mean and covariance of the state; nothing: the robot at rest.
+    #[pyo3(signature = (mean, covariance))]
+    fn set_start(&mut self, mean: Signal<'_>, covariance: Matrix<'_>) -> PyResult<()> {
+        let states = self.filter.model().states();
+        let start = Gaussian::new(mean.sized("mean", states)?, rows("covariance", &covariance, states)?);
+        start.and_then(|start| self.filter.set_start(Some(start))).map_err(IntoPyErr::into_py_err)
     }
 
     /// Takes one sample, and writes the state's mean into `out`; what is not given is missing.

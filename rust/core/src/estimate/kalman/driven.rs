@@ -117,9 +117,13 @@ impl Model for JerkDriven {
         }
         let q = link_position_at_rest(&self.model.robot, theta)?;
         *belief = self.model.initial(&q, &self.noise);
+        self.resume(sample, belief);
+        Ok(())
+    }
+
+    fn resume(&mut self, sample: &KalmanSample<'_>, _: &Gaussian) {
         self.slope.reset();
         self.take(sample);
-        Ok(())
     }
 
     #[inline(always)]

@@ -315,10 +315,14 @@ impl Model for ElasticModel {
         }
         let q = link_position_at_rest(&self.robot, theta)?;
         *belief = self.initial(&q, theta);
+        self.resume(sample, belief);
+        Ok(())
+    }
+
+    fn resume(&mut self, sample: &KalmanSample<'_>, belief: &Gaussian) {
         self.tau.copy_from_slice(sample.inputs.tau);
         self.age.fill(0.0);
         self.transition.start(&self.robot, &belief.mean, &self.tau);
-        Ok(())
     }
 
     #[inline(always)]

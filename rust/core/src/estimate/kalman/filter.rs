@@ -36,6 +36,8 @@ pub struct ExtendedKalmanFilter<M> {
     /// Samples taken, for messages.
     taken: usize,
     started: bool,
+    /// The belief at the first sample; none: at rest.
+    start: Option<Gaussian>,
 }
 
 impl<M: Model> ExtendedKalmanFilter<M> {
@@ -62,13 +64,26 @@ impl<M: Model> ExtendedKalmanFilter<M> {
             memory: Vec::with_capacity(model.memory()),
             taken: 0,
             started: false,
+            start: None,
             belief,
             model,
             settings,
         })
     }
 
-    /// Forgets the state: the next sample starts anew, from rest.
+    /// From now on a first sample finds this belief; none: the robot at rest.
+    ///
+    /// # Errors
+    /// A belief of another number of states.
+    pub fn set_start(&mut self, start: Option<Gaussian>) -> Result<(), DesignError> {
+        if let Some(start) = &start {
+            super::recording::expect_length("start", start.mean.len(), self.model.states())?;
+        }
+        self.start = start;
+        Ok(())
+    }
+
+    /// Forgets the state: the next sample starts anew.
     pub fn reset(&mut self) {
         self.taken = 0;
         self.started = false;
@@ -106,7 +121,13 @@ impl<M: Model> ExtendedKalmanFilter<M> {
         if self.started {
             self.model.predict(sample, &mut self.belief);
         } else {
-            self.model.start(sample, &mut self.belief)?;
+            match &self.start {
+                Some(start) => {
+                    self.belief.copy_from(start);
+                    self.model.resume(sample, start);
+                }
+                None => self.model.start(sample, &mut self.belief)?,
+            }
             self.started = true;
         }
         Ok(())

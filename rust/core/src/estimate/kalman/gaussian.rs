@@ -1,5 +1,7 @@
 //! A Gaussian belief.
 
+use super::recording::expect_length;
+use crate::error::DesignError;
 use crate::linear;
 
 /// A reading whose innovation has this many times the variance of its noise leaves no digits for differences.
@@ -126,6 +128,23 @@ impl Gaussian {
             covariance.data[i * covariance.stride + i] = s * s;
         }
         Self { mean: vec![0.0; std.len()], covariance }
+    }
+
+    /// With this mean (n) and covariance (n × n, row-major).
+    ///
+    /// # Errors
+    /// Lengths that do not belong together.
+    pub fn new(mean: &[f64], covariance: &[f64]) -> Result<Self, DesignError> {
+        let n = mean.len();
+        expect_length("covariance", covariance.len(), n * n)?;
+        let mut belief = Self::independent(&vec![0.0; n]);
+        belief.mean.copy_from_slice(mean);
+        for i in 0..n {
+            for j in i..n {
+                belief.covariance.put(i, j, covariance[i * n + j]);
+            }
+        }
+        Ok(belief)
     }
 
     /// Takes over another belief of the same size, without allocating.

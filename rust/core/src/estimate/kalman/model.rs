@@ -40,6 +40,9 @@ pub trait Model: Clone + Send + Sync {
     /// A first sample without a motor position that it needs, or no static equilibrium.
     fn start(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) -> Result<(), DesignError>;
 
+    /// Takes over a first sample at which the belief is known.
+    fn resume(&mut self, sample: &KalmanSample<'_>, belief: &Gaussian);
+
     /// Time update from the sample before: x ← f(x), P ← F P Fᵀ + Q.
     fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian);
 
