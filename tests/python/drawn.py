@@ -54,7 +54,7 @@ def bias_step(arrays, h):
 
 
 def links(rng, arrays, n, rows):
-    """Links under white jerk, eqs. (9)–(11) of Axelsson, Karlsson and Norrlöf (2012) with noise that acts all the time."""
+    """Links under white jerk, eqs. (9)–(11) of Axelsson, Karlsson and Norrlöf (2012), noise all the time."""
     out = np.empty((rows, 3, n))
     out[0] = np.reshape(arrays["initial"], (3, n)) * rng.standard_normal((3, n)) + [[0.3, 0.9], [0, 0], [0, 0]]
     gained = rng.standard_normal((rows, n, 3)) @ np.linalg.cholesky(jerk_noise(PERIOD)).T

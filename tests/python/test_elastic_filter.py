@@ -80,7 +80,10 @@ def dense(noise, columns, h=1e-3):
     decay, variance = bias_step(noise.arrays(slide(), ("motor", "acceleration")), h)
     f[5, 5] = decay[1]
     # White noise all the time, by adaptive quadrature; a torque's reading is wrong by the same all through a step.
-    spread = lambda s: scipy.linalg.expm(a * s) @ np.diag(np.square(walks)) @ scipy.linalg.expm(a * s).T
+
+    def spread(s):
+        return scipy.linalg.expm(a * s) @ np.diag(np.square(walks)) @ scipy.linalg.expm(a * s).T
+
     torque = scipy.integrate.quad_vec(lambda s: scipy.linalg.expm(a * s)[:, 3] / B, 0, h, epsrel=1e-12)[0]
     q = scipy.integrate.quad_vec(spread, 0, h, epsabs=0, epsrel=1e-12)[0] + np.outer(torque, torque)
     q[5, 5] += variance[1]
