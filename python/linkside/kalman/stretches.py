@@ -28,6 +28,7 @@ from linkside.trust.findings import named
 
 from .filtering import KalmanEstimate
 from .jerk_driven import Arrays, RauchTungStriebelSmoother
+from .starting import with_first
 
 ROWS = 65_536
 """Rows of a recording that are in memory at a time."""
@@ -123,13 +124,16 @@ def _forward(
     starts: list[_core.ExtendedKalmanFilter] = []
     columns: tuple[str, ...] = ()
     rows = 0
+    first, pieces = with_first(pieces)
     for index, piece in enumerate(pieces):
         if core is None:
             kinds = smoother.kinds(piece)
-            core = smoother.core(kinds, smoother.noise.for_log(piece), piece.period)
             columns = smoother.columns(piece, kinds)
-        starts.append(core.copy())
         arrays = smoother.arrays(piece, kinds, before)
+        if core is None:
+            assert first is not None  # there is a piece
+            core = smoother.started_core(kinds, smoother.noise.for_log(piece), first, piece.period)
+        starts.append(core.copy())
         _save(spill / f"{index}.log", dict(zip((*READ, "t"), (*arrays, piece.t), strict=True)))
         with _in_rows(rows, len(piece)):
             core.run(arrays, False, False)
