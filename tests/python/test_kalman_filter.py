@@ -199,7 +199,9 @@ def test_on_a_linear_robot_it_is_filterpys_filter_and_smoother():
 def test_an_iterated_update_on_a_linear_robot_is_the_plain_update():
     robot = slide()
     log = Log.from_table(drawn(NOISE, np.random.default_rng(2))[0], robot)
-    once, often = (ExtendedKalmanFilter(robot, NOISE, iterations=k, tolerances=False).run(log, covariance=True) for k in (1, 4))
+    once, often = (
+        ExtendedKalmanFilter(robot, NOISE, iterations=k, tolerances=False).run(log, covariance=True) for k in (1, 4)
+    )
     close(once.state, often.state, once.covariance, 1e-9)
     close(once.covariance, often.covariance, once.covariance, 1e-9)
 
@@ -214,7 +216,9 @@ def test_errors_and_innovations_are_as_large_as_it_says():
         start = {"theta_x": np.concatenate([[30.0 * GRAVITY / DRIVE["stiffness"]], columns["theta_x"][1:]])}
         start["acc_z"] = np.concatenate([[np.nan], columns["acc_z"][1:]])
         noise = NOISE
-        estimate = ExtendedKalmanFilter(robot, noise, tolerances=False).run(Log.from_table(columns | start, robot), covariance=True)
+        estimate = ExtendedKalmanFilter(robot, noise, tolerances=False).run(
+            Log.from_table(columns | start, robot), covariance=True
+        )
         # The first motor reading was made up, so the bound is on what follows once it is forgotten.
         error = estimate.state[-1] - states[-1]
         nees.append(error @ np.linalg.solve(estimate.covariance[-1], error))

@@ -5,12 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from linkside import Estimate, ExtendedKalmanFilter, Log, Noise, RauchTungStriebelSmoother, Robot
 from linkside.cli.commands import main
 from linkside.recording.estimate import Status
-from linkside.simulation import simulate
 from linkside.trust.findings import largest_nis
 
 from .robots import DATA
@@ -155,10 +153,19 @@ def test_the_command_line_says_which_channel_and_strict_fails(robot: Robot, log:
     table = table.set_column(table.column_names.index("tool_acc_x"), "tool_acc_x", pa.array(bad))
     pq.write_table(table, tmp_path / "log.parquet")
     out = tmp_path / "estimate.parquet"
-    arguments = ["estimate", str(SQUARE / "robot.yaml"), str(tmp_path / "log.parquet"), "--with", "ekf", "--out", str(out)]
+    arguments = [
+        "estimate",
+        str(SQUARE / "robot.yaml"),
+        str(tmp_path / "log.parquet"),
+        "--with",
+        "ekf",
+        "--out",
+        str(out),
+    ]
     for extra, status in ([], 0), (["--strict"], 3):
         with pytest.raises(SystemExit) as stop:
             main.main([*arguments, *extra])
         assert (stop.value.code or 0) == status
     written = Estimate.read(out)
-    assert written.nis is not None and (written.status & Status.FAULTY).any()
+    assert written.nis is not None
+    assert (written.status & Status.FAULTY).any()

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict
 from linkside import _core
 from linkside.arguments import one_of, per_joint, sized
 from linkside.arrays import FloatArray, Signal
-from linkside.errors import EstimatorError, NumericalError
+from linkside.errors import NumericalError
 from linkside.files.yaml_source import Source
 from linkside.recording.estimate import result_of
 from linkside.recording.log import Log
