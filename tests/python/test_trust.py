@@ -71,7 +71,7 @@ def test_a_wrong_model_is_within_its_standard_deviations(estimator: Any) -> None
 
 
 def test_standard_deviations_are_those_of_the_parameters_effect(robot: Robot, log: Log) -> None:
-    """Of motor readings alone nothing is learnt of a spring, so that q_std² is P + Σ² std², with Σ by two true robots."""
+    """Motor readings alone teach nothing of a spring, so that q_std² is P + Σ² std², with Σ by two true robots."""
     yaml = robot.config.model_dump()
     settings = {k: v for k, v in yaml.items() if k not in ("joints", "urdf", "accelerometers", "columns", "tolerances")}
     tiny = dict.fromkeys(("mass_scale", "damping"), 1e-12)
