@@ -4,10 +4,12 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from linkside import (
     ElasticJointFilter,
+    ElasticNoise,
     EstimatorError,
     ExtendedKalmanFilter,
     Log,
@@ -101,3 +103,20 @@ def test_elastic_filters_take_late_sensors():
 def test_particles_say_that_they_take_readings_as_they_come():
     with pytest.raises(EstimatorError, match="use a Kalman filter"):
         ParticleFilter(with_sensor(delay=1e-3), particles=10)
+
+
+@pytest.mark.parametrize(("method", "noise"), [(ExtendedKalmanFilter, Noise), (ElasticJointFilter, ElasticNoise)])
+def test_a_tachometer_on_the_links_tells_their_velocity(method, noise):
+    log = LOG[:300]
+    truth = pq.read_table(FOLDER / "truth.parquet").to_pydict()
+    dq = np.stack([np.interp(log.t, truth["t"], truth[f"dq_{name}"]) for name in ROBOT.names], axis=1)
+    measured = dq + 3e-5 * np.random.default_rng(0).normal(size=dq.shape)
+    plain = method(ROBOT).run(log)
+    estimate = method(ROBOT, noise(link_velocity=3e-5)).run(dataclasses.replace(log, dq=measured))
+
+    def rms(found):
+        return np.sqrt(np.mean((found.dq - dq)[50:] ** 2))
+
+    assert rms(estimate) < 0.5 * rms(plain)
+    assert rms(estimate) < 3e-5
+    assert (estimate.used - plain.used == ROBOT.n).all()

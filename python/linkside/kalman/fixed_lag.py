@@ -34,13 +34,12 @@ class FixedLagSmoother:
     Raises
     ------
     EstimatorError
-        Settings out of range, or sensors whose readings come late.
+        Settings out of range.
     """
 
     def __init__(self, robot: Robot, noise: Noise | None = None, *, lag: int, **settings: Any) -> None:
         self.robot, self.lag = robot, whole("lag", lag, least=1)
         self._filter = ExtendedKalmanFilter(robot, noise, **settings)
-        self._filter.refuse_late("a fixed-lag smoother")
         self._kinds = self._filter.live_kinds
         self._before = self._filter.core(self._kinds, self._filter.noise, np.inf)
         self.reset()
@@ -73,6 +72,8 @@ class FixedLagSmoother:
         """
         if not dt > 0:
             raise EstimatorError(f"dt is {dt}, expected a positive time")
+        if not self._begun:  # the first step of time says how many samples a late sensor's delay spans
+            self._before = self._filter.core(self._kinds, self._filter.noise, dt)
         self._window.append((dt, self._reading(theta, acceleration, further), *self._moved(dt, dtheta, ddqref)))
         if len(self._window) <= self.lag:
             return None

@@ -118,11 +118,11 @@ class JerkDriven(KalmanMethod):
         self._uncertain = considered(robot) if tolerances else []
 
     def refuse_late(self, what: str) -> None:
-        """Raise `EstimatorError` where an accelerometer has a filter or delay inside, which ``what`` does not know."""
+        """Raise `EstimatorError` where a sensor has a filter or delay inside, which ``what`` does not know."""
         if is_late(self.robot):
             raise EstimatorError(
-                f"{what} takes readings as they come, and robot.yaml gives an accelerometer a corner_frequency or a "
-                "delay; use a Kalman filter"
+                f"{what} takes readings as they come, and robot.yaml gives a sensor a corner_frequency or a delay; "
+                "use a Kalman filter"
             )
 
     def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
@@ -204,8 +204,8 @@ class ExtendedKalmanFilter(JerkDriven, JerkDrivenFilter[_core.ExtendedKalmanFilt
 
     Notes
     -----
-    An accelerometer's ``corner_frequency`` and ``delay`` in robot.yaml are accounted for: what the sensor holds is part
-    of the state, behind the biases. In `step` the first ``dt`` says how many samples a delay spans.
+    ``corner_frequency`` and ``delay`` of accelerometers and gyroscopes in robot.yaml are accounted for: what the sensor
+    holds is part of the state, behind the biases. In `step` the first ``dt`` says how many samples a delay spans.
 
     A reading that is NaN is missing, which equals deleting it. Steps of time may vary, and sensors have rates of their
     own: leave NaN where a sensor has no sample.

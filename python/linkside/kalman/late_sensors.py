@@ -1,4 +1,4 @@
-"""Filters and delays inside accelerometers, as the core makes states of them."""
+"""Filters and delays inside accelerometers and gyroscopes, as the core makes states of them."""
 
 from __future__ import annotations
 
@@ -14,17 +14,20 @@ Inside = tuple[float, float, int]
 
 
 def is_late(robot: Robot) -> bool:
-    """Whether an accelerometer has a filter or a delay inside."""
-    return any(sensor.corner_frequency or sensor.delay for sensor in robot.accelerometers)
+    """Whether an accelerometer or a gyroscope has a filter or a delay inside."""
+    return any(sensor.corner_frequency or sensor.delay for sensor in (*robot.accelerometers, *robot.gyroscopes))
 
 
-def inside(robot: Robot, kinds: Sequence[str], period: float) -> list[Inside | None] | None:
-    """What is inside the sensor of each channel of ``kinds``, sampled every ``period`` [s]; None where nothing is."""
-    if not is_late(robot) or "acceleration" not in kinds:
-        return None
-    sensors = [_inside(s.corner_frequency, s.delay, period) for s in robot.accelerometers for _ in s.axes]
-    nothing: dict[str, list[Inside | None]] = {kind: [None] * CHANNELS[kind].width(robot) for kind in kinds}
-    return [entry for kind in kinds for entry in (sensors if kind == "acceleration" else nothing[kind])]
+def inside(robot: Robot, kinds: Sequence[str], period: float) -> list[Inside | None]:
+    """What is inside the sensor of each channel of ``kinds``, sampled every ``period`` [s]."""
+    sensors = {"acceleration": robot.accelerometers, "rate": robot.gyroscopes}
+    channels: list[Inside | None] = []
+    for kind in kinds:
+        if kind in sensors:
+            channels += [_inside(s.corner_frequency, s.delay, period) for s in sensors[kind] for _ in s.axes]
+        else:
+            channels += [None] * CHANNELS[kind].width(robot)
+    return channels
 
 
 def _inside(corner_frequency: float | None, delay: float, period: float) -> Inside | None:

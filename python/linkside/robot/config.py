@@ -158,14 +158,14 @@ class SensorConfig(FrameConfig):
     name: Name
     axes: Literal["x", "y", "z", "xy", "xz", "yz", "xyz"] = "xyz"
     noise_std: Positive
+    corner_frequency: Positive | None = None  # Hz; of the first-order filter inside the sensor, where it has one
+    delay: NonNegative = 0.0  # s; by how much a reading is later than its time stamp says
 
 
 class AccelerometerConfig(SensorConfig):
     """A sensor of specific force; columns `<name>_x` and so on."""
 
     noise_std: Positive = 0.05  # m/s²
-    corner_frequency: Positive | None = None  # Hz; of the first-order filter inside the sensor, where it has one
-    delay: NonNegative = 0.0  # s; by how much a reading is later than its time stamp says
     bias: Vector3 = (0.0, 0.0, 0.0)  # m/s², x y z; a log's reading is scale · specific force + bias
     scale: PositiveVector3 = (1.0, 1.0, 1.0)
 

@@ -21,7 +21,6 @@ from linkside.channels import CHANNELS, joint_columns
 from linkside.control.controllers import Controller, State, law_of
 from linkside.errors import EstimatorError, OutputError
 from linkside.kalman.elastic_joint import ElasticJointFilter
-from linkside.kalman.noise import sensor_noise
 from linkside.observers.acceleration import AccelerationObserver
 from linkside.recording.log import Log
 from linkside.robot import Robot
@@ -223,15 +222,18 @@ def _models(sensors: Mapping[str, Sensor], robot: Robot) -> dict[str, list[Senso
     """One model a channel, by kind."""
     if unknown := set(sensors) - set(SIGNALS):
         raise EstimatorError(f"sensors: {min(unknown)!r} is not one of {', '.join(map(repr, SIGNALS))}")
-    accelerometers = [
-        Sensor(noise=s.noise_std, delay=s.delay, corner_frequency=s.corner_frequency or np.inf)
-        for s in robot.accelerometers
-        for _ in s.axes
-    ]
+    accelerometers, gyroscopes = (
+        [
+            Sensor(noise=s.noise_std, delay=s.delay, corner_frequency=s.corner_frequency or np.inf)
+            for s in sensors_of_a_kind
+            for _ in s.axes
+        ]
+        for sensors_of_a_kind in (robot.accelerometers, robot.gyroscopes)
+    )
     models = {signal: [Sensor()] * channel.width(robot) for signal, channel in SIGNALS.items()} | {
         "theta": [Sensor(resolution=robot.config.encoder.resolution)] * robot.n,
         "acceleration": accelerometers,
-        "rate": [Sensor(noise=noise) for noise in sensor_noise(robot.gyroscopes)],
+        "rate": gyroscopes,
     }
     return models | {kind: [model] * SIGNALS[kind].width(robot) for kind, model in sensors.items()}
 
