@@ -8,8 +8,8 @@ import pytest
 
 from linkside import Estimate, ExtendedKalmanFilter, Log, Noise, RauchTungStriebelSmoother, Robot
 from linkside.cli.commands import main
+from linkside.findings import largest_nis
 from linkside.recording.estimate import Status
-from linkside.trust.findings import largest_nis
 
 from .robots import DATA
 
