@@ -8,8 +8,8 @@ import pytest
 
 from linkside import Estimate, ExtendedKalmanFilter, Log, Noise, RauchTungStriebelSmoother, Robot
 from linkside.cli.commands import main
+from linkside.findings import largest_nis
 from linkside.recording.estimate import Status
-from linkside.trust.findings import largest_nis
 
 from .robots import DATA
 
@@ -71,7 +71,7 @@ def test_a_wrong_model_is_within_its_standard_deviations(estimator: Any) -> None
 
 
 def test_standard_deviations_are_those_of_the_parameters_effect(robot: Robot, log: Log) -> None:
-    """Of motor readings alone nothing is learnt of a spring, so that q_std² is P + Σ² std², with Σ by two true robots."""
+    """Motor readings alone teach nothing of a spring, so that q_std² is P + Σ² std², with Σ by two true robots."""
     yaml = robot.config.model_dump()
     settings = {k: v for k, v in yaml.items() if k not in ("joints", "urdf", "accelerometers", "columns", "tolerances")}
     tiny = dict.fromkeys(("mass_scale", "damping"), 1e-12)
@@ -167,4 +167,5 @@ def test_the_command_line_says_which_channel_and_strict_fails(robot: Robot, log:
             main.main([*arguments, *extra])
         assert (stop.value.code or 0) == status
     written = Estimate.read(out)
-    assert written.nis is not None and (written.status & Status.FAULTY).any()
+    assert written.nis is not None
+    assert (written.status & Status.FAULTY).any()

@@ -156,7 +156,7 @@ def _write_rotation(sensor: Any, calibration: Result, index: int) -> None:
 
 
 def _write_errors(tree: Any, calibration: Result) -> None:
-    """Standard errors in place of the tolerances from which calibration began, for `linkside.trust.tolerances`."""
+    """Standard errors in place of the tolerances from which calibration began, for `linkside.robot.considered`."""
     shares = {
         e.parameter.name: float(f"{e.std / (abs(e.value) if KINDS[e.parameter.kind].relative else 1.0):.2g}")
         for e in calibration.estimates

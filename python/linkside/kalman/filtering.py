@@ -15,10 +15,10 @@ from linkside.arguments import whole
 from linkside.arrays import FloatArray
 from linkside.channels import BIASED, CHANNELS
 from linkside.errors import EstimatorError
+from linkside.findings import named
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
-from linkside.trust.findings import named
 
 from .start import Moving, Readings, Spread, Start, find_start, given
 

@@ -13,8 +13,8 @@ from linkside.errors import EstimatorError, NumericalError
 from linkside.recording.estimate import result_of
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.considered import considered
 from linkside.robot.requirements import refuse_unsupported
-from linkside.trust.tolerances import considered
 
 from .filtering import CoreFilter, KalmanEstimate, KalmanMethod, LiveFilter
 from .late_sensors import inside, is_late

@@ -21,10 +21,10 @@ from linkside import _core
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError, NumericalError, OutputError
 from linkside.files.writing import check_writable
+from linkside.findings import named
 from linkside.recording.log import Log
 from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
-from linkside.trust.findings import named
 
 from .filtering import KalmanEstimate
 from .jerk_driven import Arrays, RauchTungStriebelSmoother

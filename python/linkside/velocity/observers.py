@@ -182,7 +182,7 @@ class ReducedOrderObserver:
             core = core or self._designed(piece.period)
             q, tau = self._arrays(piece, seen, first)
             try:
-                result = core.run(q, tau)
+                result: dict[str, Any] = core.run(q, tau)
             except (NumericalError, EstimatorError) as error:
                 raise type(error)(f"{piece.source}: {error}") from None
             seen, first = piece[-longest_dropout(piece) :], first + len(piece)

@@ -150,7 +150,8 @@ impl ExtendedKalmanFilter {
         let kinds = named(&kinds)?;
         let build = || {
             let model = JerkModel::new(Arc::clone(&robot.0), &kinds, &biased)?;
-            let model = JerkDriven::new(model, noise.into(), damping)?.with_tolerances(told).with_late(&inside(late))?;
+            let model =
+                JerkDriven::new(model, noise.into(), damping)?.with_tolerances(told).with_late(&inside(late))?;
             kalman::ExtendedKalmanFilter::new(model, FilterSettings { gate, iterations })
         };
         let filter = build().map_err(IntoPyErr::into_py_err)?;
