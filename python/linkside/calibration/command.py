@@ -27,6 +27,7 @@ def run(
     torque: bool | None,
     bounds: Sequence[str],
     held_out: Sequence[str],
+    no_check: bool = False,
 ) -> Calibration:
     """Calibrate and write; the best so far is kept beside ``out`` until all is done."""
     partial = Path(f"{out}.partial")
@@ -41,11 +42,11 @@ def run(
 
     result = calibrate(
         loaded,
-        [Log.read(log, loaded) for log in logs],
+        [Log.read(log, loaded, check=not no_check) for log in logs],
         None if free is None else free.split(","),
         torque=torque,
         bounds=limits,
-        held_out=[Log.read(log, loaded) for log in held_out],
+        held_out=[Log.read(log, loaded, check=not no_check) for log in held_out],
         start=start,
         progress=show,
     )

@@ -9,16 +9,26 @@ import re
 import signal
 import sys
 import traceback
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, cast
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO, cast
 
 import click
 
-from linkside.errors import EstimatorError, LinksideError, NumericalError, OutputError
+from linkside.errors import (
+    EstimatorError,
+    LinksideError,
+    LinksideWarning,
+    LogError,
+    NumericalError,
+    OutputError,
+    RecordingWarning,
+    printable,
+)
 from linkside.kalman.noise import Noise
 from linkside.observers import poles as patterns
 from linkside.recording.estimate import Estimate, EstimateWriter, check_writable
@@ -35,6 +45,8 @@ ROWS = 8192
 
 WHOLE = 2**62
 """More rows than a log has."""
+
+_no_check = click.option("--no-check", is_flag=True, help="Believe the recordings without looking at them first.")
 
 PATTERNS: dict[str, Callable[[float], patterns.PolePattern]] = {
     "damped": patterns.damped,
@@ -66,7 +78,8 @@ class Commands(click.Group):
         """Run a command and exit: 0 if all is well, 2 on an error, 130 when interrupted."""
         _prepare_streams()
         try:
-            sys.exit(super().main(*args, **{**kwargs, "prog_name": "linkside", "standalone_mode": False}) or 0)
+            with _warnings_in_words():
+                sys.exit(super().main(*args, **{**kwargs, "prog_name": "linkside", "standalone_mode": False}) or 0)
         except click.Abort:
             _complain("interrupted")
             sys.exit(130)
@@ -109,12 +122,14 @@ def main(ctx: click.Context, debug: bool) -> None:
 @click.option("--particles", type=int, default=1000, show_default=True, help="How many a particle filter has.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of a particle filter's random numbers.")
 @click.option("--gain", type=float, default=100, show_default=True, help="Gain of a velocity observer [1/s].")
+@_no_check
 @click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this file; one for each log.")
-def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, truths: tuple[str, ...], **options: Any) -> None:
+def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, no_check: bool, **options: Any) -> None:
     """Estimate the motion of ROBOT's links from recordings.
 
     ROBOT is a robot.yaml, each LOG a Parquet or CSV file. Logs are read piece by piece and may be larger than memory.
     """
+    truths: tuple[str, ...] = options.pop("truths")
     if truths and len(truths) != len(logs):
         raise click.UsageError(f"--truth is there {len(truths)} times, for {len(logs)} logs")
     _refuse_untaken(method)
@@ -129,7 +144,7 @@ def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, truths: t
         for output in outputs:
             check_writable(output)
         files = zip(logs, outputs, truths or [None] * len(logs), strict=True)
-        _estimate_all([Job(loaded, run, rows, *three) for three in files])
+        _estimate_all([Job(loaded, run, rows, not no_check, *three) for three in files])
 
 
 def _refuse_untaken(method: str) -> None:
@@ -150,6 +165,7 @@ def _refuse_untaken(method: str) -> None:
 @click.option("--free", help="Which values, by their keys in that file, a,b,c.  [default: transmission, poles]")
 @click.option("--states", multiple=True, type=click.Path(), help="What the links did, one for each LOG (observer).")
 @click.option("--figure", type=click.Path(), help="Draw the Pareto front (observer).")
+@_no_check
 @click.option("--evaluations", type=click.IntRange(1), default=2000, help="How often to estimate LOGs (observer).")
 def tune(robot: str, logs: tuple[str, ...], method: str, **options: Any) -> None:
     """Find the noise of a Kalman filter under which recordings are most likely, or the poles of an observer.
@@ -173,7 +189,7 @@ def _tune_noise(robot: str, logs: Sequence[str], options: dict[str, Any]) -> Non
 
     loaded = Robot.load(robot)
     noise = None if options["start"] is None else Noise.read(options["start"])
-    recordings = [Log.read(log, loaded) for log in logs]
+    recordings = [Log.read(log, loaded, check=not options["no_check"]) for log in logs]
     free = tuple((options["free"] or "transmission").split(","))
     with progress.bar(None) as advance:
         result = module.tune(loaded, recordings, noise, free, partial(_show_best, advance, "log-likelihood"))
@@ -188,7 +204,7 @@ def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> 
 
     loaded = Robot.load(robot)
     _check_figure(options["figure"], [robot, *logs, *options["states"], options["out"]])
-    recordings = [Log.read(log, loaded) for log in logs]
+    recordings = [Log.read(log, loaded, check=not options["no_check"]) for log in logs]
     states = [Estimate.read(file) for file in options["states"]] or None
     free = tuple((options["free"] or "poles").split(","))
     with progress.bar(None) as advance:
@@ -210,6 +226,7 @@ def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> 
 @click.option("--torque/--no-torque", default=None, help="Whether motor torques are readings, too.")
 @click.option("--bound", "bounds", multiple=True, help="NAME=LOW:HIGH, least and largest value of a parameter.")
 @click.option("--held-out", type=click.Path(), multiple=True, help="A log that only tests the outcome.")
+@_no_check
 @click.option("--resume", is_flag=True, help="Go on with an interrupted run.")
 def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **options: Any) -> None:
     """Find ROBOT's stiffness, damping, load and sensor errors from its own recordings."""
@@ -234,17 +251,34 @@ def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **optio
 @click.argument("log", type=click.Path(), required=False)
 @click.option("--figure", type=click.Path(), help="Draw it: a file that ends in .png, .pdf or .svg.")
 def check(robot: str, log: str | None, figure: str | None) -> None:
-    """Say which link accelerations ROBOT's sensors see, how well and where, along LOG if it is given."""
+    """Say what ROBOT's sensors see, how well and where; along LOG if it is given, which is looked at for mistakes."""
     from linkside.observability import analysis as module
 
     from . import progress
 
     loaded = Robot.load(robot)
     _check_figure(figure, [robot, log])
-    report = module.check(loaded, None if log is None else Log.stream(log, loaded))
+    if log is not None:
+        _look_at(loaded, log)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecordingWarning)  # all is listed above
+        report = module.check(loaded, None if log is None else Log.stream(log, loaded))
     progress.show(progress.check_tables(report))
     if figure is not None:
         _draw(report.figure(), figure)
+
+
+def _look_at(robot: Robot, path: str) -> None:
+    """List what the checks of recordings find; raise `LogError` where one refuses."""
+    from linkside.recording.checks import verdicts
+
+    log = Log.read(path, robot, check=False)
+    rows, refused = verdicts(log, robot)
+    for name, words in rows:
+        click.echo(f"{name:<22}{words}")
+    click.echo("")
+    if refused is not None:
+        raise LogError(f"{path}: {refused}")
 
 
 @main.command()
@@ -277,6 +311,7 @@ def demo(figure: str) -> None:
 @click.option("--limit", type=float, help="Take the smallest set whose score is at most this.")
 @click.option("--by", type=click.Choice(["condition", "covariance"]), default="condition", show_default=True)
 @click.option("--out", type=click.Path(), help="Where to write the chosen `accelerometers`, YAML.")
+@_no_check
 @click.option("--figure", type=click.Path(), help="Draw where it is singular: a file that ends in .png, .pdf or .svg.")
 def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: Any) -> None:
     """Choose accelerometers for ROBOT: those that see its joints best along LOGs, or in the whole workspace."""
@@ -292,7 +327,7 @@ def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: 
     kinds = options["axes"].split(",")
     with _naming(robot):
         sensors += placement.candidates(loaded, links, reach=options["reach"], steps=options["steps"], axes=kinds)
-        where = [Log.read(log, loaded) for log in logs] or None
+        where = [Log.read(log, loaded, check=not options["no_check"]) for log in logs] or None
         choice = {"count": options["count"], "limit": options["limit"], "criterion": options["by"]}
         found = placement.place(loaded, sensors, where, **choice)
     click.echo(found.to_text(), nl=False)
@@ -314,6 +349,7 @@ class Job:
     robot: Robot
     run: Run
     rows: int
+    check: bool
     log: str
     output: Path
     truth: str | None
@@ -358,7 +394,7 @@ def _estimate_one(job: Job, advance: Callable[[int], None]) -> None:
 
 
 def _pieces(job: Job, tally: progress.Tally) -> Iterator[Estimate]:
-    pieces = tally.timed(Log.stream(job.log, job.robot, job.rows), sign=-1)
+    pieces = tally.timed(Log.stream(job.log, job.robot, job.rows, check=job.check), sign=-1)
     estimates = tally.timed(job.run(pieces))
     while True:
         with _naming(job.log):
@@ -440,4 +476,29 @@ def _in_words(error: Exception) -> str:
 
 
 def _complain(message: str) -> None:
-    click.echo(f"linkside: {' '.join(message.split())}", err=True)
+    click.echo(f"linkside: {printable(message)}", err=True)
+
+
+@contextmanager
+def _warnings_in_words() -> Iterator[None]:
+    """Let warnings of ours be lines on standard error, each once."""
+    said: set[str] = set()
+
+    def show(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        if issubclass(category, LinksideWarning) and str(message) not in said:
+            said.add(str(message))
+            _complain(f"warning: {message}")
+        elif not issubclass(category, LinksideWarning):
+            click.echo(warnings.formatwarning(message, category, filename, lineno, line), file=file or sys.stderr)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", LinksideWarning)
+        warnings.showwarning = show
+        yield

@@ -214,8 +214,9 @@ def reading(source: str) -> Iterator[None]:
         yield
     except LogError:
         raise
-    except (pa.ArrowException, OSError, ValueError, EOFError, MemoryError, OverflowError) as error:
-        raise failure(source, f"cannot be read: {error}") from error
+    except (pa.ArrowException, OSError, ValueError, TypeError, EOFError, MemoryError, OverflowError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise failure(source, f"cannot be read: {reason}") from error
 
 
 def failure(source: str, text: str) -> LogError:

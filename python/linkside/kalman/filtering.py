@@ -113,6 +113,7 @@ class KalmanFilter(LiveFilter[Core]):
             raise EstimatorError(f"biases: {unknown[0]!r} is not one of {', '.join(map(repr, BIASED))}")
         if not isinstance(iterations, int) or iterations < 1:
             raise EstimatorError(f"iterations is {iterations!r}, expected a whole number of at least 1")
+        robot.require_masses("a Kalman filter", elastic_only=True)
         self.robot = robot
         self._wanted, self._biases = dict(wanted), tuple(biases)
         self._gate, self._iterations = gate, iterations

@@ -128,6 +128,7 @@ class ReducedOrderObserver:
     ) -> None:
         if side not in ("motors", "links"):
             raise EstimatorError(f"side is {side!r}, expected 'motors' or 'links'")
+        robot.require_masses("a velocity observer")
         self.robot = robot
         self.side = side
         self.gain = gain
