@@ -360,13 +360,13 @@ def test_a_disk_that_fills_while_rows_are_written(suffix, tmp_path, monkeypatch)
         def __getattr__(self, name):
             return getattr(self.file, name)
 
-    path, original = tmp_path / f"estimate{suffix}", module._open_part
+    path, original = tmp_path / f"estimate{suffix}", module.open_part
 
     def opened(where):
         part, file = original(where)
         return part, Full(file)
 
-    monkeypatch.setattr(module, "_open_part", opened)
+    monkeypatch.setattr(module, "open_part", opened)
     refusal(OutputError, lambda: motion(5000).write(path), f"{path}: cannot be written", "No space left")
     assert list(tmp_path.iterdir()) == []
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from linkside.errors import EstimatorError
+from linkside.recording.estimate import check_writable
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
@@ -31,6 +32,7 @@ def run(
 ) -> Calibration:
     """Calibrate and write; the best so far is kept beside ``out`` until all is done."""
     partial = Path(f"{out}.partial")
+    check_writable(partial, (".partial",))
     start = state.kept(partial) if resume else None
     limits = dict(map(_bound, bounds))
     loaded = Robot.load(robot)

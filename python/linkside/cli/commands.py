@@ -5,6 +5,7 @@ Whatever a user can get wrong is one line on standard error and exit status 2, a
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import sys
@@ -137,7 +138,8 @@ def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, no_check:
     if options["tuning"] is not None:
         options["tuning"] = METHODS[method].read_tuning(options["tuning"])
     with _naming(robot):
-        run = METHODS[method].build(loaded, Options(**options))
+        spill = Path(os.path.realpath(out))
+        run = METHODS[method].build(loaded, Options(**options, spill=spill if spill.is_dir() else spill.parent))
     rows = WHOLE if METHODS[method].whole(loaded) else ROWS
     with _output_folder(out, logs) as outputs:
         _refuse_clashes(outputs, [robot, *logs, *truths])
@@ -428,9 +430,9 @@ def _stem(log: str) -> str:
 
 
 def _refuse_clashes(outputs: Sequence[Path], inputs: Sequence[str | None]) -> None:
-    taken = {Path(path).resolve(): "would be written over what is read" for path in inputs if path is not None}
+    taken = {os.path.realpath(path): "would be written over what is read" for path in inputs if path is not None}
     for output in outputs:
-        if (where := output.resolve()) in taken:
+        if (where := os.path.realpath(output)) in taken:
             raise OutputError(f"{output}: {taken[where]}")
         taken[where] = "is the output of two logs; give --out as a name that differs, or run them apart"
 

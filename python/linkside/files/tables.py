@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 from linkside.errors import LogError
 
 from .csv_dialect import Dialect
+from .regular import instead
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 
@@ -129,7 +130,7 @@ class CsvTable:
         except pa.ArrowInvalid as error:
             for row in ragged:
                 sizes = f"{row.actual_columns} columns where the header has {row.expected_columns}"
-                raise failure(self.source, f"row {row.number - 2} has {sizes}") from error
+                raise failure(self.source, f"row {row.number - 1 - self._dialect.skipped} has {sizes}") from error
             raise
 
     @contextmanager
@@ -162,10 +163,12 @@ def open_table(path: str | Path) -> ParquetTable | CsvTable:
     if not name.endswith((".parquet", ".csv", ".csv.gz")):
         raise failure(str(path), "a file that ends in .parquet, .csv or .csv.gz is expected")
     with reading(str(path)):  # a name may also be too long, or out of reach
-        if not Path(path).exists():
-            raise failure(str(path), "no such file")
-        if Path(path).is_dir():
-            raise failure(str(path), "this is a directory, a file is expected")
+        try:
+            other = instead(path)
+        except FileNotFoundError:
+            raise failure(str(path), "no such file") from None
+        if other:
+            raise failure(str(path), f"this is {other}, a file is expected")
     return ParquetTable(path) if name.endswith(".parquet") else CsvTable(path)
 
 

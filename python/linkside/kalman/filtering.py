@@ -11,10 +11,12 @@ from typing import Any, Generic, Protocol, TypeVar, overload
 import numpy as np
 import numpy.typing as npt
 
-from linkside.errors import EstimatorError
+from linkside.errors import EstimatorError, NumericalError
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
+
+from .scale import blame_settings
 
 FloatArray = npt.NDArray[np.float64]
 Signal = FloatArray | Sequence[float]
@@ -98,6 +100,7 @@ class KalmanFilter(LiveFilter[Core]):
     """A Kalman filter, or with ``_smooth`` a smoother, of any model."""
 
     _smooth = False
+    noise: Any
 
     def __init__(
         self,
@@ -145,10 +148,13 @@ class KalmanFilter(LiveFilter[Core]):
         NumericalError
             The estimate is no longer finite; names the sample.
         """
-        if isinstance(log, Log):
-            return self._run(log, covariance, innovations)
-        with ThreadPoolExecutor() as pool:
-            return list(pool.map(lambda one: self._run(one, covariance, innovations), log))
+        try:
+            if isinstance(log, Log):
+                return self._run(log, covariance, innovations)
+            with ThreadPoolExecutor() as pool:
+                return list(pool.map(lambda one: self._run(one, covariance, innovations), log))
+        except NumericalError as error:
+            raise blame_settings(error, self.robot, self.noise) from None
 
     @abstractmethod
     def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:

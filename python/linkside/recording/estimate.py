@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import os
-import uuid
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
@@ -20,6 +19,8 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from linkside.errors import EstimatorError, LinksideError, LogError, OutputError
+from linkside.files.parts import open_part
+from linkside.files.regular import instead
 from linkside.files.tables import numbers, open_table
 
 if TYPE_CHECKING:
@@ -295,7 +296,7 @@ class EstimateWriter:
     def __enter__(self) -> EstimateWriter:
         """Open a temporary file next to the one to be."""
         with _writing(self._path):
-            self._part, self._file = _open_part(self._path)
+            self._part, self._file = open_part(self._path)
         return self
 
     def write(self, estimate: Estimate) -> None:
@@ -361,7 +362,7 @@ def write_text(path: str | Path, text: str) -> None:
     """Write a small file whole or not at all; `OutputError` when that cannot be."""
     path = Path(path)
     with _writing(path):
-        part, file = _open_part(path)
+        part, file = open_part(path)
         with file:
             file.write(text.encode())
         os.replace(part, os.path.realpath(path))
@@ -373,23 +374,17 @@ def check_writable(path: str | Path, suffixes: tuple[str, ...] = (".parquet", ".
     if path.suffix.lower() not in suffixes:
         raise OutputError(f"{path}: a file that ends in {' or '.join(suffixes)} is expected")
     with _writing(path):
-        if path.exists() and not path.is_file():
-            raise OutputError(f"{path}: this is not a file, and is in the way")
+        with suppress(FileNotFoundError):  # links in a circle are an OSError of their own
+            if instead(path):
+                raise OutputError(f"{path}: this is not a file, and is in the way")
         if path.exists() and not os.access(path, os.W_OK):
             raise OutputError(f"{path}: this file must not be written")
         folder = Path(os.path.realpath(path)).parent
         if not folder.is_dir():
             raise OutputError(f"{path}: there is no directory {folder}")
-        part, file = _open_part(path)  # only an attempt tells of full disks and read-only file systems
+        part, file = open_part(path)  # only an attempt tells of full disks and read-only file systems
         file.close()
         part.unlink()
-
-
-def _open_part(path: Path) -> tuple[Path, IO[bytes]]:
-    """Create a file beside ``path``, on the same file system, with the permissions of any new file."""
-    target = Path(os.path.realpath(path))
-    part = target.with_name(f".{uuid.uuid4().hex}.part")
-    return part, part.open("xb")
 
 
 def _sink(path: Path, file: IO[bytes], schema: pa.Schema) -> pq.ParquetWriter | pa.csv.CSVWriter:
