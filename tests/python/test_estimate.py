@@ -19,8 +19,9 @@ from hypothesis import strategies as st
 
 from linkside import demo
 from linkside.errors import EstimatorError, LogError, OutputError
-from linkside.recording import estimate as module
-from linkside.recording.estimate import Estimate, EstimateWriter, Status, check_writable
+from linkside.files.writing import check_writable
+from linkside.recording import Estimate, EstimateWriter, Status
+from linkside.recording import writer as module
 
 DATA = Path(__file__).parents[1] / "data"
 TRUTHS = [DATA / "arm2_square" / "truth.parquet", demo.TRUTH]
@@ -132,7 +133,7 @@ def test_pieces_make_the_same_file_bit_for_bit(tmp_path_factory, rows, cuts, suf
     folder, estimate = tmp_path_factory.mktemp("out"), motion(rows)
     whole, pieces = folder / f"whole{suffix}", folder / f"pieces{suffix}"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "_GROUP", group)
+        patch.setattr(module, "GROUP", group)
         estimate.write(whole)
         write_pieces(pieces, estimate, [min(cut, rows) for cut in cuts])
     assert whole.read_bytes() == pieces.read_bytes()

@@ -17,8 +17,8 @@ from linkside.calibration.resume import kept
 from linkside.cli import main
 from linkside.errors import LONGEST
 from linkside.files.parts import PART, SPILL, clear, open_part, spill_folder
+from linkside.files.writing import check_writable
 from linkside.files.yaml_source import Source
-from linkside.recording.estimate import check_writable
 
 ROBOT = Robot.load(demo.ROBOT)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from linkside.errors import ConfigError
 
 from ..files.regular import instead
-from ..recording.estimate import write_text
+from ..files.writing import write_text
 from .search import Step
 
 

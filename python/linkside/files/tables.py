@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,12 +15,11 @@ import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet as pq
 
+from linkside.arrays import FloatArray
 from linkside.errors import LogError
 
 from .csv_dialect import Dialect
 from .regular import instead
-
-FloatArray: TypeAlias = npt.NDArray[np.float64]
 
 _NUMBER = r"^\s*[-+]?((\d+{0}?\d*|{0}\d+)([eE][-+]?\d+)?|(?i:inf|infinity|nan))\s*$"
 

@@ -11,22 +11,22 @@ import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.csv
 
+from linkside.arrays import FloatArray
+from linkside.channels import CHANNELS, joint_columns
 from linkside.errors import EstimatorError, LogError
 from linkside.files.tables import column_names, failure, numbers, open_table, reading, to_arrow
 from linkside.recording.checks.finding import Finding
 from linkside.recording.checks.inspector import Inspector, able
 
-FloatArray: TypeAlias = npt.NDArray[np.float64]
-
-JOINT_SIGNALS = ("theta", "dtheta", "tau", "q", "ddq", "torque", "qref", "dqref", "ddqref")
-"""Signals with one column a joint, ``<signal>_<joint>``."""
+UNMEASURED = ("tau", "ddq", "qref", "dqref", "ddqref")
+"""Signals with one column a joint, ``<signal>_<joint>``, beside the channels that filters correct with."""
 
 LARGEST_STEP = 1.5
 """A step of time longer than this many periods is a gap: at least one sample is not there."""
@@ -98,8 +98,8 @@ class Log:
         Accelerometers: specific force in the sensor's axes [m/s²].
     rate : (T, g)
         Gyroscopes: angular velocity in the sensor's axes [rad/s].
-    q, ddq : (T, n)
-        Link positions [rad] and accelerations [rad/s²], where sensors measure them.
+    q, dq, ddq : (T, n)
+        Link positions [rad], velocities [rad/s] and accelerations [rad/s²], where sensors measure them.
     torque : (T, n)
         Joint torque sensors: what the transmission gives the link [N m].
     qref, dqref, ddqref : (T, n)
@@ -119,6 +119,7 @@ class Log:
     acceleration: FloatArray | None
     rate: FloatArray | None
     q: FloatArray | None
+    dq: FloatArray | None
     ddq: FloatArray | None
     torque: FloatArray | None
     qref: FloatArray | None
@@ -292,8 +293,10 @@ class _Layout:
     @classmethod
     def of(cls, robot: RobotColumns, found: list[str], source: str) -> _Layout:
         """Find a robot's signals among a log's columns; time and motor positions must be there."""
-        ours = {"t": ("t",)} | {s: tuple(f"{s}_{joint}" for joint in robot.names) for s in JOINT_SIGNALS}
-        ours |= {"acceleration": tuple(robot.acceleration_channels), "rate": tuple(robot.gyroscope_channels)}
+        measured = {channel.signal: channel.columns(robot) for channel in CHANNELS.values()}
+        others = {signal: joint_columns(signal, robot.names) for signal in UNMEASURED}
+        inertial = {signal: measured.pop(signal) for signal in ("acceleration", "rate")}
+        ours = {"t": ("t",)} | measured | others | inertial
         renamed = robot.columns.names
         wanted = {signal: tuple(renamed.get(c, c) for c in columns) for signal, columns in ours.items()}
         ratio = np.asarray(robot.gear_ratio, float) if robot.columns.motor_side else None

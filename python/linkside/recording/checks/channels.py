@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from linkside.arrays import FloatArray
+
 from .finding import Finding
 from .gravity import DIFFERENT, expected
-from .view import FloatArray, View
+from .view import View
 
 SIGNALS = ("theta", "dtheta", "tau", "acceleration", "rate", "q", "ddq", "torque")
 SENSORS = ("acceleration", "rate", "torque")

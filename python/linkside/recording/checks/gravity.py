@@ -7,8 +7,10 @@ from itertools import permutations, product
 
 import numpy as np
 
+from linkside.arrays import FloatArray
+
 from .finding import Finding, Verdict
-from .view import FloatArray, View
+from .view import View
 
 STANDARD_GRAVITY = 9.80665
 

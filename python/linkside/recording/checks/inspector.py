@@ -5,16 +5,15 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeGuard
+from typing import TypeGuard
 
-from ...errors import LogError, RecordingWarning
+from linkside.arrays import FloatArray
+from linkside.errors import LogError, RecordingWarning
+from linkside.robot import Robot
+
 from . import channels, clock, gravity, positions, units
 from .finding import Finding
-from .view import FloatArray, View
-
-if TYPE_CHECKING:
-    from ...robot import Robot
-    from ..log import Log
+from .view import Kind, Recording, View
 
 Check = Callable[[View], Iterator[Finding]]
 
@@ -57,7 +56,7 @@ class Inspector:
     def __init__(self, robot: Robot, source: str, *, collect: bool = False) -> None:
         self.findings: list[Finding] = []
         self._robot, self._source, self._collect = robot, source, collect
-        self._before: Log | None = None
+        self._before: Recording | None = None
         self._first = 0
         self._offset: dict[tuple[str, int], float] = {}
 
@@ -69,7 +68,7 @@ class Inspector:
         self._add(found)
         return found.size
 
-    def __call__(self, log: Log) -> Log:
+    def __call__(self, log: Kind) -> Kind:
         """Check a piece; gives it with positions unwrapped, and what was found.
 
         Raises
@@ -81,13 +80,13 @@ class Inspector:
         view = View(log, self._robot, self._first, self._before)
         refused = max([self._add(found) for found in channels.sentinels(view)], default=False)
         if not refused:
-            log = self._unwrapped(view)
+            log = self._unwrapped(log, view)
             view = replace(view, log=log)
         for name, check in CHECKS.items():
             if name != "sentinels" and not refused:
                 refused = max([self._add(found) for found in check(view)], default=False)
         self._before, self._first = log[-BEFORE:], self._first + len(log)
-        return replace(log, findings=tuple(self.findings))
+        return replace(log, findings=tuple(self.findings))  # type: ignore[type-var]
 
     def _add(self, found: Finding) -> bool:
         """Keep a finding, the first of its kind and column; whether it refuses the recording."""
@@ -99,16 +98,16 @@ class Inspector:
                 warnings.warn(f"{self._source}: {found}", RecordingWarning, stacklevel=4)
         return found.verdict == "refused"
 
-    def _unwrapped(self, view: View) -> Log:
+    def _unwrapped(self, log: Kind, view: View) -> Kind:
         offsets: dict[str, FloatArray] = {}
         for found, signal, joint, offset in positions.wraps(view):
             self._add(found)
             array = offsets.setdefault(signal, getattr(view.log, signal).copy())
             array[:, joint] += offset
             self._offset[signal, joint] = self._offset.get((signal, joint), 0.0) + float(offset[-1])
-        return _with(view.log, offsets)
+        return _with(log, offsets)
 
-    def _shifted(self, log: Log) -> Log:
+    def _shifted(self, log: Kind) -> Kind:
         """Carry on the turns that were counted in the pieces before."""
         changed: dict[str, FloatArray] = {}
         for (signal, joint), offset in self._offset.items():
@@ -117,18 +116,18 @@ class Inspector:
         return _with(log, changed)
 
 
-def _with(log: Log, arrays: dict[str, FloatArray]) -> Log:
+def _with(log: Kind, arrays: dict[str, FloatArray]) -> Kind:
     for array in arrays.values():
         array.flags.writeable = False
-    return replace(log, **arrays) if arrays else log  # type: ignore[arg-type]
+    return replace(log, **arrays) if arrays else log  # type: ignore[type-var]
 
 
-def inspect(log: Log, robot: Robot) -> tuple[Finding, ...]:
+def inspect(log: Recording, robot: Robot) -> tuple[Finding, ...]:
     """Everything that the checks find about a recording, what they refuse included; nothing is raised or warned of."""
     return tuple(found for _, results in _results(log, robot) for found in results)
 
 
-def verdicts(log: Log, robot: Robot) -> tuple[list[tuple[str, str]], Finding | None]:
+def verdicts(log: Kind, robot: Robot) -> tuple[list[tuple[str, str]], Finding | None]:
     """Each check with its verdict in words, and the first finding that refuses the recording."""
     rows: list[tuple[str, str]] = []
     refused: Finding | None = None
@@ -138,14 +137,14 @@ def verdicts(log: Log, robot: Robot) -> tuple[list[tuple[str, str]], Finding | N
     return rows, refused
 
 
-def _results(log: Log, robot: Robot) -> Iterator[tuple[str, list[Finding]]]:
+def _results(log: Kind, robot: Robot) -> Iterator[tuple[str, list[Finding]]]:
     """Findings of each check, of all of them whatever those before said."""
     (column,) = log.columns("t")
     known = [found for found in log.findings if found.verdict == "mended"]
     unit = clock.unit(log.period, robot.config.rate_hz, column)
     if unit is not None and unit.size is not None:
         known.append(unit)
-        log = replace(log, t=unit.size * log.t, period=unit.size * log.period)
+        log = replace(log, t=unit.size * log.t, period=unit.size * log.period)  # type: ignore[type-var]
     view = View(log, robot)
     sound = not list(channels.sentinels(view))
     wraps = list(positions.wraps(view)) if sound else []

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from .finding import Finding
-from .view import FloatArray, View
+from linkside.arrays import FloatArray
+from linkside.robot import Robot
 
-if TYPE_CHECKING:
-    from ...robot import Robot
+from .finding import Finding
+from .view import View
 
 CLEAN = 8.0
 """A jump is at least so many times what the speed changes around it."""

@@ -6,10 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from linkside.arrays import FloatArray
+
 from .finding import Finding, Verdict
 from .gravity import DIFFERENT, misfit
 from .positions import joint_limits, sliding
-from .view import FloatArray, View
+from .view import View
 
 WORDS = {
     "degrees": ("is in degrees", "convert it to radians"),

@@ -6,18 +6,17 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from linkside.arrays import FloatArray
+from linkside.robot import Robot
+
 from .finding import Finding, Verdict
 
-if TYPE_CHECKING:
-    from ...robot import Robot
-    from ..log import Log
-
-FloatArray: TypeAlias = npt.NDArray[np.float64]
+Kind = TypeVar("Kind", bound="Recording")
 
 BLOCK = 0.02
 """Length of a block [s]: short for a motion, long for noise."""
@@ -26,14 +25,59 @@ BLOCKS = 200
 """So many blocks, at most, are looked at."""
 
 
+class Recording(Protocol):
+    """What the checks ask of a log; `Log` is made with them."""
+
+    @property
+    def t(self) -> FloatArray:
+        """Time [s]."""
+
+    @property
+    def theta(self) -> FloatArray:
+        """Motor positions."""
+
+    @property
+    def dtheta(self) -> FloatArray | None:
+        """Motor velocities."""
+
+    @property
+    def tau(self) -> FloatArray | None:
+        """Motor torques."""
+
+    @property
+    def acceleration(self) -> FloatArray | None:
+        """Accelerometers."""
+
+    @property
+    def source(self) -> str:
+        """Where it came from."""
+
+    @property
+    def period(self) -> float:
+        """Median step of time [s]."""
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What was found before."""
+
+    def columns(self, signal: str) -> tuple[str, ...]:
+        """Names of a signal's columns."""
+
+    def __len__(self) -> int:
+        """Rows."""
+
+    def __getitem__(self: Kind, rows: slice) -> Kind:
+        """Some rows."""
+
+
 @dataclass(frozen=True)
 class View:
     """Rows of a recording from ``first`` on, with the robot, and up to three rows before them."""
 
-    log: Log
+    log: Recording
     robot: Robot
     first: int = 0
-    before: Log | None = None
+    before: Recording | None = None
 
     def channels(self, *signals: str) -> Iterator[tuple[str, int, str, FloatArray]]:
         """Signal, index, column and values of each channel that the recording has."""

@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from linkside.calibration import Calibration, Step, calibrate
+from linkside.calibration import resume as state
 from linkside.errors import EstimatorError
-from linkside.recording.estimate import check_writable
+from linkside.files.writing import check_writable
 from linkside.recording.log import Log
 from linkside.robot import Robot
-
-from . import resume as state
-from .calibrate import calibrate
-from .result import Calibration
-from .search import Step
 
 
 def run(
