@@ -17,7 +17,7 @@ import pytest
 from click.testing import CliRunner
 
 from linkside import AccelerationObserver, Estimate, Log, Noise, Robot, cli, demo, poles
-from linkside.cli import bar, commands, methods
+from linkside.cli import commands, methods, terminal
 
 DATA = Path(__file__).parents[1] / "data"
 ACCURACY = {  # RMS of the tool error, offset out [mm]
@@ -516,16 +516,16 @@ class Terminal(list):
 
 @pytest.mark.parametrize(("delay", "shown"), [(0.0, True), (60.0, False)])
 def test_a_bar_appears_only_when_work_takes_long(monkeypatch, delay, shown):
-    terminal = Terminal()
-    monkeypatch.setattr(sys, "stderr", terminal)
+    screen = Terminal()
+    monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setattr(bar, "DELAY", delay)
-    with bar.bar(100) as advance:
+    monkeypatch.setattr(terminal, "DELAY", delay)
+    with terminal.bar(100) as advance:
         time.sleep(0.01)
         advance("log.parquet", 40)
         time.sleep(0.2)
         advance("log.parquet", 60)
-    assert ("log.parquet" in "".join(terminal)) == shown
+    assert ("log.parquet" in "".join(screen)) == shown
 
 
 def test_check_tells_words_tables_and_draws(folder):

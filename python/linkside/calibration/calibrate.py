@@ -23,10 +23,10 @@ from .problem import Problem
 from .recordings import refuse, use_torque
 from .result import Estimated, Fit
 from .search import GAIN, ROUGH, Progress, Search
-from .uncertainty import Alone, Contradiction, Uncertainty, compare, uncertainty, untold
+from .uncertainty import Alone, Contradiction, Uncertainty, compare, uncertainty, unidentifiable
 
 ROUNDS = 3
-"""How often parameters that turn out not to be told are left out and the rest is estimated anew."""
+"""How often parameters that turn out not to be identifiable are left out and the rest is estimated anew."""
 
 
 @contextmanager
@@ -173,7 +173,7 @@ class _Run:
 
     def _leave_out(self) -> bool:
         """Whether anything had to be left out."""
-        reasons = untold(self.problem, self.problem.evidence(self.z, detail=True), self.still)
+        reasons = unidentifiable(self.problem, self.problem.evidence(self.z, detail=True), self.still)
         if reasons:
             self.refused |= reasons
             self.problem = self.problem.restricted([p for p in self.problem.free if p.name not in reasons])
@@ -203,5 +203,5 @@ def _contradictions(problem: Problem, z: FloatArray) -> tuple[Contradiction, ...
         best = Search(alone).maximise(z)
         evidence = alone.evidence(best, detail=True)
         still = [name for name, does in zip(problem.robot.names, moving(log), strict=True) if not does]
-        fits.append(Alone(best, uncertainty(evidence, log.period), frozenset(untold(alone, evidence, still))))
+        fits.append(Alone(best, uncertainty(evidence, log.period), frozenset(unidentifiable(alone, evidence, still))))
     return tuple(compare(problem, fits))

@@ -16,8 +16,11 @@ from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from linkside.files.writing import write_text
 from linkside.files.yaml_source import Source
 
-from .parameters import AXES, SHORTEST_FILTER
+from .parameters import AXES, KINDS, SHORTEST_FILTER
 from .result import Estimated, Result
+
+CONSIDERED = ("stiffness", "cubic_stiffness", "damping", "mass_scale", "translation", "rotation", "scale")
+"""Kinds whose standard errors count in estimates."""
 
 Writer = Callable[[Any, Estimated], None]
 
@@ -53,6 +56,7 @@ def write(calibration: Result, source: str | Path, out: str | Path) -> None:
             writer(tree, estimated)
     for index in sorted({e.parameter.core[1] for e in calibration.estimates if e.parameter.kind == "rotation"}):
         _write_rotation(tree["accelerometers"][index], calibration, index)
+    _write_errors(tree, calibration)
     text = StringIO()
     yaml = YAML()
     yaml.width = 120
@@ -154,6 +158,18 @@ def _write_rotation(sensor: Any, calibration: Result, index: int) -> None:
     turned = pin.rpy.rpyToMatrix(*map(float, sensor.get("rpy", [0.0] * 3))) @ pin.exp3(vector)
     _put(sensor, "rpy", _flow_seq([float(round(x, 6)) for x in pin.rpy.matrixToRpy(turned)]), "xyz")
     _note(sensor, "rpy", "± " + ", ".join(f"{e.std:.2g} about {AXES[a]}" for a, e in sorted(found.items())))
+
+
+def _write_errors(tree: Any, calibration: Result) -> None:
+    """Standard errors in place of the tolerances from which calibration began, for `linkside.trust.tolerances`."""
+    shares = {
+        e.parameter.name: float(f"{e.std / (abs(e.value) if KINDS[e.parameter.kind].relative else 1.0):.2g}")
+        for e in calibration.estimates
+        if e.parameter.kind in CONSIDERED and not e.at_bound and np.isfinite(e.std) and e.std > 0 and e.value
+    }
+    if shares:
+        tolerances = tree.setdefault("tolerances", CommentedMap())
+        tolerances["calibrated"] = {**tolerances.get("calibrated", {}), **shares}
 
 
 def _flow_map() -> CommentedMap:

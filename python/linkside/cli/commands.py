@@ -22,13 +22,12 @@ from linkside.recording.checks import verdicts
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
-from linkside.text import show
 
-from .bar import bar
 from .error_tables import tool_table
 from .estimate_logs import Job, estimate_all, naming, output_folder
 from .failures import Commands
 from .methods import METHODS, Options
+from .terminal import bar, show
 
 ROWS = 8192
 """Rows of a log that are in memory at a time."""
@@ -84,9 +83,12 @@ def main(ctx: click.Context, debug: bool) -> None:
 @click.option("--particles", type=int, default=1000, show_default=True, help="How many a particle filter has.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of a particle filter's random numbers.")
 @click.option("--gain", type=float, default=100, show_default=True, help="Gain of a velocity observer [1/s].")
+@click.option("--strict", is_flag=True, help="Exit with status 3 where readings contradict the model.")
 @_no_check
 @click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this file; one for each log.")
-def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, no_check: bool, **options: Any) -> None:
+def estimate(
+    robot: str, logs: tuple[str, ...], method: str, out: str, strict: bool, no_check: bool, **options: Any
+) -> int:
     """Estimate the motion of ROBOT's links from recordings.
 
     ROBOT is a robot.yaml, each LOG a Parquet or CSV file. Logs are read piece by piece and may be larger than memory.
@@ -107,7 +109,8 @@ def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, no_check:
         for output in outputs:
             check_writable(output)
         files = zip(logs, outputs, truths or [None] * len(logs), strict=True)
-        estimate_all([Job(loaded, run, rows, not no_check, *three) for three in files])
+        believable = estimate_all([Job(loaded, run, rows, not no_check, *three) for three in files])
+    return 3 if strict and not believable else 0
 
 
 def _refuse_untaken(method: str) -> None:

@@ -10,7 +10,6 @@ from typing import Any, Literal, TypeAlias
 
 from linkside.kalman.elastic_joint import ElasticJointFilter, ElasticJointSmoother, ElasticNoise
 from linkside.kalman.jerk_driven import ExtendedKalmanFilter, RauchTungStriebelSmoother
-from linkside.kalman.late_sensors import is_late
 from linkside.kalman.noise import Noise
 from linkside.kalman.stretches import smooth_pieces
 from linkside.observers.poles import PolePattern
@@ -72,12 +71,12 @@ def _observer(robot: Robot, options: Options) -> Run:
 
 def _ekf(robot: Robot, options: Options) -> Run:
     ekf = ExtendedKalmanFilter(robot, options.tuning, gate=options.gate)
-    return partial(map, ekf.run) if is_late(robot) else ekf.run_pieces
+    return ekf.run_pieces
 
 
 def _smoother(robot: Robot, options: Options) -> Run:
     smoother = RauchTungStriebelSmoother(robot, options.tuning, gate=options.gate)
-    return partial(map, smoother.run) if is_late(robot) else partial(smooth_pieces, smoother, folder=options.spill)
+    return partial(smooth_pieces, smoother, folder=options.spill)
 
 
 def _elastic_ekf(robot: Robot, options: Options) -> Run:
@@ -103,8 +102,8 @@ METHODS = {
         _observer,
         read_tuning=ObserverTuning.read,
     ),
-    "ekf": Method("Kalman filter with the links' dynamics, and how sure it is", ("tuning", "gate"), _ekf, is_late),
-    "smoother": Method("the same by all samples, later ones too", ("tuning", "gate"), _smoother, is_late),
+    "ekf": Method("Kalman filter with the links' dynamics, and how sure it is", ("tuning", "gate"), _ekf),
+    "smoother": Method("the same by all samples, later ones too", ("tuning", "gate"), _smoother),
     "elastic-ekf": Method(
         "Kalman filter on the elastic-joint dynamics, moved by the motor torques; needs no accelerometer",
         ("tuning", "gate"),

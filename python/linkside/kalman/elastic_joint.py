@@ -10,16 +10,17 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from linkside import _core
+from linkside.arguments import one_of, per_joint, sized
 from linkside.arrays import FloatArray, Signal
-from linkside.errors import EstimatorError, NumericalError
+from linkside.errors import NumericalError
 from linkside.files.yaml_source import Source
 from linkside.recording.estimate import result_of
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
-from .filtering import KalmanEstimate, KalmanMethod, LiveFilter, sized
-from .late_sensors import is_late
-from .noise import PositiveStd, Std, channel_arrays, motor_noise, per_joint
+from .filtering import KalmanEstimate, KalmanMethod, LiveFilter
+from .late_sensors import inside
+from .noise import PositiveStd, Std, channel_arrays, motor_noise
 
 Arrays = tuple[FloatArray, FloatArray, FloatArray]
 
@@ -112,17 +113,15 @@ class ElasticJoint(KalmanMethod):
     ) -> None:
         wanted = {"acceleration": accelerations, "dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
         super().__init__(robot, wanted, biases, gate, iterations)
-        if transition not in ("exact", "first-order"):
-            raise EstimatorError(f"transition is {transition!r}, expected 'exact' or 'first-order'")
-        if motor_torque not in ("sampled", "held"):
-            raise EstimatorError(f"motor_torque is {motor_torque!r}, expected 'sampled' or 'held'")
+        one_of("transition", transition, ("exact", "first-order"))
+        one_of("motor_torque", motor_torque, ("sampled", "held"))
         self.noise = noise or ElasticNoise()
         self._held = motor_torque == "held"
         self._disturbances, self._transition = disturbances, transition
 
     def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
         kinds = self.kinds(log)
-        core = self.core(kinds, held=self._held)
+        core = self.core(kinds, log.period, held=self._held)
         dt, readings, tau = self.arrays(log, kinds)
         (outcome,) = core.run_all([(dt, readings, self._acting(tau))], self._smooth, covariance, innovations)
         return self._estimate(log, kinds, result_of(log.source, outcome))
@@ -134,13 +133,8 @@ class ElasticJoint(KalmanMethod):
         log.require("tau", purpose=purpose)
         return self._with_wanted(("motor",), log, purpose)
 
-    def core(self, kinds: tuple[str, ...], *, held: bool) -> _core.ElasticJointFilter:
-        """Build a filter of the core for channels of these kinds, which has taken no sample."""
-        if "acceleration" in kinds and is_late(self.robot):
-            raise EstimatorError(
-                "the elastic-joint filter takes accelerations as they come, and robot.yaml gives an accelerometer a "
-                "corner_frequency or a delay; set accelerations=False, or use ExtendedKalmanFilter"
-            )
+    def core(self, kinds: tuple[str, ...], period: float, *, held: bool) -> _core.ElasticJointFilter:
+        """Build a filter of the core, without a sample yet, for channels of these kinds every ``period`` [s]."""
         return _core.ElasticJointFilter(
             self.robot.core,
             **self._channels(kinds),
@@ -150,6 +144,7 @@ class ElasticJoint(KalmanMethod):
             noise=self.noise.arrays(self.robot, kinds),
             gate=self._gate,
             iterations=self._iterations,
+            late=inside(self.robot, kinds, period),
         )
 
     def arrays(self, log: Log, kinds: tuple[str, ...], before: tuple[float, FloatArray] | None = None) -> Arrays:
@@ -242,6 +237,7 @@ class ElasticJointFilter(ElasticJoint, LiveFilter[_core.ElasticJointFilter]):
             Link positions (n) and velocities (n), motor positions and velocities of the elastic joints, disturbance
             torques, biases. ``covariance`` and ``status`` tell the rest.
         """
+        self._period = dt if self._started is None else self._period
         live, kinds = self._live, self.live_kinds
         given = {"motor": theta, "acceleration": acceleration, "dtheta": dtheta}
         names = {"motor": "theta"}
@@ -259,7 +255,7 @@ class ElasticJointFilter(ElasticJoint, LiveFilter[_core.ElasticJointFilter]):
         return ("motor", *(kind for kind, use in wanted.items() if use))
 
     def _start(self) -> _core.ElasticJointFilter:
-        return self.core(self.live_kinds, held=self._held)
+        return self.core(self.live_kinds, self._period, held=self._held)
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
         """Estimate a recording that comes piece by piece, in bounded memory; the same bits as `run`."""
@@ -269,7 +265,7 @@ class ElasticJointFilter(ElasticJoint, LiveFilter[_core.ElasticJointFilter]):
         for piece in pieces:
             if core is None:
                 kinds = self.kinds(piece)
-                core = self.core(kinds, held=self._held)
+                core = self.core(kinds, piece.period, held=self._held)
             dt, readings, tau = self.arrays(piece, kinds, before)
             try:
                 result = core.run((dt, readings, self._acting(tau, before)))
@@ -278,12 +274,12 @@ class ElasticJointFilter(ElasticJoint, LiveFilter[_core.ElasticJointFilter]):
             before = float(piece.t[-1]), tau[-1:]
             yield self._estimate(piece, kinds, result)
 
-    def fresh(self) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
-        """Build a filter of the core for a loop, and the kinds of its channels.
+    def fresh(self, period: float) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
+        """Build a filter of the core for a loop of this period [s], and the kinds of its channels.
 
         It has taken no sample; a sample's torques are those that have acted, held, since the one before.
         """
-        return self.core(self.live_kinds, held=True), self.live_kinds
+        return self.core(self.live_kinds, period, held=True), self.live_kinds
 
 
 class ElasticJointSmoother(ElasticJoint):

@@ -11,12 +11,14 @@ from typing import Any, Generic, Protocol, TypeVar, overload
 import numpy as np
 import numpy.typing as npt
 
+from linkside.arguments import whole
 from linkside.arrays import FloatArray
 from linkside.channels import BIASED, CHANNELS
 from linkside.errors import EstimatorError, NumericalError
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.trust.findings import named
 
 from .scale import blame_settings
 
@@ -27,8 +29,6 @@ class KalmanEstimate(Estimate):
 
     Attributes
     ----------
-    nis : (T,)
-        Normalised innovation squared; its mean should be that of ``used``.
     used : (T,)
         Readings used at each sample.
     log_likelihood : (T,)
@@ -41,7 +41,6 @@ class KalmanEstimate(Estimate):
         The m columns of the log that were read.
     """
 
-    nis: FloatArray | None = None
     used: npt.NDArray[np.uint32] | None = None
     log_likelihood: FloatArray | None = None
     state: FloatArray | None = None
@@ -71,6 +70,7 @@ class LiveFilter(ABC, Generic[Core]):
     def __init__(self) -> None:
         self.status = 0
         self._started: Core | None = None
+        self._period = np.inf  # of the samples, where `step` has begun
 
     @property
     def covariance(self) -> FloatArray:
@@ -110,12 +110,10 @@ class KalmanMethod(ABC):
         unknown = sorted(set(biases) - set(BIASED))
         if unknown:
             raise EstimatorError(f"biases: {unknown[0]!r} is not one of {', '.join(map(repr, BIASED))}")
-        if not isinstance(iterations, int) or iterations < 1:
-            raise EstimatorError(f"iterations is {iterations!r}, expected a whole number of at least 1")
         robot.require_masses("a Kalman filter", elastic_only=True)
         self.robot = robot
         self._wanted, self._biases = dict(wanted), tuple(biases)
-        self._gate, self._iterations = gate, iterations
+        self._gate, self._iterations = gate, whole("iterations", iterations, least=1)
 
     @overload
     def run(self, log: Log, *, covariance: bool = False, innovations: bool = False) -> KalmanEstimate: ...
@@ -173,7 +171,7 @@ class KalmanMethod(ABC):
     def _channels(self, kinds: tuple[str, ...]) -> dict[str, Any]:
         """Kinds of channels as the core names them, and which of their channels have a bias."""
         return {
-            "kinds": ["theta" if kind == "motor" else kind for kind in kinds],
+            "kinds": [CHANNELS[kind].signal for kind in kinds],
             "biased": [kind in self._biases for kind in kinds for _ in range(self.width(kind))],
         }
 
@@ -182,14 +180,6 @@ class KalmanMethod(ABC):
         return tuple(name for kind in kinds for name in log.columns(CHANNELS[kind].signal))
 
     def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> KalmanEstimate:
-        return KalmanEstimate(t=log.t, names=self.robot.names, channels=self.columns(log, kinds), **result)
-
-
-def sized(name: str, signal: npt.ArrayLike | None, size: int) -> FloatArray:
-    """Give a copy of a signal's ``size`` values at one sample; NaN where there is no signal."""
-    if signal is None:
-        return np.full(size, np.nan)
-    array = np.array(signal, np.float64)
-    if array.shape != (size,):
-        raise EstimatorError(f"{name} has shape {array.shape}, expected ({size},)")
-    return array
+        columns = self.columns(log, kinds)
+        found = named(result.pop("findings", ()), columns)
+        return KalmanEstimate(t=log.t, names=self.robot.names, channels=columns, findings=found, **result)

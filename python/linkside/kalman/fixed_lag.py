@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from linkside import _core
+from linkside.arguments import sized, whole
 from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError
 from linkside.robot import Robot
 
-from .filtering import KalmanEstimate, sized
+from .filtering import KalmanEstimate
 from .jerk_driven import Arrays, ExtendedKalmanFilter
 from .noise import Noise
 
@@ -33,17 +34,14 @@ class FixedLagSmoother:
     Raises
     ------
     EstimatorError
-        Settings out of range, or sensors whose readings come late.
+        Settings out of range.
     """
 
     def __init__(self, robot: Robot, noise: Noise | None = None, *, lag: int, **settings: Any) -> None:
-        if not isinstance(lag, int) or lag < 1:
-            raise EstimatorError(f"lag is {lag!r}, expected a whole number of at least 1")
-        self.robot, self.lag = robot, lag
+        self.robot, self.lag = robot, whole("lag", lag, least=1)
         self._filter = ExtendedKalmanFilter(robot, noise, **settings)
-        self._filter.refuse_late("a fixed-lag smoother")
         self._kinds = self._filter.live_kinds
-        self._before = self._filter.core(self._kinds, self._filter.noise)
+        self._before = self._filter.core(self._kinds, self._filter.noise, np.inf)
         self.reset()
 
     def reset(self) -> None:
@@ -74,6 +72,8 @@ class FixedLagSmoother:
         """
         if not dt > 0:
             raise EstimatorError(f"dt is {dt}, expected a positive time")
+        if not self._begun:  # the first step of time says how many samples a late sensor's delay spans
+            self._before = self._filter.core(self._kinds, self._filter.noise, dt)
         self._window.append((dt, self._reading(theta, acceleration, further), *self._moved(dt, dtheta, ddqref)))
         if len(self._window) <= self.lag:
             return None
@@ -113,7 +113,7 @@ class FixedLagSmoother:
         arrays = self._stacked(len(self._window))
         result = _core.StretchSmoother(self._before).back(self._before, arrays, True)
         t = self._t + np.cumsum(arrays[0]) - arrays[0][0]
-        first: dict[str, Any] = {name: a[:rows] for name, a in result.items()}
+        first: dict[str, Any] = {name: a[:rows] for name, a in result.items() if name != "findings"}
         return KalmanEstimate(t=t[:rows], names=self.robot.names, **first)
 
     def _forget(self) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -15,9 +14,10 @@ from linkside.recording.estimate import result_of
 from linkside.recording.log import Log
 from linkside.robot import Robot
 from linkside.robot.requirements import refuse_unsupported
+from linkside.trust.tolerances import considered
 
 from .filtering import CoreFilter, KalmanEstimate, KalmanMethod, LiveFilter
-from .late_sensors import Schedule, is_late, unfiltered
+from .late_sensors import inside, is_late
 from .noise import Noise
 
 Arrays = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
@@ -84,6 +84,7 @@ class JerkDrivenFilter(LiveFilter[Core]):
         NumericalError
             Of a particle filter: no particle explains the sample.
         """
+        self._period = dt if self._started is None else self._period
         live = self._live
         out = np.empty(live.states) if out is None else out
         self.status = live.step(dt, theta, acceleration, dtheta, ddqref, further, out)
@@ -107,45 +108,28 @@ class JerkDriven(KalmanMethod):
         dq: bool | None = None,
         gate: float | None = None,
         iterations: int = 1,
+        tolerances: bool = True,
     ) -> None:
         refuse_unsupported(robot, "a filter on the acceleration-driven model")
         wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
         super().__init__(robot, wanted, biases, gate, iterations)
         self.noise = noise or Noise()
         self._damping = damping
+        self._uncertain = considered(robot) if tolerances else []
 
     def refuse_late(self, what: str) -> None:
-        """Raise `EstimatorError` where an accelerometer has a filter or a delay inside, which ``what`` cannot undo."""
+        """Raise `EstimatorError` where a sensor has a filter or delay inside, which ``what`` does not know."""
         if is_late(self.robot):
             raise EstimatorError(
-                f"{what} takes readings as they come, and robot.yaml gives an accelerometer a corner_frequency or a "
-                "delay; call run on the whole log"
+                f"{what} takes readings as they come, and robot.yaml gives a sensor a corner_frequency or a delay; "
+                "use a Kalman filter"
             )
 
     def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
         kinds = self.kinds(log)
-        noise = self.noise.for_log(log)
-        if is_late(self.robot):
-            result = self._run_late(log, kinds, noise, covariance, innovations)
-        else:
-            core = self.core(kinds, noise)
-            (outcome,) = core.run_all([self.arrays(log, kinds)], self._smooth, covariance, innovations)
-            result = result_of(log.source, outcome)
-        return self._estimate(log, kinds, result)
-
-    def _run_late(
-        self, log: Log, kinds: tuple[str, ...], noise: Noise, covariance: bool, innovations: bool
-    ) -> dict[str, Any]:
-        """Accelerometers with a filter or a delay inside: each reading is used at the time that it is of."""
-        assert log.acceleration is not None  # `kinds` has asked for it
-        acceleration, late, factor = unfiltered(self.robot, log.acceleration, log.period)
-        arrays = self.arrays(replace(log, acceleration=acceleration), kinds)
-        lag = np.zeros(arrays[1].shape[1])
-        lag[self.robot.n :][: len(late)] = late
-        schedule = Schedule(log.t, lag)
-        core = self.core(kinds, noise, factor)
-        (outcome,) = core.run_all([schedule.spread(arrays, log.period)], self._smooth, covariance, innovations)
-        return schedule.gather(result_of(log.source, outcome), arrays[1])
+        core = self.core(kinds, self.noise.for_log(log), log.period)
+        (outcome,) = core.run_all([self.arrays(log, kinds)], self._smooth, covariance, innovations)
+        return self._estimate(log, kinds, result_of(log.source, outcome))
 
     def kinds(self, log: Log) -> tuple[str, ...]:
         """Kinds of channels to use, in the filter's order."""
@@ -154,21 +138,20 @@ class JerkDriven(KalmanMethod):
             log.require("acceleration", purpose="the Kalman filter")
         return self._with_wanted(("motor", "acceleration"), log, "the Kalman filter")
 
-    def core(
-        self, kinds: tuple[str, ...], noise: Noise, factor: FloatArray | float = 1.0
-    ) -> _core.ExtendedKalmanFilter:
-        """Build a filter of the core for channels of these kinds, which has taken no sample."""
+    def core(self, kinds: tuple[str, ...], noise: Noise, period: float) -> _core.ExtendedKalmanFilter:
+        """Build a filter of the core, without a sample yet, for channels of these kinds every ``period`` [s]."""
         return _core.ExtendedKalmanFilter(
-            self.robot.core, **self.settings(kinds, noise, factor), gate=self._gate, iterations=self._iterations
+            self.robot.core,
+            **self.settings(kinds, noise),
+            gate=self._gate,
+            iterations=self._iterations,
+            late=inside(self.robot, kinds, period),
+            told=[parameter.told for parameter in self._uncertain],
         )
 
-    def settings(self, kinds: tuple[str, ...], noise: Noise, factor: FloatArray | float = 1.0) -> dict[str, Any]:
+    def settings(self, kinds: tuple[str, ...], noise: Noise) -> dict[str, Any]:
         """Settings of the model: its channels, which of them have a bias, noise, damping."""
-        arrays = noise.arrays(self.robot, kinds)
-        sensors = slice(self.robot.n, self.robot.n + self.width("acceleration"))
-        factors = np.broadcast_to(factor, self.width("acceleration"))
-        arrays["reading"][sensors] = list(arrays["reading"][sensors] * factors)
-        return self._channels(kinds) | {"noise": arrays, "damping": self._damping}
+        return self._channels(kinds) | {"noise": noise.arrays(self.robot, kinds), "damping": self._damping}
 
     def arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:
         """Steps of time, readings, motor velocities and commanded jerk, one row a sample."""
@@ -210,6 +193,9 @@ class ExtendedKalmanFilter(JerkDriven, JerkDrivenFilter[_core.ExtendedKalmanFilt
         Leave a reading out when its innovation exceeds this many standard deviations; None uses all.
     iterations
         How often a sample's measurement is linearised; 1 is the plain update.
+    tolerances
+        Whether the ``tolerances`` of robot.yaml count in standard deviations, as far as independent sensors have not
+        narrowed them (Schmidt–Kalman); the estimate itself is the same.
 
     Raises
     ------
@@ -218,8 +204,8 @@ class ExtendedKalmanFilter(JerkDriven, JerkDrivenFilter[_core.ExtendedKalmanFilt
 
     Notes
     -----
-    An accelerometer's ``corner_frequency`` and ``delay`` in robot.yaml are accounted for: each of its readings is used
-    at the time that it is of, so that a row then rests on readings that come up to the delay later.
+    ``corner_frequency`` and ``delay`` of accelerometers and gyroscopes in robot.yaml are accounted for: what the sensor
+    holds is part of the state, behind the biases. In `step` the first ``dt`` says how many samples a delay spans.
 
     A reading that is NaN is missing, which equals deleting it. Steps of time may vary, and sensors have rates of their
     own: leave NaN where a sensor has no sample.
@@ -231,22 +217,20 @@ class ExtendedKalmanFilter(JerkDriven, JerkDrivenFilter[_core.ExtendedKalmanFilt
         return ("motor", "acceleration", *(kind for kind, wanted in self._wanted.items() if wanted))
 
     def _start(self) -> _core.ExtendedKalmanFilter:
-        self.refuse_late("step")
-        return self.core(self.live_kinds, self.noise)
+        return self.core(self.live_kinds, self.noise, self._period)
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
         """Estimate a recording that comes piece by piece, in bounded memory.
 
         The same bits as `run` when ``noise.jerk`` is given; otherwise the scale of jerk is read off the first piece.
         """
-        self.refuse_late("run_pieces")
         core: _core.ExtendedKalmanFilter | None = None
         kinds: tuple[str, ...] = ()
         before: Log | None = None
         for piece in pieces:
             if core is None:
                 kinds = self.kinds(piece)
-                core = self.core(kinds, self.noise.for_log(piece))
+                core = self.core(kinds, self.noise.for_log(piece), piece.period)
             arrays = self.arrays(piece, kinds, before)
             try:
                 result = core.run(arrays, False, False)

@@ -26,6 +26,7 @@ from linkside.files.writing import check_writable
 from linkside.recording.log import Log
 from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
+from linkside.trust.findings import named
 
 from .filtering import KalmanEstimate
 from .jerk_driven import Arrays, RauchTungStriebelSmoother
@@ -104,13 +105,13 @@ def smooth_pieces(
     folder
         Where a temporary directory is made, removed at the end whatever happens; by default the system's.
     """
-    smoother.refuse_late("smoothing piece by piece")
     with _spill_folder(folder) as spill:
-        starts = list(_forward(smoother, pieces, spill))
+        starts, columns = _forward(smoother, pieces, spill)
+        found = named(starts.pop().findings, columns) if starts else ()
         _backward(starts, spill)
         for index in range(len(starts)):
             arrays: dict[str, Any] = _load(spill / f"{index}.estimate")
-            yield KalmanEstimate(names=smoother.robot.names, **arrays)
+            yield KalmanEstimate(names=smoother.robot.names, channels=columns, findings=found, **arrays)
 
 
 @contextmanager
@@ -126,22 +127,26 @@ def _spill_folder(folder: str | Path | None) -> Iterator[Path]:
 
 def _forward(
     smoother: RauchTungStriebelSmoother, pieces: Iterable[Log], spill: Path
-) -> Iterator[_core.ExtendedKalmanFilter]:
-    """Filter, spill what was read, and give the filter as it was at the start of each piece."""
+) -> tuple[list[_core.ExtendedKalmanFilter], tuple[str, ...]]:
+    """Filter, spill what was read, and give the filter at the start of each piece and at the end; and its columns."""
     core: _core.ExtendedKalmanFilter | None = None
     kinds: tuple[str, ...] = ()
     before: Log | None = None
+    starts: list[_core.ExtendedKalmanFilter] = []
+    columns: tuple[str, ...] = ()
     rows = 0
     for index, piece in enumerate(pieces):
         if core is None:
             kinds = smoother.kinds(piece)
-            core = smoother.core(kinds, smoother.noise.for_log(piece))
-        yield core.copy()
+            core = smoother.core(kinds, smoother.noise.for_log(piece), piece.period)
+            columns = smoother.columns(piece, kinds)
+        starts.append(core.copy())
         arrays = smoother.arrays(piece, kinds, before)
         _save(spill / f"{index}.log", dict(zip((*READ, "t"), (*arrays, piece.t), strict=True)))
         with _in_rows(rows, len(piece)):
             core.run(arrays, False, False)
         before, rows = piece[-1:], rows + len(piece)
+    return ([*starts, core] if core is not None else []), columns
 
 
 def _backward(starts: Sequence[_core.ExtendedKalmanFilter], spill: Path) -> None:
@@ -168,7 +173,8 @@ def _smooth(
         core.run(cut, False, False)
         filters.append(core)
     parts = [smoother.back(f, cut, False) for f, cut in zip(reversed(filters), reversed(cuts), strict=True)]
-    return {name: np.concatenate([part[name] for part in reversed(parts)]) for name in parts[0]}
+    names = [name for name in parts[0] if name != "findings"]
+    return {name: np.concatenate([part[name] for part in reversed(parts)]) for name in names}
 
 
 def _rows(arrays: tuple[FloatArray, ...], first: int, last: int) -> Arrays:

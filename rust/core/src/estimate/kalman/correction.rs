@@ -1,9 +1,14 @@
 //! The measurement update, one channel after the other.
+//!
+//! The likelihood has an update of its own, which changes the covariance after every reading: derivative numbers want few
+//! operations. This one touches the covariance once a sample, in padded rows that fill a processor's registers, and keeps
+//! each channel's gain for the smoother. Both are the same mathematics; a test holds them equal.
 
 use super::gaussian::{Gaussian, Innovation, Row, Symmetric};
 use super::model::Model;
 use crate::estimate::Status;
 use crate::linear;
+use crate::scalar::log;
 
 /// Scratch and outcome of a measurement update.
 #[derive(Clone, Debug)]
@@ -15,6 +20,8 @@ pub(super) struct Correction {
     pub(super) gains: Vec<f64>,
     halves: Vec<f64>,
     pub(super) innovations: Vec<Innovation>,
+    /// Innovations before any is used are this, lower triangular with a diagonal of 1, times `innovations`.
+    pub(super) factors: Vec<f64>,
     /// Channels left out at this sample by the gate.
     pub(super) gated: Vec<bool>,
     pub(super) status: u8,
@@ -32,6 +39,7 @@ impl Correction {
             gains: vec![0.0; m * stride],
             halves: vec![0.0; m * stride],
             innovations: vec![Innovation::NONE; m],
+            factors: vec![0.0; m * m],
             gated: vec![false; m],
             status: 0,
             nis: 0.0,
@@ -93,7 +101,9 @@ impl Correction {
         for (j, earlier) in before.chunks_exact(stride).enumerate() {
             let variance = self.innovations[j].variance;
             if variance.is_finite() {
-                linear::add_scaled(own, -row.dot(earlier) / variance, earlier);
+                let factor = row.dot(earlier) / variance;
+                self.factors[i * self.innovations.len() + j] = factor;
+                linear::add_scaled(own, -factor, earlier);
             }
         }
         let variance = row.dot(own) + model.variance(i);
@@ -130,7 +140,7 @@ impl Correction {
         let squared = value * value / variance;
         self.nis += squared;
         self.used += 1;
-        self.log_likelihood -= 0.5 * (squared + (core::f64::consts::TAU * variance).ln());
+        self.log_likelihood -= 0.5 * (squared + log(core::f64::consts::TAU * variance));
     }
 
     /// What is predicted against what is read, before any reading is used: differences and their standard deviations.

@@ -4,6 +4,8 @@
 //! with covariance Λ runs backwards through the same rows and gains, and the smoothed state is x⁻ − P⁻λ with
 //! covariance P⁻ − P⁻ΛP⁻. No predicted covariance is inverted, badly scaled as they are (10⁻¹² to 1).
 
+use super::consider::Consider;
+use super::consider_back::{ConsiderBack, ConsiderHistory};
 use super::correction::Correction;
 use super::filter::ExtendedKalmanFilter;
 use super::gaussian::{Gaussian, Innovation, Symmetric};
@@ -29,6 +31,7 @@ pub(super) struct History {
     innovations: Vec<Innovation>,
     /// What the model remembers.
     memories: Vec<f64>,
+    consider: ConsiderHistory,
 }
 
 impl History {
@@ -45,6 +48,7 @@ impl History {
             gains: Vec::with_capacity(count * m * stride),
             innovations: Vec::with_capacity(count * m),
             memories: Vec::with_capacity(count * model.memory()),
+            consider: ConsiderHistory::default(),
         }
     }
 
@@ -68,13 +72,19 @@ impl History {
         &self.gains[i * size..][..size]
     }
 
-    pub(super) fn push_prediction(&mut self, dt: f64, belief: &Gaussian) {
+    pub(super) fn push_prediction(&mut self, dt: f64, belief: &Gaussian, consider: Option<&Consider>) {
+        if let Some(consider) = consider {
+            self.consider.push_prediction(consider);
+        }
         self.dt.push(dt);
         self.means.extend_from_slice(&belief.mean);
         self.covariances.extend_from_slice(&belief.covariance.data[..self.kept * self.stride]);
     }
 
-    pub(super) fn push_update(&mut self, model: &impl Model, correction: &Correction) {
+    pub(super) fn push_update(&mut self, model: &impl Model, correction: &Correction, consider: Option<&Consider>) {
+        if let Some(consider) = consider {
+            self.consider.push_update(consider);
+        }
         self.jacobians.extend_from_slice(model.linearised().jacobian);
         self.gains.extend_from_slice(&correction.gains);
         self.innovations.extend_from_slice(&correction.innovations);
@@ -99,6 +109,7 @@ pub struct Smoother<M> {
     product: Vec<f64>,
     mean: Vec<f64>,
     smoothed: Vec<f64>,
+    consider: Option<ConsiderBack>,
 }
 
 /// Past sample `i`'s readings, and the smoothed estimate there.
@@ -132,7 +143,10 @@ impl<M: Phases> Kernel for Retreat<'_, M> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { smoother: Smoother { filter, lambda, big, .. }, history, i } = self;
+        let Self { smoother: Smoother { filter, lambda, big, consider, .. }, history, i } = self;
+        if let Some(consider) = consider {
+            consider.retreat(&mut filter.model, history.memory(i), history.dt[i]);
+        }
         filter.model.retreat(history.memory(i), history.dt[i], lambda, big);
     }
 }
@@ -156,6 +170,7 @@ impl<M: Phases> Smoother<M> {
             mean: vec![0.0; states],
             smoothed: vec![0.0; states * stride],
             big,
+            consider: filter.consider.as_ref().map(|consider| ConsiderBack::new(consider, states)),
             filter,
         }
     }
@@ -197,6 +212,9 @@ impl<M: Phases> Smoother<M> {
     pub fn finish(&mut self) {
         self.lambda.fill(0.0);
         self.big.data.fill(0.0);
+        if let Some(consider) = &mut self.consider {
+            consider.finish();
+        }
     }
 
     /// Smooths a stretch of a recording, the last stretch first; `start` is the filter as it was before the stretch.
@@ -214,6 +232,9 @@ impl<M: Phases> Smoother<M> {
         filter.model.check(&recording)?;
         let mut history = History::with_capacity(count, &filter.model, self.big.stride, keep.covariance);
         let mut out = filter.run_with(recording, keep, Some(&mut history))?;
+        if let (Some(back), Some(consider)) = (&mut self.consider, &filter.consider) {
+            back.learn(consider);
+        }
         let history = &history;
         for i in (0..count).rev() {
             M::back_phase(Back { smoother: &mut *self, history, i, whole: keep.covariance });
@@ -252,6 +273,9 @@ impl<M: Phases> Smoother<M> {
             linear::add_scaled(&mut self.lambda, -pull, row);
         }
         self.big.subtract_outer(&self.rows, &self.outer);
+        if let Some(consider) = &mut self.consider {
+            consider.back(&history.consider, i, &history.innovations[i * m..][..m], &self.rows, gains);
+        }
     }
 
     /// Whole rows of H at sample `i`, zero where a reading was not used; returns how many.
@@ -288,12 +312,18 @@ impl<M: Phases> Smoother<M> {
                 self.smoothed[c * stride + r] = self.smoothed[r * stride + c];
             }
         }
+        if let Some(consider) = &mut self.consider {
+            consider.sum_up(&history.consider, i, &predicted[..rows * stride], rows);
+            for r in 0..rows {
+                linear::add_scaled(&mut self.smoothed[r * stride..][..rows], 1.0, &consider.total[r * rows..][..rows]);
+            }
+        }
     }
 
     fn report(&mut self, history: &History, i: usize, out: &mut FilterOutput, whole: bool) {
         let Self { filter, mean, smoothed: covariance, big: Symmetric { stride, .. }, .. } = self;
         let ExtendedKalmanFilter { model, tool, .. } = filter;
         let (memory, stride) = (history.memory(i), *stride);
-        M::report_phase(Report { model, memory, mean, covariance, stride, tool, i, out, whole });
+        M::report_phase(Report { model, memory, mean, covariance, stride, more: None, tool, i, out, whole });
     }
 }

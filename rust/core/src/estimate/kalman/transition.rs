@@ -11,7 +11,7 @@ const ANGLE: f64 = 0.5;
 /// Terms of the exponential's series; at [`ANGLE`] they leave less than 2e-6 of a mode's turn.
 const TERMS: usize = 6;
 /// At most so many doublings of a substep.
-const MOST: f64 = 12.0;
+const MOST: u32 = 12;
 
 /// Scratch of a step of time.
 #[derive(Clone, Debug)]
@@ -33,6 +33,7 @@ pub(super) struct Transition {
     start: Vec<f64>,
     probe: Vec<f64>,
     tau: Vec<f64>,
+    carried: Vec<f64>,
 }
 
 /// Motor torques (n) at the beginning and at the end of a step; in between they change linearly.
@@ -56,8 +57,14 @@ impl Transition {
             start: vec![0.0; d],
             probe: vec![0.0; d],
             tau: vec![0.0; robot.len()],
+            carried: Vec::new(),
             layout,
         }
+    }
+
+    /// Makes room for beliefs of `states`.
+    pub(super) fn widen(&mut self, states: usize) {
+        self.wide = vec![0.0; self.layout.dense * states.next_multiple_of(linear::LANES)];
     }
 
     /// Learns how fast the robot is at `x`.
@@ -77,7 +84,8 @@ impl Transition {
             self.interpolate(torques, 0.0);
             self.linearise(robot);
         }
-        let doublings = (dt * self.fastest / ANGLE).log2().ceil().clamp(0.0, MOST) as u32;
+        let short = |k: &u32| f64::from(1_u32 << k) * ANGLE < dt * self.fastest;
+        let doublings = (0..MOST).take_while(short).count() as u32;
         let (substeps, length) = (1_u32 << doublings, 1.0 / f64::from(1_u32 << doublings));
         for i in 0..substeps {
             self.integrate(robot, &mut belief.mean[..d], torques, f64::from(i) * length, length, dt * length);
@@ -198,6 +206,20 @@ impl Transition {
         for row in self.phi.chunks_exact(self.stride) {
             memory.extend_from_slice(&row[..self.layout.dense]);
         }
+    }
+
+    /// Columns (states × `stride`) through the step: Σ ← Φ Σ.
+    #[inline(always)]
+    pub(super) fn carry(&mut self, columns: &mut [f64], stride: usize) {
+        let (d, rows) = (self.layout.dense, self.layout.dense * stride);
+        self.carried.resize(rows, 0.0);
+        for (out, row) in self.carried.chunks_exact_mut(stride).zip(self.phi.chunks_exact(self.stride)) {
+            out.fill(0.0);
+            for (factor, column) in row[..d].iter().zip(columns.chunks_exact(stride)) {
+                linear::add_scaled(out, *factor, column);
+            }
+        }
+        columns[..rows].copy_from_slice(&self.carried);
     }
 
     /// The adjoint of a step that [`remember`](Self::remember) wrote: λ ← Φᵀ λ, Λ ← Φᵀ Λ Φ.

@@ -3,9 +3,10 @@
 use super::motion::PlainMotion;
 use super::view::OfDrives;
 use super::wanted::Along;
-use super::{Channel, Driven, LinkMotion, Values, read_all};
+use super::{Channel, Driven, LinkMotion, read_all};
 use crate::robot::Robot;
 use crate::scalar::Scalar;
+use crate::simd::{self, Kernel};
 
 /// How much an increment of acceleration moves position, velocity and acceleration: T²/2, T and 1.
 pub(crate) type Reach = [f64; 3];
@@ -33,19 +34,57 @@ impl<T: Scalar> AlongIncrements<T> {
     }
 
     /// Predictions alone at `state` = (q, q̇, q̈); `dtheta` (n) is each motor's velocity, NaN to leave its damping out.
-    #[inline(always)]
+    #[inline]
     pub(crate) fn predict(&mut self, robot: &Robot, channels: &[Channel], state: &[T], dtheta: &[f64]) {
-        let Self { prediction, plain, .. } = self;
-        plain.set(robot, state);
-        let view = Driven { links: plain, state, dtheta, springs: &OfDrives };
-        read_all(robot, channels, &view, &mut Values(prediction));
+        simd::phase(Predict { at: self, robot, channels, state, dtheta });
     }
 
     /// Predictions, and their derivatives along increments of acceleration (Axelsson, Karlsson and Norrlöf 2012,
     /// eqs. (10) and (12)–(17)).
-    #[inline(always)]
+    #[inline]
     pub(crate) fn linearise(&mut self, robot: &Robot, channels: &[Channel], state: &[T], dtheta: &[f64], reach: Reach) {
-        let Self { prediction, by_increment, motion, .. } = self;
+        simd::phase(Linearise { at: self, robot, channels, state, dtheta, reach });
+    }
+}
+
+/// [`AlongIncrements::predict`], to be compiled for each instruction set.
+struct Predict<'a, T> {
+    at: &'a mut AlongIncrements<T>,
+    robot: &'a Robot,
+    channels: &'a [Channel],
+    state: &'a [T],
+    dtheta: &'a [f64],
+}
+
+impl<T: Scalar> Kernel for Predict<'_, T> {
+    type Output = ();
+    const LANES: bool = T::LANES;
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { at: AlongIncrements { prediction, plain, .. }, robot, channels, state, dtheta } = self;
+        plain.predict(robot, channels, state, dtheta, prediction);
+    }
+}
+
+/// [`AlongIncrements::linearise`], likewise.
+struct Linearise<'a, T> {
+    at: &'a mut AlongIncrements<T>,
+    robot: &'a Robot,
+    channels: &'a [Channel],
+    state: &'a [T],
+    dtheta: &'a [f64],
+    reach: Reach,
+}
+
+impl<T: Scalar> Kernel for Linearise<'_, T> {
+    type Output = ();
+    const LANES: bool = T::LANES;
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { at, robot, channels, state, dtheta, reach } = self;
+        let AlongIncrements { prediction, by_increment, motion, .. } = at;
         motion.set(robot, state);
         by_increment.fill(T::default());
         let view = Driven { links: motion, state, dtheta, springs: &OfDrives };
