@@ -14,12 +14,13 @@ import numpy.typing as npt
 from linkside.arguments import whole
 from linkside.arrays import FloatArray
 from linkside.channels import BIASED, CHANNELS
-from linkside.errors import EstimatorError
+from linkside.errors import EstimatorError, NumericalError
 from linkside.findings import named
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
+from .scale import blame_settings
 from .start import Moving, Readings, Spread, Start, find_start, given
 
 
@@ -67,6 +68,10 @@ class Startable(CoreFilter, Protocol):
     def reset(self) -> None:
         """Forget the state."""
 
+    @property
+    def own_states(self) -> int:
+        """Number of states, but for those of late sensors."""
+
     def set_start(self, mean: FloatArray, covariance: FloatArray) -> None:
         """Let a first sample find this belief."""
 
@@ -106,6 +111,7 @@ class KalmanMethod(ABC):
     """A Kalman filter, or with ``_smooth`` a smoother, of any model, over recordings."""
 
     _smooth = False
+    noise: Any
 
     def __init__(
         self,
@@ -123,6 +129,7 @@ class KalmanMethod(ABC):
         unknown = sorted(set(biases) - set(BIASED))
         if unknown:
             raise EstimatorError(f"biases: {unknown[0]!r} is not one of {', '.join(map(repr, BIASED))}")
+        robot.require_masses("a Kalman filter", elastic_only=True)
         self.robot = robot
         self._wanted, self._biases = dict(wanted), tuple(biases)
         self._gate, self._iterations = gate, whole("iterations", iterations, least=1)
@@ -154,10 +161,13 @@ class KalmanMethod(ABC):
         NumericalError
             The estimate is no longer finite; names the sample.
         """
-        if isinstance(log, Log):
-            return self._run(log, covariance, innovations)
-        with ThreadPoolExecutor() as pool:
-            return list(pool.map(lambda one: self._run(one, covariance, innovations), log))
+        try:
+            if isinstance(log, Log):
+                return self._run(log, covariance, innovations)
+            with ThreadPoolExecutor() as pool:
+                return list(pool.map(lambda one: self._run(one, covariance, innovations), log))
+        except NumericalError as error:
+            raise blame_settings(error, self.robot, self.noise) from None
 
     def _begin(self, core: Startable, first: Readings, kinds: tuple[str, ...], noise: Any, jerk: FloatArray) -> None:
         """Tell a filter of the core where it starts, by its first samples, or by what the user says."""
@@ -168,7 +178,7 @@ class KalmanMethod(ABC):
         bias = np.array(arrays["initial_bias"])[biased]
         if not isinstance(self._at, str):
             core.set_start(
-                *given(self._at, np.concatenate([np.zeros(core.states - len(bias)), bias]), core.states - len(bias))
+                *given(self._at, np.concatenate([np.zeros(core.own_states - len(bias)), bias]), core.own_states - len(bias))
             )
             return
         n = self.robot.n

@@ -128,6 +128,7 @@ class ReducedOrderObserver:
         period: float | None = None,
     ) -> None:
         one_of("side", side, ("motors", "links"))
+        robot.require_masses("a velocity observer")
         refuse_unsupported(robot, "a velocity observer")
         self.robot = robot
         self.side = side

@@ -108,6 +108,12 @@ impl ElasticJointFilter {
         self.filter.model().states()
     }
 
+    /// Number of states, but for those of late sensors.
+    #[getter]
+    fn own_states(&self) -> usize {
+        self.filter.model().own_states()
+    }
+
     fn reset(&mut self) {
         self.filter.reset();
     }

@@ -166,6 +166,12 @@ impl ExtendedKalmanFilter {
         self.filter.model().states()
     }
 
+    /// Number of states, but for those of late sensors.
+    #[getter]
+    fn own_states(&self) -> usize {
+        self.filter.model().own_states()
+    }
+
     /// A copy with the same belief.
     fn copy(&self) -> Self {
         self.clone()

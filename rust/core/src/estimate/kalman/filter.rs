@@ -77,7 +77,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
     /// A belief of another number of states.
     pub fn set_start(&mut self, start: Option<Gaussian>) -> Result<(), DesignError> {
         if let Some(start) = &start {
-            expect_length("start", start.mean.len(), self.model.states())?;
+            expect_length("start", start.mean.len(), self.model.own_states())?;
         }
         self.start = start;
         Ok(())

@@ -130,6 +130,9 @@ pub trait Model: Clone + Send + Sync {
     /// Number of states.
     fn states(&self) -> usize;
 
+    /// Number of states, but for those of late sensors, which follow them.
+    fn own_states(&self) -> usize;
+
     /// See [`Measurement::dense`].
     fn dense(&self) -> usize;
 
@@ -281,6 +284,10 @@ impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
     #[inline(always)]
     fn states(&self) -> usize {
         self.late.as_ref().map_or(self.process.states(), |late| late.states())
+    }
+
+    fn own_states(&self) -> usize {
+        self.process.states()
     }
 
     #[inline(always)]
