@@ -97,7 +97,9 @@ def fault(axes: Any) -> None:
     axes.semilogy(log.t, estimate.nis, "C0", linewidth=1, label="NIS of each row")
     axes.fill_between(log.t, 1e-3, 1e6, where=flagged, color="C3", alpha=0.2, label="status: faulty")
     finding = estimate.findings[0]
-    axes.set(title=f"'{finding.channel}' looks {finding.kind} from row {finding.since} on", xlabel="t [s]", ylabel="NIS")
+    axes.set(
+        title=f"'{finding.channel}' looks {finding.kind} from row {finding.since} on", xlabel="t [s]", ylabel="NIS"
+    )
     axes.legend(loc="upper left", fontsize=8)
 
 

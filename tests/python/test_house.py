@@ -13,7 +13,7 @@ ROOT = Path(linkside.__file__).parent
 
 LAYERS = (
     ("errors", "moved"),
-    ("arrays", "channels", "text"),
+    ("arrays", "channels", "findings", "text"),
     ("arguments",),
     ("statistics", "files", "figures"),
     ("robot",),

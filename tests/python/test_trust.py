@@ -5,13 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from linkside import Estimate, ExtendedKalmanFilter, Log, Noise, RauchTungStriebelSmoother, Robot
 from linkside.cli.commands import main
+from linkside.findings import largest_nis
 from linkside.recording.estimate import Status
-from linkside.simulation import simulate
-from linkside.trust.findings import largest_nis
 
 from .robots import DATA
 
@@ -73,7 +71,7 @@ def test_a_wrong_model_is_within_its_standard_deviations(estimator: Any) -> None
 
 
 def test_standard_deviations_are_those_of_the_parameters_effect(robot: Robot, log: Log) -> None:
-    """Of motor readings alone nothing is learnt of a spring, so that q_std² is P + Σ² std², with Σ by two true robots."""
+    """Motor readings alone teach nothing of a spring, so that q_std² is P + Σ² std², with Σ by two true robots."""
     yaml = robot.config.model_dump()
     settings = {k: v for k, v in yaml.items() if k not in ("joints", "urdf", "accelerometers", "columns", "tolerances")}
     tiny = dict.fromkeys(("mass_scale", "damping"), 1e-12)
@@ -155,10 +153,19 @@ def test_the_command_line_says_which_channel_and_strict_fails(robot: Robot, log:
     table = table.set_column(table.column_names.index("tool_acc_x"), "tool_acc_x", pa.array(bad))
     pq.write_table(table, tmp_path / "log.parquet")
     out = tmp_path / "estimate.parquet"
-    arguments = ["estimate", str(SQUARE / "robot.yaml"), str(tmp_path / "log.parquet"), "--with", "ekf", "--out", str(out)]
+    arguments = [
+        "estimate",
+        str(SQUARE / "robot.yaml"),
+        str(tmp_path / "log.parquet"),
+        "--with",
+        "ekf",
+        "--out",
+        str(out),
+    ]
     for extra, status in ([], 0), (["--strict"], 3):
         with pytest.raises(SystemExit) as stop:
             main.main([*arguments, *extra])
         assert (stop.value.code or 0) == status
     written = Estimate.read(out)
-    assert written.nis is not None and (written.status & Status.FAULTY).any()
+    assert written.nis is not None
+    assert (written.status & Status.FAULTY).any()

@@ -42,6 +42,7 @@ fn noise() -> Noise {
         reading: vec![1e-3; CHANNELS],
         torsion: 1e-3,
         bias_walk: vec![1e-6; CHANNELS],
+        bias_time: vec![50.0; CHANNELS],
         initial: vec![1e-3; 3 * JOINTS],
         initial_bias: vec![1e-4; CHANNELS],
     }

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 
 from linkside.arrays import FloatArray
+from linkside.errors import EstimatorError, LinksideError, NumericalError
+from linkside.files.yaml_source import suggest
 from linkside.kalman.noise import Noise
 from linkside.recording.log import Log
 from linkside.recording.motion import moving
@@ -26,6 +29,21 @@ ROUNDS = 3
 """How often parameters that turn out not to be identifiable are left out and the rest is estimated anew."""
 
 
+@contextmanager
+def _in_our_words() -> Iterator[None]:
+    """Let nothing out that is not ours."""
+    try:
+        yield
+    except LinksideError:
+        raise
+    except np.linalg.LinAlgError as error:
+        message = "calibration: the recordings do not tell the free parameters apart (a matrix is singular)"
+        raise NumericalError(f"{message}; leave some out of free, or check the tolerances") from error
+    except (ValueError, ArithmeticError) as error:
+        raise EstimatorError(f"calibration: {error}") from error
+
+
+@_in_our_words()
 def calibrate(
     robot: Robot,
     logs: Log | Sequence[Log],
@@ -83,6 +101,7 @@ def calibrate(
     refuse(robot, logs)
     torque = use_torque(robot, logs, torque)
     problem = Problem(robot, logs, noise or Noise(), torque, choose(robot, free, torque, bounds or {}))
+    _refuse_unknown(problem, start or {})
     before = Fit.of(problem.evidence(np.zeros(len(problem.free)), detail=True))
     run = _Run(problem, dict(start or {}), progress)
     run.solve()
@@ -101,6 +120,15 @@ def calibrate(
         z=run.z,
         uncertainty=found,
     )
+
+
+def _refuse_unknown(problem: Problem, start: Mapping[str, float]) -> None:
+    known = [parameter.name for parameter in problem.free]
+    for name, z in start.items():
+        if name not in known:
+            raise EstimatorError(f"start: '{name}' is not a free parameter of this calibration; {suggest(name, known)}")
+        if not np.isfinite(z):
+            raise EstimatorError(f"start: '{name}' is {z}, expected a finite number")
 
 
 class _Run:

@@ -25,6 +25,11 @@ CONSIDERED = ("stiffness", "cubic_stiffness", "damping", "mass_scale", "translat
 Writer = Callable[[Any, Estimated], None]
 
 
+def _folder(path: str | Path) -> str:
+    """Where a file is, links followed."""
+    return os.path.dirname(os.path.realpath(path))
+
+
 def write(calibration: Result, source: str | Path, out: str | Path) -> None:
     """Write the calibrated robot.yaml.
 
@@ -44,8 +49,8 @@ def write(calibration: Result, source: str | Path, out: str | Path) -> None:
     """
     tree = Source.read(source).tree
     urdf = Path(source).parent / tree["urdf"]
-    if Path(source).resolve().parent != Path(out).resolve().parent and not os.path.isabs(tree["urdf"]):
-        tree["urdf"] = os.path.relpath(urdf.resolve(), Path(out).resolve().parent)
+    if _folder(source) != _folder(out) and not os.path.isabs(tree["urdf"]):
+        tree["urdf"] = os.path.relpath(os.path.realpath(urdf), _folder(out))
     for estimated in calibration.estimates:
         if (writer := _WRITERS.get(estimated.parameter.kind)) is not None:
             writer(tree, estimated)
@@ -156,7 +161,7 @@ def _write_rotation(sensor: Any, calibration: Result, index: int) -> None:
 
 
 def _write_errors(tree: Any, calibration: Result) -> None:
-    """Standard errors in place of the tolerances from which calibration began, for `linkside.trust.tolerances`."""
+    """Standard errors in place of the tolerances from which calibration began, for `linkside.robot.considered`."""
     shares = {
         e.parameter.name: float(f"{e.std / (abs(e.value) if KINDS[e.parameter.kind].relative else 1.0):.2g}")
         for e in calibration.estimates

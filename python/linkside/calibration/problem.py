@@ -158,7 +158,6 @@ class Problem:
             noise=noise,
             biased=[True] * len(noise["reading"]),
             torque=self.torque,
-            held=False,
             fixed=fixed,
             huber=HUBER,
         )

@@ -5,6 +5,8 @@ Whatever a user can get wrong is one line on standard error and exit status 2, a
 
 from __future__ import annotations
 
+import os
+import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -12,10 +14,11 @@ from typing import Any
 
 import click
 
-from linkside.errors import EstimatorError, OutputError
+from linkside.errors import EstimatorError, LogError, OutputError, RecordingWarning
 from linkside.files.writing import check_writable
 from linkside.kalman.noise import Noise
 from linkside.observers import poles as patterns
+from linkside.recording.checks import verdicts
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
@@ -31,6 +34,8 @@ ROWS = 8192
 
 WHOLE = 2**62
 """More rows than a log has."""
+
+_no_check = click.option("--no-check", is_flag=True, help="Believe the recordings without looking at them first.")
 
 PATTERNS: dict[str, Callable[[float], patterns.PolePattern]] = {
     "damped": patterns.damped,
@@ -79,14 +84,16 @@ def main(ctx: click.Context, debug: bool) -> None:
 @click.option("--seed", type=int, default=0, show_default=True, help="Of a particle filter's random numbers.")
 @click.option("--gain", type=float, default=100, show_default=True, help="Gain of a velocity observer [1/s].")
 @click.option("--strict", is_flag=True, help="Exit with status 3 where readings contradict the model.")
+@_no_check
 @click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this file; one for each log.")
 def estimate(
-    robot: str, logs: tuple[str, ...], method: str, out: str, truths: tuple[str, ...], strict: bool, **options: Any
+    robot: str, logs: tuple[str, ...], method: str, out: str, strict: bool, no_check: bool, **options: Any
 ) -> int:
     """Estimate the motion of ROBOT's links from recordings.
 
     ROBOT is a robot.yaml, each LOG a Parquet or CSV file. Logs are read piece by piece and may be larger than memory.
     """
+    truths: tuple[str, ...] = options.pop("truths")
     if truths and len(truths) != len(logs):
         raise click.UsageError(f"--truth is there {len(truths)} times, for {len(logs)} logs")
     _refuse_untaken(method)
@@ -94,14 +101,15 @@ def estimate(
     if options["tuning"] is not None:
         options["tuning"] = METHODS[method].read_tuning(options["tuning"])
     with naming(robot):
-        run = METHODS[method].build(loaded, Options(**options))
+        spill = Path(os.path.realpath(out))
+        run = METHODS[method].build(loaded, Options(**options, spill=spill if spill.is_dir() else spill.parent))
     rows = WHOLE if METHODS[method].whole(loaded) else ROWS
     with output_folder(out, logs) as outputs:
         _refuse_clashes(outputs, [robot, *logs, *truths])
         for output in outputs:
             check_writable(output)
         files = zip(logs, outputs, truths or [None] * len(logs), strict=True)
-        believable = estimate_all([Job(loaded, run, rows, *three) for three in files])
+        believable = estimate_all([Job(loaded, run, rows, not no_check, *three) for three in files])
     return 3 if strict and not believable else 0
 
 
@@ -123,6 +131,7 @@ def _refuse_untaken(method: str) -> None:
 @click.option("--free", help="Which values, by their keys in that file, a,b,c.  [default: transmission, poles]")
 @click.option("--states", multiple=True, type=click.Path(), help="What the links did, one for each LOG (observer).")
 @click.option("--figure", type=click.Path(), help="Draw the Pareto front (observer).")
+@_no_check
 @click.option("--evaluations", type=click.IntRange(1), default=2000, help="How often to estimate LOGs (observer).")
 def tune(robot: str, logs: tuple[str, ...], method: str, **options: Any) -> None:
     """Find the noise of a Kalman filter under which recordings are most likely, or the poles of an observer.
@@ -144,7 +153,7 @@ def _tune_noise(robot: str, logs: Sequence[str], options: dict[str, Any]) -> Non
 
     loaded = Robot.load(robot)
     noise = None if options["start"] is None else Noise.read(options["start"])
-    recordings = [Log.read(log, loaded) for log in logs]
+    recordings = [Log.read(log, loaded, check=not options["no_check"]) for log in logs]
     free = tuple((options["free"] or "transmission").split(","))
     with bar(None) as advance:
         result = module.tune(loaded, recordings, noise, free, partial(_show_best, advance, "log-likelihood"))
@@ -157,7 +166,7 @@ def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> 
 
     loaded = Robot.load(robot)
     _check_figure(options["figure"], [robot, *logs, *options["states"], options["out"]])
-    recordings = [Log.read(log, loaded) for log in logs]
+    recordings = [Log.read(log, loaded, check=not options["no_check"]) for log in logs]
     states = [Estimate.read(file) for file in options["states"]] or None
     free = tuple((options["free"] or "poles").split(","))
     with bar(None) as advance:
@@ -179,6 +188,7 @@ def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> 
 @click.option("--torque/--no-torque", default=None, help="Whether motor torques are readings, too.")
 @click.option("--bound", "bounds", multiple=True, help="NAME=LOW:HIGH, least and largest value of a parameter.")
 @click.option("--held-out", type=click.Path(), multiple=True, help="A log that only tests the outcome.")
+@_no_check
 @click.option("--resume", is_flag=True, help="Go on with an interrupted run.")
 def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **options: Any) -> None:
     """Find ROBOT's stiffness, damping, load and sensor errors from its own recordings."""
@@ -201,16 +211,30 @@ def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **optio
 @click.argument("log", type=click.Path(), required=False)
 @click.option("--figure", type=click.Path(), help="Draw it: a file that ends in .png, .pdf or .svg.")
 def check(robot: str, log: str | None, figure: str | None) -> None:
-    """Say which link accelerations ROBOT's sensors see, how well and where, along LOG if it is given."""
+    """Say what ROBOT's sensors see, how well and where; along LOG if it is given, which is looked at for mistakes."""
     from linkside.observability import analysis as module
     from linkside.observability.words import check_tables
 
     loaded = Robot.load(robot)
     _check_figure(figure, [robot, log])
-    report = module.check(loaded, None if log is None else Log.stream(log, loaded))
+    if log is not None:
+        _look_at(loaded, log)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecordingWarning)  # all is listed above
+        report = module.check(loaded, None if log is None else Log.stream(log, loaded))
     show(check_tables(report))
     if figure is not None:
         _draw(report.figure(), figure)
+
+
+def _look_at(robot: Robot, path: str) -> None:
+    """List what the checks of recordings find; raise `LogError` where one refuses."""
+    rows, refused = verdicts(Log.read(path, robot, check=False), robot)
+    for name, words in rows:
+        click.echo(f"{name:<22}{words}")
+    click.echo("")
+    if refused is not None:
+        raise LogError(f"{path}: {refused}")
 
 
 @main.command()
@@ -240,6 +264,7 @@ def demo(figure: str) -> None:
 @click.option("--limit", type=float, help="Take the smallest set whose score is at most this.")
 @click.option("--by", type=click.Choice(["condition", "covariance"]), default="condition", show_default=True)
 @click.option("--out", type=click.Path(), help="Where to write the chosen `accelerometers`, YAML.")
+@_no_check
 @click.option("--figure", type=click.Path(), help="Draw where it is singular: a file that ends in .png, .pdf or .svg.")
 def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: Any) -> None:
     """Choose accelerometers for ROBOT: those that see its joints best along LOGs, or in the whole workspace."""
@@ -255,7 +280,7 @@ def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: 
     kinds = options["axes"].split(",")
     with naming(robot):
         sensors += placement.candidates(loaded, links, reach=options["reach"], steps=options["steps"], axes=kinds)
-        where = [Log.read(log, loaded) for log in logs] or None
+        where = [Log.read(log, loaded, check=not options["no_check"]) for log in logs] or None
         choice = {"count": options["count"], "limit": options["limit"], "criterion": options["by"]}
         found = placement.place(loaded, sensors, where, **choice)
     click.echo(found.to_text(), nl=False)
@@ -271,9 +296,9 @@ def _show_best(advance: Callable[[str, int], None], what: str, _: int, best: flo
 
 
 def _refuse_clashes(outputs: Sequence[Path], inputs: Sequence[str | None]) -> None:
-    taken = {Path(path).resolve(): "would be written over what is read" for path in inputs if path is not None}
+    taken = {os.path.realpath(path): "would be written over what is read" for path in inputs if path is not None}
     for output in outputs:
-        if (where := output.resolve()) in taken:
+        if (where := os.path.realpath(output)) in taken:
             raise OutputError(f"{output}: {taken[where]}")
         taken[where] = "is the output of two logs; give --out as a name that differs, or run them apart"
 

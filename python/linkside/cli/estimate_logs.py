@@ -32,6 +32,7 @@ class Job:
     robot: Robot
     run: Run
     rows: int
+    check: bool
     log: str
     output: Path
     truth: str | None
@@ -79,7 +80,7 @@ def _estimate_one(job: Job, advance: Callable[[int], None]) -> bool:
 
 
 def _pieces(job: Job, tally: Tally) -> Iterator[Estimate]:
-    pieces = tally.timed(Log.stream(job.log, job.robot, job.rows), sign=-1)
+    pieces = tally.timed(Log.stream(job.log, job.robot, job.rows, check=job.check), sign=-1)
     estimates = tally.timed(job.run(pieces))
     while True:
         with naming(job.log):

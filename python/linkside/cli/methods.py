@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 from linkside.kalman.elastic_joint import ElasticJointFilter, ElasticJointSmoother, ElasticNoise
@@ -35,6 +36,7 @@ class Options:
     particles: int
     seed: int
     gain: float
+    spill: Path
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,7 @@ def _ekf(robot: Robot, options: Options) -> Run:
 
 def _smoother(robot: Robot, options: Options) -> Run:
     smoother = RauchTungStriebelSmoother(robot, options.tuning, gate=options.gate)
-    return partial(smooth_pieces, smoother)
+    return partial(smooth_pieces, smoother, folder=options.spill)
 
 
 def _elastic_ekf(robot: Robot, options: Options) -> Run:

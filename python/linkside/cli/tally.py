@@ -8,9 +8,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeVar
 
+from linkside.findings import Finding, largest_nis
 from linkside.kalman.filtering import KalmanEstimate
 from linkside.recording.estimate import Estimate
-from linkside.trust.findings import Finding, largest_nis
 
 if TYPE_CHECKING:
     pass

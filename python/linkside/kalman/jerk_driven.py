@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -13,12 +13,14 @@ from linkside.errors import EstimatorError, NumericalError
 from linkside.recording.estimate import result_of
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.considered import considered
 from linkside.robot.requirements import refuse_unsupported
-from linkside.trust.tolerances import considered
 
 from .filtering import CoreFilter, KalmanEstimate, KalmanMethod, LiveFilter
 from .late_sensors import inside, is_late
 from .noise import Noise
+from .start import Moving, Readings, Start
+from .starting import DecidingFilter, first_readings, with_first
 
 Arrays = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
@@ -56,7 +58,7 @@ class JerkDrivenFilter(LiveFilter[Core]):
         further: Signal | None = None,
         out: FloatArray | None = None,
     ) -> FloatArray:
-        """Take one sample and give the mean of the state at its time; the first sample starts from rest.
+        """Take one sample and give the mean of the state at its time.
 
         Parameters
         ----------
@@ -109,10 +111,11 @@ class JerkDriven(KalmanMethod):
         gate: float | None = None,
         iterations: int = 1,
         tolerances: bool = True,
+        start: Start = "auto",
     ) -> None:
         refuse_unsupported(robot, "a filter on the acceleration-driven model")
         wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
-        super().__init__(robot, wanted, biases, gate, iterations)
+        super().__init__(robot, wanted, biases, gate, iterations, start)
         self.noise = noise or Noise()
         self._damping = damping
         self._uncertain = considered(robot) if tolerances else []
@@ -127,7 +130,7 @@ class JerkDriven(KalmanMethod):
 
     def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
         kinds = self.kinds(log)
-        core = self.core(kinds, self.noise.for_log(log), log.period)
+        core = self.started_core(kinds, self.noise.for_log(log), first_readings(log), log.period)
         (outcome,) = core.run_all([self.arrays(log, kinds)], self._smooth, covariance, innovations)
         return self._estimate(log, kinds, result_of(log.source, outcome))
 
@@ -149,6 +152,18 @@ class JerkDriven(KalmanMethod):
             told=[parameter.told for parameter in self._uncertain],
         )
 
+    def started_core(
+        self, kinds: tuple[str, ...], noise: Noise, first: Readings, period: float
+    ) -> _core.ExtendedKalmanFilter:
+        """Build a filter of the core that starts where the ``first`` samples say."""
+        core = self.core(kinds, noise, period)
+        self._begin(core, first, kinds, noise, np.array(noise.arrays(self.robot, kinds)["jerk"]))
+        return core
+
+    def _state(self, moving: Moving, arrays: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
+        mean = np.concatenate([moving.q, moving.dq, moving.ddq])
+        return mean, np.concatenate([moving.q_std, moving.dq_std, moving.ddq_std])
+
     def settings(self, kinds: tuple[str, ...], noise: Noise) -> dict[str, Any]:
         """Settings of the model: its channels, which of them have a bias, noise, damping."""
         return self._channels(kinds) | {"noise": noise.arrays(self.robot, kinds), "damping": self._damping}
@@ -165,7 +180,9 @@ class JerkDriven(KalmanMethod):
         return dt, np.ascontiguousarray(readings), dtheta, commanded_jerk(log, dt, before)
 
 
-class ExtendedKalmanFilter(JerkDriven, JerkDrivenFilter[_core.ExtendedKalmanFilter]):
+class ExtendedKalmanFilter(
+    JerkDriven, DecidingFilter[_core.ExtendedKalmanFilter], JerkDrivenFilter[_core.ExtendedKalmanFilter]
+):
     """EKF on the acceleration-driven model: jerk moves the links, motor and sensors measure.
 
     Axelsson, Karlsson and Norrlöf, "Tool position estimation of a flexible industrial robot using recursive Bayesian
@@ -196,6 +213,10 @@ class ExtendedKalmanFilter(JerkDriven, JerkDrivenFilter[_core.ExtendedKalmanFilt
     tolerances
         Whether the ``tolerances`` of robot.yaml count in standard deviations, as far as independent sensors have not
         narrowed them (Schmidt–Kalman); the estimate itself is the same.
+    start
+        The state at the first sample: ``"auto"``, the first 32 samples decide, be the robot at rest or in motion;
+        ``"rest"``; or a mean and a covariance of the state, with or without its biases. `step` answers at once: its
+        first rows are as uncertain as the samples up to then leave them.
 
     Raises
     ------
@@ -210,6 +231,17 @@ class ExtendedKalmanFilter(JerkDriven, JerkDrivenFilter[_core.ExtendedKalmanFilt
     A reading that is NaN is missing, which equals deleting it. Steps of time may vary, and sensors have rates of their
     own: leave NaN where a sensor has no sample.
     """
+
+    def step(self, **sample: Any) -> FloatArray:
+        """Take one sample and give the mean of the state at its time; arguments as of `JerkDrivenFilter.step`."""
+        if not self._deciding():
+            return super().step(**sample)
+        noise, out = self.noise, sample.pop("out", None)
+        jerk = np.array(noise.arrays(self.robot, self.live_kinds)["jerk"])
+        state = self._decide(
+            sample, super().step, lambda first: self._begin(self._live, first, self.live_kinds, noise, jerk)
+        )
+        return state if out is None else _written(state, out)
 
     @property
     def live_kinds(self) -> tuple[str, ...]:
@@ -227,11 +259,14 @@ class ExtendedKalmanFilter(JerkDriven, JerkDrivenFilter[_core.ExtendedKalmanFilt
         core: _core.ExtendedKalmanFilter | None = None
         kinds: tuple[str, ...] = ()
         before: Log | None = None
+        first, pieces = with_first(pieces)
         for piece in pieces:
             if core is None:
                 kinds = self.kinds(piece)
-                core = self.core(kinds, self.noise.for_log(piece), piece.period)
             arrays = self.arrays(piece, kinds, before)
+            if core is None and first is not None:
+                core = self.started_core(kinds, self.noise.for_log(piece), first, piece.period)
+            assert core is not None  # there is a first piece
             try:
                 result = core.run(arrays, False, False)
             except NumericalError as error:
@@ -248,6 +283,14 @@ class RauchTungStriebelSmoother(JerkDriven):
     """
 
     _smooth = True
+
+
+def _written(state: FloatArray, out: FloatArray) -> FloatArray:
+    """``out``, with the state in it."""
+    if len(out) != len(state):
+        raise EstimatorError(f"out has {len(out)} entries, expected {len(state)}")
+    out[:] = state
+    return out
 
 
 def commanded_jerk(log: Log, dt: FloatArray, before: Log | None) -> FloatArray:

@@ -6,10 +6,11 @@ the stretch began. What waits for the way back, and what waits for its turn to b
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import gettempdir
 from typing import Any
 
 import numpy as np
@@ -20,14 +21,16 @@ from pyarrow import feather
 from linkside import _core
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError, NumericalError, OutputError
+from linkside.files.parts import spill_folder
 from linkside.files.writing import check_writable
+from linkside.findings import named
 from linkside.recording.log import Log
 from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
-from linkside.trust.findings import named
 
 from .filtering import KalmanEstimate
 from .jerk_driven import Arrays, RauchTungStriebelSmoother
+from .starting import with_first
 
 ROWS = 65_536
 """Rows of a recording that are in memory at a time."""
@@ -40,7 +43,13 @@ READ = ("dt", "readings", "dtheta", "jerk")
 
 
 def smooth_file(
-    smoother: RauchTungStriebelSmoother, path: str | Path, robot: Robot, out: str | Path, rows: int = ROWS
+    smoother: RauchTungStriebelSmoother,
+    path: str | Path,
+    robot: Robot,
+    out: str | Path,
+    rows: int = ROWS,
+    *,
+    check: bool = True,
 ) -> int:
     """Smooth a recording of any length from file to file, in bounded memory; gives the rows written.
 
@@ -60,6 +69,8 @@ def smooth_file(
         The estimate, Parquet or CSV; it appears when it is complete.
     rows
         Rows in memory at a time.
+    check
+        Look at the recording before it is believed, as `Log.read` does.
 
     Raises
     ------
@@ -73,7 +84,9 @@ def smooth_file(
     check_writable(out)
     count = 0
     with EstimateWriter(out) as writer:
-        for piece in smooth_pieces(smoother, Log.stream(path, robot, rows), Path(out).resolve().parent):
+        for piece in smooth_pieces(
+            smoother, Log.stream(path, robot, rows, check=check), Path(os.path.realpath(out)).parent
+        ):
             writer.write(piece)
             count += len(piece)
     return count
@@ -105,8 +118,8 @@ def smooth_pieces(
 @contextmanager
 def _spill_folder(folder: str | Path | None) -> Iterator[Path]:
     try:
-        with TemporaryDirectory(prefix=".smooth-", dir=folder) as name:
-            yield Path(name)
+        with spill_folder(Path(gettempdir() if folder is None else folder)) as spill:
+            yield spill
     except (OSError, pa.ArrowException) as error:
         if isinstance(error, OutputError):
             raise
@@ -123,13 +136,16 @@ def _forward(
     starts: list[_core.ExtendedKalmanFilter] = []
     columns: tuple[str, ...] = ()
     rows = 0
+    first, pieces = with_first(pieces)
     for index, piece in enumerate(pieces):
         if core is None:
             kinds = smoother.kinds(piece)
-            core = smoother.core(kinds, smoother.noise.for_log(piece), piece.period)
             columns = smoother.columns(piece, kinds)
-        starts.append(core.copy())
         arrays = smoother.arrays(piece, kinds, before)
+        if core is None:
+            assert first is not None  # there is a piece
+            core = smoother.started_core(kinds, smoother.noise.for_log(piece), first, piece.period)
+        starts.append(core.copy())
         _save(spill / f"{index}.log", dict(zip((*READ, "t"), (*arrays, piece.t), strict=True)))
         with _in_rows(rows, len(piece)):
             core.run(arrays, False, False)

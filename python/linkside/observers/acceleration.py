@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Literal, overload
+from typing import Any, Literal, overload
 
 import numpy as np
 
@@ -163,7 +163,7 @@ class AccelerationObserver:
             core = core or self._designed(piece.period)
             arrays = self._arrays(piece, seen, first)
             try:
-                result = core.run(*arrays)
+                result: dict[str, Any] = core.run(*arrays)
             except NumericalError as error:
                 raise NumericalError(f"{piece.source}: {error}") from None
             seen, first = piece[-longest_dropout(piece) :], first + len(piece)

@@ -17,7 +17,7 @@ import pyarrow.csv
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError, LinksideError, LogError
 from linkside.files.tables import numbers, open_table
-from linkside.trust.findings import Finding
+from linkside.findings import Finding
 
 from .times import counterparts
 from .writer import EstimateWriter

@@ -163,6 +163,7 @@ def simulate(
         The motion is no longer finite, or no adaptive step is short enough for the tolerance; names the time, and then
         the joint.
     """
+    robot.require_masses("a simulation")
     models = _models(sensors or {}, robot)
     start = {"q": q, "dq": dq, "theta": theta, "dtheta": dtheta, "tau": tau}
     settings = {

@@ -128,6 +128,7 @@ class ReducedOrderObserver:
         period: float | None = None,
     ) -> None:
         one_of("side", side, ("motors", "links"))
+        robot.require_masses("a velocity observer")
         refuse_unsupported(robot, "a velocity observer")
         self.robot = robot
         self.side = side
@@ -182,7 +183,7 @@ class ReducedOrderObserver:
             core = core or self._designed(piece.period)
             q, tau = self._arrays(piece, seen, first)
             try:
-                result = core.run(q, tau)
+                result: dict[str, Any] = core.run(q, tau)
             except (NumericalError, EstimatorError) as error:
                 raise type(error)(f"{piece.source}: {error}") from None
             seen, first = piece[-longest_dropout(piece) :], first + len(piece)

@@ -38,6 +38,13 @@ pub(crate) fn check_deviations(what: &'static str, values: &[f64], expected: usi
 }
 
 /// # Errors
+/// Another number of times than `expected`, or one that is not greater than 0.
+pub(crate) fn check_times(values: &[f64], expected: usize) -> Result<(), DesignError> {
+    expect_length("bias_time", values.len(), expected)?;
+    expect_each("bias_time", values, |v| v > 0.0, "a time greater than 0")
+}
+
+/// # Errors
 /// A reading without noise.
 pub(crate) fn check_readings(values: &[f64]) -> Result<(), DesignError> {
     expect_each("reading", values, |v| v != 0.0, "greater than 0")

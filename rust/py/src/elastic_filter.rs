@@ -7,8 +7,8 @@ use crate::kalman::{Inside, Matrix, inside, into_dict, named};
 use crate::robot::Robot;
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
-    Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterSettings, Inputs,
-    KalmanRecording, KalmanSample, Keep, Model,
+    Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterSettings, Gaussian,
+    Inputs, KalmanRecording, KalmanSample, Keep, Model,
 };
 use numpy::{PyArray1, PyReadonlyArray1, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -24,15 +24,39 @@ struct Noise {
     torque: Vec<f64>,
     disturbance_walk: Vec<f64>,
     reading: Vec<f64>,
+    torque_walk: Vec<f64>,
     bias_walk: Vec<f64>,
+    bias_time: Vec<f64>,
     initial: Vec<f64>,
     initial_bias: Vec<f64>,
 }
 
 impl From<Noise> for ElasticNoise {
     fn from(n: Noise) -> Self {
-        let Noise { link, motor, torque, disturbance_walk, reading, bias_walk, initial, initial_bias } = n;
-        Self { link, motor, torque, disturbance_walk, reading, bias_walk, initial, initial_bias }
+        let Noise {
+            link,
+            motor,
+            torque,
+            disturbance_walk,
+            torque_walk,
+            reading,
+            bias_walk,
+            bias_time,
+            initial,
+            initial_bias,
+        } = n;
+        Self {
+            link,
+            motor,
+            torque,
+            disturbance_walk,
+            torque_walk,
+            reading,
+            bias_walk,
+            bias_time,
+            initial,
+            initial_bias,
+        }
     }
 }
 
@@ -84,8 +108,22 @@ impl ElasticJointFilter {
         self.filter.model().states()
     }
 
+    /// Number of states, but for those of late sensors.
+    #[getter]
+    fn own_states(&self) -> usize {
+        self.filter.model().own_states()
+    }
+
     fn reset(&mut self) {
         self.filter.reset();
+    }
+
+    /// From now on a first sample finds this mean and covariance of the state; nothing: the robot at rest.
+    #[pyo3(signature = (mean, covariance))]
+    fn set_start(&mut self, mean: Signal<'_>, covariance: Matrix<'_>) -> PyResult<()> {
+        let states = self.filter.model().states();
+        let start = Gaussian::new(mean.sized("mean", states)?, rows("covariance", &covariance, states)?);
+        start.and_then(|start| self.filter.set_start(Some(start))).map_err(IntoPyErr::into_py_err)
     }
 
     /// Takes one sample: one reading a channel, NaN where missing, and the motor torques; writes the state into `out`.

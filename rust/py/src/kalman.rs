@@ -7,8 +7,8 @@ use crate::robot::Robot;
 use crate::tolerance::{Told, tolerances};
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
-    self, Fault, FilterOutput, FilterSettings, Finding, Inputs, JerkDriven, JerkModel, KalmanRecording, KalmanSample,
-    Keep, Lateness, Model,
+    self, Fault, FilterOutput, FilterSettings, Finding, Gaussian, Inputs, JerkDriven, JerkModel, KalmanRecording,
+    KalmanSample, Keep, Lateness, Model,
 };
 use linkside_core::estimate::measurement::Kind;
 use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
@@ -25,14 +25,15 @@ pub(crate) struct Noise {
     reading: Vec<f64>,
     torsion: f64,
     bias_walk: Vec<f64>,
+    bias_time: Vec<f64>,
     initial: Vec<f64>,
     initial_bias: Vec<f64>,
 }
 
 impl From<Noise> for kalman::Noise {
     fn from(n: Noise) -> Self {
-        let Noise { jerk, link_walk, reading, torsion, bias_walk, initial, initial_bias } = n;
-        Self { jerk, link_walk, reading, torsion, bias_walk, initial, initial_bias }
+        let Noise { jerk, link_walk, reading, torsion, bias_walk, bias_time, initial, initial_bias } = n;
+        Self { jerk, link_walk, reading, torsion, bias_walk, bias_time, initial, initial_bias }
     }
 }
 
@@ -165,6 +166,12 @@ impl ExtendedKalmanFilter {
         self.filter.model().states()
     }
 
+    /// Number of states, but for those of late sensors.
+    #[getter]
+    fn own_states(&self) -> usize {
+        self.filter.model().own_states()
+    }
+
     /// A copy with the same belief.
     fn copy(&self) -> Self {
         self.clone()
@@ -172,6 +179,15 @@ impl ExtendedKalmanFilter {
 
     fn reset(&mut self) {
         self.filter.reset();
+        self.live.ddqref.clear();
+    }
+
+    /// From now on a first sample finds this mean and covariance of the state; nothing: the robot at rest.
+    #[pyo3(signature = (mean, covariance))]
+    fn set_start(&mut self, mean: Signal<'_>, covariance: Matrix<'_>) -> PyResult<()> {
+        let states = self.filter.model().states();
+        let start = Gaussian::new(mean.sized("mean", states)?, rows("covariance", &covariance, states)?);
+        start.and_then(|start| self.filter.set_start(Some(start))).map_err(IntoPyErr::into_py_err)
     }
 
     /// Takes one sample, and writes the state's mean into `out`; what is not given is missing.

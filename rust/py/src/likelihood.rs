@@ -83,20 +83,19 @@ pub(crate) struct Likelihood(likelihood::Likelihood);
 #[pymethods]
 impl Likelihood {
     #[new]
-    #[pyo3(signature = (robot, signals, *, noise, biased, torque, held, fixed, huber))]
+    #[pyo3(signature = (robot, signals, *, noise, biased, torque, fixed, huber))]
     fn new(
         robot: &Robot,
         signals: Signals<'_>,
         noise: Noise,
         biased: Vec<bool>,
         torque: bool,
-        held: bool,
         fixed: Vec<(Name, f64)>,
         huber: f64,
     ) -> PyResult<Self> {
         let recording = signals.recording(robot.0.len(), robot.0.acceleration_channels(), torque)?;
         let fixed: PyResult<Vec<_>> = fixed.iter().map(|(name, value)| Ok((parameter(name)?, *value))).collect();
-        let settings = LikelihoodSettings { noise: noise.into(), biased, torque, held, fixed: fixed?, huber };
+        let settings = LikelihoodSettings { noise: noise.into(), biased, torque, fixed: fixed?, huber };
         likelihood::Likelihood::new(robot.0.clone(), settings, recording).map(Self).map_err(IntoPyErr::into_py_err)
     }
 

@@ -69,7 +69,9 @@ impl Measurement for ElasticMeasurement {
 
     #[inline(always)]
     fn take(&mut self, sample: &KalmanSample<'_>, _: bool) {
-        self.tau.copy_from_slice(sample.inputs.tau);
+        for (held, &read) in self.tau.iter_mut().zip(sample.inputs.tau).filter(|(_, read)| !read.is_nan()) {
+            *held = read;
+        }
     }
 
     #[inline(always)]

@@ -8,8 +8,9 @@ use super::output::{FilterOutput, Keep, Tool};
 use super::phases::{Judge, Linearise, Phases, Predict, Report, Update};
 use super::recording::{KalmanRecording, KalmanSample};
 use super::smoother::{History, Smoother};
-use crate::check::expect;
+use crate::check::{expect, expect_length};
 use crate::error::{DesignError, RunError};
+use crate::estimate::Status;
 use crate::linear;
 use rayon::prelude::*;
 
@@ -40,6 +41,8 @@ pub struct ExtendedKalmanFilter<M> {
     /// Samples taken, for messages.
     taken: usize,
     started: bool,
+    /// The belief at the first sample; none: at rest.
+    start: Option<Gaussian>,
 }
 
 impl<M: Phases> ExtendedKalmanFilter<M> {
@@ -61,13 +64,26 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
             memory: Vec::with_capacity(model.memory()),
             taken: 0,
             started: false,
+            start: None,
             belief,
             model,
             settings,
         })
     }
 
-    /// Forgets the state: the next sample starts anew, from rest.
+    /// From now on a first sample finds this belief; none: the robot at rest.
+    ///
+    /// # Errors
+    /// A belief of another number of states.
+    pub fn set_start(&mut self, start: Option<Gaussian>) -> Result<(), DesignError> {
+        if let Some(start) = &start {
+            expect_length("start", start.mean.len(), self.model.own_states())?;
+        }
+        self.start = start;
+        Ok(())
+    }
+
+    /// Forgets the state: the next sample starts anew.
     pub fn reset(&mut self) {
         self.taken = 0;
         self.started = false;
@@ -141,7 +157,13 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
                 self.model.carry(&mut consider.columns, consider.stride, sample.dt);
             }
         } else {
-            self.model.start(sample, &mut self.belief)?;
+            match &self.start {
+                Some(start) => {
+                    self.belief = start.clone();
+                    self.model.resume(sample, &mut self.belief);
+                }
+                None => self.model.start(sample, &mut self.belief)?,
+            }
             self.started = true;
         }
         Ok(())
@@ -162,6 +184,9 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         }
         let Self { model, correction, consider, monitor, .. } = self;
         M::judge_phase(Judge { model, correction, consider: consider.as_mut(), monitor: monitor.as_mut(), sample });
+        if self.model.bridged() {
+            self.correction.status |= Status::BRIDGED;
+        }
     }
 
     fn update(&mut self, readings: &[f64], gate: Option<f64>) {

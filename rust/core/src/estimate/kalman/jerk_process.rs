@@ -53,6 +53,7 @@ impl Process for JerkProcess {
             q[i] += dt * dq[i] + 0.5 * dt * dt * ddq[i];
             dq[i] += dt * ddq[i];
         }
+        self.model.drift(&self.noise).carry(columns, stride, dt);
     }
 
     #[inline(always)]
@@ -64,6 +65,7 @@ impl Process for JerkProcess {
             ddq[i] += dt * dq[i] + 0.5 * dt * dt * q[i];
             dq[i] += dt * q[i];
         }
+        self.model.drift(&self.noise).carry(columns, stride, dt);
     }
 
     fn memory(&self) -> usize {
@@ -74,7 +76,12 @@ impl Process for JerkProcess {
     fn remember(&self, _: &mut Vec<f64>) {}
 
     #[inline(always)]
+    fn noise_rows(&mut self, _: &[f64], dt: f64, rows: &mut [f64], stride: usize) {
+        self.model.noise_rows(rows, stride, &self.noise, dt);
+    }
+
+    #[inline(always)]
     fn retreat(&mut self, _: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric) {
-        self.model.retreat(lambda, big, dt);
+        self.model.retreat(lambda, big, &self.noise, dt);
     }
 }

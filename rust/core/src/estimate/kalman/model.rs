@@ -35,6 +35,14 @@ pub trait Process: Clone + Send + Sync {
     /// A first sample without a motor position that it needs, or no static equilibrium.
     fn start(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) -> Result<(), DesignError>;
 
+    /// Takes over a first sample at which the belief is known.
+    fn resume(&mut self, _sample: &KalmanSample<'_>, _belief: &Gaussian) {}
+
+    /// Whether a signal that drives the process was missing at the sample last predicted to, and was bridged.
+    fn bridged(&self) -> bool {
+        false
+    }
+
     /// Time update from the sample before: x ← f(x), P ← F P Fᵀ + Q.
     fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian);
 
@@ -50,7 +58,11 @@ pub trait Process: Clone + Send + Sync {
     /// What [`retreat`](Self::retreat) needs of this sample.
     fn remember(&self, memory: &mut Vec<f64>);
 
-    /// The adjoint of [`predict`](Self::predict): λ ← Fᵀ λ, Λ ← Fᵀ Λ F.
+    /// Writes rows Gᵀ with G Gᵀ = Q of [`predict`](Self::predict), at most one a state, `stride` apart, into `rows`, which
+    /// are zero.
+    fn noise_rows(&mut self, memory: &[f64], dt: f64, rows: &mut [f64], stride: usize);
+
+    /// The adjoint of [`predict`](Self::predict) without its noise: λ ← Fᵀ λ, Λ ← Fᵀ Λ F.
     fn retreat(&mut self, memory: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric);
 }
 
@@ -118,6 +130,9 @@ pub trait Model: Clone + Send + Sync {
     /// Number of states.
     fn states(&self) -> usize;
 
+    /// Number of states, but for those of late sensors, which follow them.
+    fn own_states(&self) -> usize;
+
     /// See [`Measurement::dense`].
     fn dense(&self) -> usize;
 
@@ -141,6 +156,9 @@ pub trait Model: Clone + Send + Sync {
     /// As there.
     fn start(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) -> Result<(), DesignError>;
 
+    /// Takes over a first sample at which the belief is known.
+    fn resume(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian);
+
     /// See [`Process::predict`].
     fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian);
 
@@ -153,13 +171,24 @@ pub trait Model: Clone + Send + Sync {
     /// See [`Measurement::variance`].
     fn variance(&self, channel: usize) -> f64;
 
+    /// Whether what drives the model was missing at the sample last predicted to, and was bridged.
+    fn bridged(&self) -> bool {
+        false
+    }
+
     /// How many numbers [`remember`](Self::remember) writes.
     fn memory(&self) -> usize;
 
     /// What [`report`](Self::report) and [`retreat`](Self::retreat) need of this sample.
     fn remember(&self, memory: &mut Vec<f64>);
 
-    /// See [`Process::retreat`].
+    /// See [`Process::noise_rows`].
+    fn noise_rows(&mut self, memory: &[f64], dt: f64, rows: &mut [f64], stride: usize);
+
+    /// The adjoint of what late sensors do at the end of a step: λ ← Tᵀ λ, Λ ← Tᵀ Λ T.
+    fn retreat_sensors(&mut self, memory: &[f64], lambda: &mut [f64], big: &mut Symmetric);
+
+    /// See [`Process::retreat`]; after [`retreat_sensors`](Self::retreat_sensors).
     fn retreat(&mut self, memory: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric);
 
     /// See [`Measurement::channels`].
@@ -232,6 +261,15 @@ impl<P: Process, M: Measurement> Paired<P, M> {
         Ok(self)
     }
 
+    /// Takes over a first sample, and what the late sensors' states are at `belief`.
+    fn begin(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
+        self.measurement.take(sample, true);
+        if let Some(late) = &mut self.late {
+            self.measurement.linearise(&belief.mean[..self.measurement.dense()]);
+            late.start(belief, self.measurement.linearised());
+        }
+    }
+
     /// The channels.
     pub fn measurement_mut(&mut self) -> &mut M {
         &mut self.measurement
@@ -246,6 +284,10 @@ impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
     #[inline(always)]
     fn states(&self) -> usize {
         self.late.as_ref().map_or(self.process.states(), |late| late.states())
+    }
+
+    fn own_states(&self) -> usize {
+        self.process.states()
     }
 
     #[inline(always)]
@@ -265,12 +307,17 @@ impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
 
     fn start(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) -> Result<(), DesignError> {
         self.process.start(sample, belief)?;
-        self.measurement.take(sample, true);
-        if let Some(late) = &mut self.late {
-            self.measurement.linearise(&belief.mean[..self.measurement.dense()]);
-            late.start(belief, self.measurement.linearised());
-        }
+        self.begin(sample, belief);
         Ok(())
+    }
+
+    fn resume(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
+        self.process.resume(sample, belief);
+        self.begin(sample, belief);
+    }
+
+    fn bridged(&self) -> bool {
+        self.process.bridged()
     }
 
     #[inline(always)]
@@ -316,11 +363,21 @@ impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
     }
 
     #[inline(always)]
+    fn noise_rows(&mut self, memory: &[f64], dt: f64, rows: &mut [f64], stride: usize) {
+        let own = self.process.memory();
+        self.process.noise_rows(&memory[..own], dt, rows, stride);
+    }
+
+    #[inline(always)]
+    fn retreat_sensors(&mut self, memory: &[f64], lambda: &mut [f64], big: &mut Symmetric) {
+        if let Some(late) = &self.late {
+            late.retreat(&memory[self.process.memory() + self.measurement.memory()..], lambda, big);
+        }
+    }
+
+    #[inline(always)]
     fn retreat(&mut self, memory: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric) {
         let own = self.process.memory();
-        if let Some(late) = &self.late {
-            late.retreat(&memory[own + self.measurement.memory()..], lambda, big);
-        }
         self.process.retreat(&memory[..own], dt, lambda, big);
     }
 

@@ -28,9 +28,6 @@ pub struct LikelihoodSettings {
     pub biased: Vec<bool>,
     /// Whether motor torques are readings, too.
     pub torque: bool,
-    /// Whether random jerk steps the acceleration where an interval begins, as in the filter that estimates; else it acts
-    /// all the time. The former puts acceleration half a sample ahead of velocity, which damping and delays would pay for.
-    pub held: bool,
     /// Parameters that are not free, and not as the robot says.
     pub fixed: Vec<(Parameter, f64)>,
     /// Beyond so many standard deviations an innovation counts linearly (Huber 1964); infinite for the plain likelihood.
@@ -148,7 +145,7 @@ impl Likelihood {
         let moments = moments(&self.recording.t, &lags);
         let noise = &self.settings.noise;
         let evaluation = Evaluation::new(&self.model, noise.clone(), parameters, lateness, late);
-        Ok(Filter::new(&self.model, noise.clone(), evaluation, moments, self.settings.held))
+        Ok(Filter::new(&self.model, noise.clone(), evaluation, moments))
     }
 
     fn accumulate<T: Seeded>(&self, mut filters: Vec<Filter<T>>, p: usize, detail: bool) -> Result<Evidence, RunError> {

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkside.robot import Robot
+from .robot import Robot
 
 Told = tuple[str, int, int, float]
 """A parameter as the core has it: kind, joint or sensor, axis, standard deviation."""

@@ -86,9 +86,9 @@ def largest_nis(used: int) -> float:
     """
     degrees = max(used / CORRELATED, 1.0)
     cube = 1 - 2 / (9 * degrees) + DEVIATIONS * (2 / (9 * degrees)) ** 0.5
-    return CORRELATED * degrees * cube**3
+    return float(CORRELATED * degrees * cube**3)
 
 
 def named(found: Iterable[Told], columns: tuple[str, ...]) -> tuple[Finding, ...]:
     """Findings of the core with the names of the columns."""
-    return tuple(Finding(None if c is None or not columns else columns[c], *rest) for c, *rest in found)
+    return tuple(Finding(columns[one[0]] if columns and one[0] is not None else None, *one[1:]) for one in found)
