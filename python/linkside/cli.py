@@ -207,8 +207,13 @@ def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> 
 @click.option("--bound", "bounds", multiple=True, help="NAME=LOW:HIGH, least and largest value of a parameter.")
 @click.option("--held-out", type=click.Path(), multiple=True, help="A log that only tests the outcome.")
 @click.option("--resume", is_flag=True, help="Go on with an interrupted run.")
+@click.option("--force", is_flag=True, help="Write the outcome even where it is not to be believed.")
 def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **options: Any) -> None:
-    """Find ROBOT's stiffness, damping, load and sensor errors from its own recordings."""
+    """Find ROBOT's stiffness, damping, load and sensor errors from its own recordings.
+
+    An outcome that does not foretell readings better than ROBOT as it is, or that is at a bound or far from it, is not
+    written, and the exit status is 3.
+    """
     from linkside import progress
     from linkside.calibration import command
 
@@ -220,8 +225,10 @@ def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **optio
     with progress.bar(None) as advance:
         result = command.run(robot, logs, out, resume, advance, **options)
     click.echo(result.to_text(), nl=False)
-    for output in outputs:
+    for output in outputs if result.accepted or options["force"] else outputs[1:]:
         click.echo(f"written: {output}")
+    if not result.accepted:
+        sys.exit(3)
 
 
 @main.command()
