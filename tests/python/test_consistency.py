@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from linkside import EstimatorError, ExtendedKalmanFilter, KalmanEstimate, Noise, RauchTungStriebelSmoother
-from linkside.consistency import autocovariance, consistency, long_run_variance
+from linkside.consistency.compare import autocovariance, consistency, long_run_variance
 
 from .drawn import arm, draw
 

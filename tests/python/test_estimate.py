@@ -18,9 +18,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linkside import demo
-from linkside import estimate as module
 from linkside.errors import EstimatorError, LogError, OutputError
-from linkside.estimate import Estimate, EstimateWriter, Status, check_writable
+from linkside.recording import estimate as module
+from linkside.recording.estimate import Estimate, EstimateWriter, Status, check_writable
 
 DATA = Path(__file__).parents[1] / "data"
 TRUTHS = [DATA / "arm2_square" / "truth.parquet", demo.TRUTH]

@@ -9,7 +9,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from ..log import Log
+from linkside.recording.log import Log
+
 from .parameters import NOISE, Parameter
 from .problem import Problem
 from .search import ROUGH, Search

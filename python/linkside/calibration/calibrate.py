@@ -8,9 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ..log import Log
-from ..noise import Noise
-from ..robot import Robot
+from linkside.kalman.noise import Noise
+from linkside.recording.log import Log
+from linkside.robot import Robot
+
 from .acceptance import foretell, objections
 from .equations import better
 from .parameters import NOISE, Bounds, Parameter, choose

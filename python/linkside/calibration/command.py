@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ..errors import EstimatorError
-from ..log import Log
-from ..robot import Robot
+from linkside.errors import EstimatorError
+from linkside.recording.log import Log
+from linkside.robot import Robot
+
 from . import resume as state
 from .calibrate import calibrate
 from .result import Calibration

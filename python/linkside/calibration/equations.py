@@ -14,9 +14,10 @@ import numpy.typing as npt
 import scipy.optimize
 import scipy.signal
 
-from ..config import JointConfig
-from ..log import Log
-from ..robot import Robot
+from linkside.recording.log import Log
+from linkside.robot import Robot
+from linkside.robot.config import JointConfig
+
 from .problem import Problem
 from .signals import derivative, filled, signals
 from .starts import posterior

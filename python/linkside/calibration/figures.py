@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import EstimatorError, NumericalError
-from ..source import suggest
+from linkside.errors import EstimatorError, NumericalError
+from linkside.files.yaml_source import suggest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

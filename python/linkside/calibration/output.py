@@ -13,8 +13,9 @@ import pinocchio as pin
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 
-from ..estimate import write_text
-from ..source import Source
+from linkside.files.yaml_source import Source
+from linkside.recording.estimate import write_text
+
 from .parameters import AXES, SHORTEST_FILTER
 from .result import Calibration, Estimated
 

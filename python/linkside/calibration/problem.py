@@ -10,12 +10,13 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from .. import tree
-from .._core import Likelihood
-from ..config import PayloadConfig
-from ..log import Log
-from ..noise import Noise
-from ..robot import Robot
+from linkside._core import Likelihood
+from linkside.kalman.noise import Noise
+from linkside.recording.log import Log
+from linkside.robot import Robot
+from linkside.robot import compile as tree
+from linkside.robot.config import PayloadConfig
+
 from .parameters import TORQUE_ONLY, CoreName, Parameter, catalogue
 from .signals import noise_arrays, signals
 

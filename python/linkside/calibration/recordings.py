@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import EstimatorError, LogError
-from ..log import Log
-from ..robot import Robot
-from ..tune import LEAST_MOTION
+from linkside.errors import EstimatorError, LogError
+from linkside.recording.log import Log
+from linkside.robot import Robot
+from linkside.tuning.noise_likelihood import LEAST_MOTION
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..estimate import write_text
+from linkside.recording.estimate import write_text
+
 from . import figures
 from .result import Calibration
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from ..consistency import autocovariance
+from linkside.consistency.compare import autocovariance
+
 from .acceptance import Foretold
 from .parameters import Parameter
 from .problem import Evidence, Problem

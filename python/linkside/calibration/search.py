@@ -10,7 +10,8 @@ import numpy.typing as npt
 import scipy.linalg
 import scipy.optimize
 
-from ..errors import NumericalError
+from linkside.errors import NumericalError
+
 from .problem import Evidence, Problem
 
 FloatArray = npt.NDArray[np.float64]

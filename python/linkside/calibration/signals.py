@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 import scipy.signal
 
-from ..kalman import commanded_jerk
-from ..log import Log
-from ..noise import Noise
-from ..robot import Robot
+from linkside.kalman.jerk_driven import commanded_jerk
+from linkside.kalman.noise import Noise
+from linkside.recording.log import Log
+from linkside.robot import Robot
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..errors import NumericalError
+from linkside.errors import NumericalError
+
 from .problem import Problem
 
 FACTORS = (1 / 3, 1 / 1.7, 1.7, 3.0)

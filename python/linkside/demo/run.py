@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside.demo import LOG, ROBOT, TRUTH
-from linkside.estimate import Estimate, EstimateError
-from linkside.log import Log
-from linkside.observers import AccelerationObserver
+from linkside.observers.acceleration import AccelerationObserver
+from linkside.recording.estimate import Estimate, EstimateError
+from linkside.recording.log import Log
 from linkside.robot import Robot
 
 Array = npt.NDArray[np.float64]

@@ -1,0 +1,450 @@
+"""The command line: ``linkside estimate``, ``tune``, ``check``, ``place`` and ``demo``.
+
+Whatever a user can get wrong is one line on standard error and exit status 2, and leaves no file behind.
+"""
+
+from __future__ import annotations
+
+import re
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn, cast
+
+import click
+
+from linkside.errors import EstimatorError, LinksideError, NumericalError, OutputError
+from linkside.kalman.noise import Noise
+from linkside.observers import poles as patterns
+from linkside.recording.estimate import Estimate, EstimateWriter, check_writable
+from linkside.recording.log import Log, log_rows
+from linkside.robot import Robot
+
+from .methods import METHODS, Options, Run
+
+if TYPE_CHECKING:
+    from . import progress
+
+ROWS = 8192
+"""Rows of a log that are in memory at a time."""
+
+WHOLE = 2**62
+"""More rows than a log has."""
+
+PATTERNS: dict[str, Callable[[float], patterns.PolePattern]] = {
+    "damped": patterns.damped,
+    "bessel": patterns.bessel,
+    "butterworth": patterns.butterworth,
+}
+
+
+class Poles(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.4 only
+    """``250``, or a pattern of `linkside.poles` and its frequency, ``bessel:250``."""
+
+    name = "poles"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> patterns.PolePattern:
+        """Read the pattern."""
+        kind, _, frequency = str(value).rpartition(":")
+        try:
+            return PATTERNS[kind or "damped"](float(frequency))
+        except EstimatorError as error:
+            self.fail(str(error), param, ctx)
+        except (KeyError, ValueError):
+            self.fail(f"{value!r} is neither a frequency nor one of {', '.join(PATTERNS)} with one", param, ctx)
+
+
+class Commands(click.Group):
+    """Commands whose errors are one line."""
+
+    def main(self, *args: Any, **kwargs: Any) -> NoReturn:
+        """Run a command and exit: 0 if all is well, 2 on an error, 130 when interrupted."""
+        _prepare_streams()
+        try:
+            sys.exit(super().main(*args, **{**kwargs, "prog_name": "linkside", "standalone_mode": False}) or 0)
+        except click.Abort:
+            _complain("interrupted")
+            sys.exit(130)
+        except click.ClickException as error:
+            _complain(error.format_message())
+        except (LinksideError, OSError) as error:
+            _complain(_in_words(error))
+        sys.exit(2)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command; show where an error comes from if that was asked for."""
+        try:
+            return super().invoke(ctx)
+        except (LinksideError, OSError):
+            if ctx.params["debug"]:
+                traceback.print_exc()
+            raise
+
+
+@click.group(cls=Commands, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="linkside")
+@click.option("--debug", is_flag=True, help="Show where in the program an error comes from.")
+@click.pass_context
+def main(ctx: click.Context, debug: bool) -> None:
+    """Where the links of an elastic-joint robot really are."""
+    if ctx.invoked_subcommand is None:
+        click.echo(ctx.get_help())
+
+
+@main.command(epilog="Methods: " + "; ".join(f"{name}: {method.help}" for name, method in METHODS.items()) + ".")
+@click.argument("robot", type=click.Path())
+@click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
+@click.option("--with", "method", type=click.Choice(list(METHODS)), default="observer", show_default=True)
+@click.option("--out", required=True, help="Parquet or CSV file; for several logs a directory, or a name with {stem}.")
+@click.option("--poles", type=Poles(), default="250", show_default=True, help="Frequency [rad/s], or bessel:250 …")
+@click.option("--bias", is_flag=True, help="Estimate a bias of each link acceleration as well.")
+@click.option("--form", type=click.Choice(["current", "predictor"]), default="current", show_default=True)
+@click.option("--tuning", type=click.Path(), help="As `linkside tune` writes it for this method.")
+@click.option("--gate", type=float, help="Leave out readings more than so many standard deviations off.")
+@click.option("--particles", type=int, default=1000, show_default=True, help="How many a particle filter has.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of a particle filter's random numbers.")
+@click.option("--gain", type=float, default=100, show_default=True, help="Gain of a velocity observer [1/s].")
+@click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this file; one for each log.")
+def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, truths: tuple[str, ...], **options: Any) -> None:
+    """Estimate the motion of ROBOT's links from recordings.
+
+    ROBOT is a robot.yaml, each LOG a Parquet or CSV file. Logs are read piece by piece and may be larger than memory.
+    """
+    if truths and len(truths) != len(logs):
+        raise click.UsageError(f"--truth is there {len(truths)} times, for {len(logs)} logs")
+    _refuse_untaken(method)
+    loaded = Robot.load(robot)
+    if options["tuning"] is not None:
+        options["tuning"] = METHODS[method].read_tuning(options["tuning"])
+    with _naming(robot):
+        run = METHODS[method].build(loaded, Options(**options))
+    rows = WHOLE if METHODS[method].whole(loaded) else ROWS
+    with _output_folder(out, logs) as outputs:
+        _refuse_clashes(outputs, [robot, *logs, *truths])
+        for output in outputs:
+            check_writable(output)
+        files = zip(logs, outputs, truths or [None] * len(logs), strict=True)
+        _estimate_all([Job(loaded, run, rows, *three) for three in files])
+
+
+def _refuse_untaken(method: str) -> None:
+    """An option that the method would not look at is a mistake to hear of."""
+    context = click.get_current_context()
+    for option in sorted({option for other in METHODS.values() for option in other.takes}):
+        given = context.get_parameter_source(option) == click.core.ParameterSource.COMMANDLINE
+        if given and option not in METHODS[method].takes:
+            raise click.UsageError(f"--{option} is not for --with {method}")
+
+
+@main.command()
+@click.argument("robot", type=click.Path())
+@click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
+@click.option("--with", "method", type=click.Choice(["ekf", "observer"]), default="ekf", show_default=True)
+@click.option("--out", required=True, type=click.Path(), help="The tuning file, for `linkside estimate --tuning`.")
+@click.option("--start", type=click.Path(), help="A tuning file to start from (ekf).")
+@click.option("--free", help="Which values, by their keys in that file, a,b,c.  [default: transmission, poles]")
+@click.option("--states", multiple=True, type=click.Path(), help="What the links did, one for each LOG (observer).")
+@click.option("--figure", type=click.Path(), help="Draw the Pareto front (observer).")
+@click.option("--evaluations", type=click.IntRange(1), default=2000, help="How often to estimate LOGs (observer).")
+def tune(robot: str, logs: tuple[str, ...], method: str, **options: Any) -> None:
+    """Find the noise of a Kalman filter under which recordings are most likely, or the poles of an observer.
+
+    With `--with observer` also stiffness, damping and motor_inertia of ROBOT's drives can be free; the links' states
+    are measured ones (--states), or the smoother's.
+    """
+    for option in ("start",) if method == "observer" else ("states", "figure"):
+        if options[option]:
+            raise click.UsageError(f"--{option} is not for --with {method}")
+    _refuse_clashes([Path(options["out"])], [robot, *logs, *options["states"]])
+    check_writable(options["out"], (".yaml", ".yml"))
+    (_tune_observer if method == "observer" else _tune_noise)(robot, logs, options)
+    click.echo(f"tuning: {options['out']}")
+
+
+def _tune_noise(robot: str, logs: Sequence[str], options: dict[str, Any]) -> None:
+    from linkside.tuning import noise_likelihood as module
+
+    from . import progress
+
+    loaded = Robot.load(robot)
+    noise = None if options["start"] is None else Noise.read(options["start"])
+    recordings = [Log.read(log, loaded) for log in logs]
+    free = tuple((options["free"] or "transmission").split(","))
+    with progress.bar(None) as advance:
+        result = module.tune(loaded, recordings, noise, free, partial(_show_best, advance, "log-likelihood"))
+    result.after.write(options["out"])
+    click.echo(result.to_text(), nl=False)
+
+
+def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> None:
+    from linkside.tuning import observer_front as tune_observer
+
+    from . import progress
+
+    loaded = Robot.load(robot)
+    _check_figure(options["figure"], [robot, *logs, *options["states"], options["out"]])
+    recordings = [Log.read(log, loaded) for log in logs]
+    states = [Estimate.read(file) for file in options["states"]] or None
+    free = tuple((options["free"] or "poles").split(","))
+    with progress.bar(None) as advance:
+        shown = partial(_show_best, advance, "sum of ratios")
+        count = options["evaluations"]
+        front = tune_observer.tune_observer(loaded, recordings, states, free, shown, evaluations=count)
+    front.best.write(options["out"])
+    click.echo(front.to_text(), nl=False)
+    if options["figure"] is not None:
+        _draw(front.figure(), options["figure"])
+
+
+@main.command()
+@click.argument("robot", type=click.Path())
+@click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
+@click.option("--out", required=True, type=click.Path(), help="The calibrated robot.yaml.")
+@click.option("--report", type=click.Path(), help="A report with figures, one HTML file.")
+@click.option("--free", help="Kinds or names of parameters, a,b,c; by default those that the logs can tell.")
+@click.option("--torque/--no-torque", default=None, help="Whether motor torques are readings, too.")
+@click.option("--bound", "bounds", multiple=True, help="NAME=LOW:HIGH, least and largest value of a parameter.")
+@click.option("--held-out", type=click.Path(), multiple=True, help="A log that only tests the outcome.")
+@click.option("--resume", is_flag=True, help="Go on with an interrupted run.")
+@click.option("--force", is_flag=True, help="Write the outcome even where it is not to be believed.")
+def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **options: Any) -> None:
+    """Find ROBOT's stiffness, damping, load and sensor errors from its own recordings.
+
+    An outcome that does not foretell readings better than ROBOT as it is, or that is at a bound or far from it, is not
+    written, and the exit status is 3.
+    """
+    from linkside.calibration import command
+
+    from . import progress
+
+    outputs = [Path(out), *([Path(options["report"])] if options["report"] else [])]
+    _refuse_clashes(outputs, [robot, *logs, *options["held_out"]])
+    check_writable(out, (".yaml", ".yml"))
+    if options["report"]:
+        check_writable(options["report"], (".html", ".htm"))
+    with progress.bar(None) as advance:
+        result = command.run(robot, logs, out, resume, advance, **options)
+    click.echo(result.to_text(), nl=False)
+    for output in outputs if result.accepted or options["force"] else outputs[1:]:
+        click.echo(f"written: {output}")
+    if not result.accepted:
+        sys.exit(3)
+
+
+@main.command()
+@click.argument("robot", type=click.Path())
+@click.argument("log", type=click.Path(), required=False)
+@click.option("--figure", type=click.Path(), help="Draw it: a file that ends in .png, .pdf or .svg.")
+def check(robot: str, log: str | None, figure: str | None) -> None:
+    """Say which link accelerations ROBOT's sensors see, how well and where, along LOG if it is given."""
+    from linkside.observability import analysis as module
+
+    from . import progress
+
+    loaded = Robot.load(robot)
+    _check_figure(figure, [robot, log])
+    report = module.check(loaded, None if log is None else Log.stream(log, loaded))
+    progress.show(progress.check_tables(report))
+    if figure is not None:
+        _draw(report.figure(), figure)
+
+
+@main.command()
+@click.option("--figure", type=click.Path(), default="linkside-demo.png", show_default=True, help="Where to draw it.")
+def demo(figure: str) -> None:
+    """Run the observer on a robot and a recording that come with the package."""
+    from linkside.demo import run as module
+
+    from . import progress
+
+    _check_figure(figure, [])
+    result = module.run()
+    from linkside.figures import plots
+
+    progress.show([progress.tool_table(result.errors, "the truth")])
+    _draw(plots.demo_figure(result), figure)
+    click.echo("Next, your own log:   linkside estimate robot.yaml log.parquet --out estimate.parquet")
+    click.echo("      your own robot: linkside check robot.yaml")
+
+
+@main.command()
+@click.argument("robot", type=click.Path())
+@click.argument("logs", metavar="[LOG]...", type=click.Path(), nargs=-1)
+@click.option("--link", "links", multiple=True, help="A link that can carry a sensor; on a grid around its frame.")
+@click.option("--reach", type=float, default=0.3, show_default=True, help="How far that grid goes either way [m].")
+@click.option("--steps", type=click.IntRange(1), default=3, show_default=True, help="Its points along each direction.")
+@click.option("--axes", default="xyz", show_default=True, help="Three-axis sensors, or x,y,z for single axes.")
+@click.option("--candidates", type=click.Path(), help="A file with `accelerometers` to choose from, as in robot.yaml.")
+@click.option("--count", type=int, help="Sensors in the set.  [default: the fewest that can do]")
+@click.option("--limit", type=float, help="Take the smallest set whose score is at most this.")
+@click.option("--by", type=click.Choice(["condition", "covariance"]), default="condition", show_default=True)
+@click.option("--out", type=click.Path(), help="Where to write the chosen `accelerometers`, YAML.")
+@click.option("--figure", type=click.Path(), help="Draw where it is singular: a file that ends in .png, .pdf or .svg.")
+def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: Any) -> None:
+    """Choose accelerometers for ROBOT: those that see its joints best along LOGs, or in the whole workspace."""
+    from linkside.observability import placement
+
+    out, inputs = options["out"], [robot, *logs, options["candidates"]]
+    if out is not None:
+        check_writable(out, (".yaml", ".yml"))
+        _refuse_clashes([Path(out)], inputs)
+    _check_figure(options["figure"], [*inputs, out])
+    loaded = Robot.load(robot)
+    sensors = [] if options["candidates"] is None else list(placement.read_candidates(options["candidates"]))
+    kinds = options["axes"].split(",")
+    with _naming(robot):
+        sensors += placement.candidates(loaded, links, reach=options["reach"], steps=options["steps"], axes=kinds)
+        where = [Log.read(log, loaded) for log in logs] or None
+        choice = {"count": options["count"], "limit": options["limit"], "criterion": options["by"]}
+        found = placement.place(loaded, sensors, where, **choice)
+    click.echo(found.to_text(), nl=False)
+    if out is not None:
+        found.write(out)
+        click.echo(f"accelerometers: {out}")
+    if options["figure"] is not None:
+        _draw(found.figure(), options["figure"])
+
+
+def _show_best(advance: Callable[[str, int], None], what: str, _: int, best: float) -> None:
+    advance(f"{what} {best:.5g}", 1)
+
+
+@dataclass(frozen=True)
+class Job:
+    """A log to estimate, how, and where the estimate and the truth are."""
+
+    robot: Robot
+    run: Run
+    rows: int
+    log: str
+    output: Path
+    truth: str | None
+
+
+def _estimate_all(jobs: Sequence[Job]) -> None:
+    """Estimate each log; of several, one that cannot be used does not keep the others waiting."""
+    from . import progress
+
+    failed = 0
+    counts = [log_rows(job.log) for job in jobs]
+    with progress.bar(None if None in counts else sum(cast("list[int]", counts))) as advance:
+        for job in jobs:
+            try:
+                _estimate_one(job, partial(advance, job.log))
+            except LinksideError as error:
+                if len(jobs) == 1:
+                    raise
+                failed += 1
+                _complain(_in_words(error))
+    if failed:
+        raise click.ClickException(f"{failed} of {len(jobs)} logs could not be estimated")
+
+
+def _estimate_one(job: Job, advance: Callable[[int], None]) -> None:
+    from . import progress
+
+    known = None if job.truth is None else Estimate.read(job.truth)
+    tally, kept = progress.Tally(), []
+    with EstimateWriter(job.output) as writer:
+        for piece in _pieces(job, tally):
+            writer.write(piece)
+            tally.add(piece)
+            advance(len(piece))
+            if known is not None:
+                kept.append(piece)
+        with _naming(str(job.truth)):  # still inside: an estimate that cannot be compared as asked is not kept
+            error = None if known is None else Estimate.concatenate(kept).error_against(known)
+    if error is not None:
+        progress.show(progress.error_tables(error, job.robot, str(job.truth)))
+    click.echo(f"{job.output}: {tally}")
+
+
+def _pieces(job: Job, tally: progress.Tally) -> Iterator[Estimate]:
+    pieces = tally.timed(Log.stream(job.log, job.robot, job.rows), sign=-1)
+    estimates = tally.timed(job.run(pieces))
+    while True:
+        with _naming(job.log):
+            piece = next(estimates, None)
+        if piece is None:
+            return
+        yield piece
+
+
+@contextmanager
+def _output_folder(out: str, logs: Sequence[str]) -> Iterator[list[Path]]:
+    """Name the output of each log; a directory that had to be made for them is gone again if it stays empty."""
+    if "{stem}" in out or (len(logs) == 1 and not Path(out).is_dir()):
+        yield [Path(out.replace("{stem}", _stem(log))) for log in logs]
+        return
+    folder = Path(out)
+    if folder.suffix in (".parquet", ".csv"):
+        raise OutputError(f"{out}: one file for {len(logs)} logs; name a directory, or a file with {{stem}}")
+    made = not folder.exists()
+    folder.mkdir(exist_ok=True)
+    try:
+        yield [folder / f"{_stem(log)}.estimate.parquet" for log in logs]
+    finally:
+        if made:
+            with suppress(OSError):
+                folder.rmdir()
+
+
+def _stem(log: str) -> str:
+    return re.sub(r"\.(parquet|csv|csv\.gz)$", "", Path(log).name, flags=re.IGNORECASE)
+
+
+def _refuse_clashes(outputs: Sequence[Path], inputs: Sequence[str | None]) -> None:
+    taken = {Path(path).resolve(): "would be written over what is read" for path in inputs if path is not None}
+    for output in outputs:
+        if (where := output.resolve()) in taken:
+            raise OutputError(f"{output}: {taken[where]}")
+        taken[where] = "is the output of two logs; give --out as a name that differs, or run them apart"
+
+
+def _check_figure(figure: str | None, inputs: Sequence[str | None]) -> None:
+    if figure is not None:
+        from linkside.figures import plots
+
+        plots.check_writable(figure)
+        _refuse_clashes([Path(figure)], inputs)
+
+
+def _draw(figure: Any, path: str) -> None:
+    from linkside.figures import plots
+
+    plots.save(figure, path)
+    click.echo(f"figure: {path}")
+
+
+@contextmanager
+def _naming(source: str) -> Iterator[None]:
+    """Let errors of an estimator, which knows of no files, say where they come from."""
+    try:
+        yield
+    except (EstimatorError, NumericalError) as error:
+        if source in str(error):
+            raise
+        raise type(error)(f"{source}: {error}") from error
+
+
+def _prepare_streams() -> None:
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(AttributeError):
+            cast("Any", stream).reconfigure(errors="replace")  # µ and σ must not break a terminal in ASCII
+    with suppress(ValueError):  # only the main thread may; so that a job that is ended leaves nothing half done
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+
+
+def _in_words(error: Exception) -> str:
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return str(error)
+
+
+def _complain(message: str) -> None:
+    click.echo(f"linkside: {' '.join(message.split())}", err=True)
