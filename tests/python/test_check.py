@@ -7,8 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linkside import Log, Robot, demo, sensors
-from linkside.figures.plots import save
-from linkside.observability.analysis import LOG_ROWS, CheckReport, Sight, check, describe
+from linkside.figures import save
+from linkside.observability import CheckReport, Sight, check
+from linkside.observability.analysis import LOG_ROWS
+from linkside.observability.findings import describe
 
 from .robots import ARM, DATA, spring
 

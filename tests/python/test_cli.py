@@ -17,7 +17,7 @@ import pytest
 from click.testing import CliRunner
 
 from linkside import AccelerationObserver, Estimate, Log, Noise, Robot, cli, demo, poles
-from linkside.cli import commands, methods, progress
+from linkside.cli import bar, commands, methods
 
 DATA = Path(__file__).parents[1] / "data"
 ACCURACY = {  # RMS of the tool error, offset out [mm]
@@ -492,8 +492,8 @@ def test_a_bar_appears_only_when_work_takes_long(monkeypatch, delay, shown):
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setattr(progress, "DELAY", delay)
-    with progress.bar(100) as advance:
+    monkeypatch.setattr(bar, "DELAY", delay)
+    with bar.bar(100) as advance:
         time.sleep(0.01)
         advance("log.parquet", 40)
         time.sleep(0.2)

@@ -10,8 +10,7 @@ from ruamel.yaml import YAML
 import linkside
 from linkside import ConfigError, EstimatorError, Log, Robot
 from linkside.cli import main
-from linkside.observability import Placement, candidates, place, read_candidates
-from linkside.observability.analysis import Sight
+from linkside.observability import Placement, Sight, candidates, place, read_candidates
 from linkside.robot import compile as tree
 
 from .robots import ARM, DATA, spring

@@ -7,15 +7,13 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from linkside.arrays import FloatArray
 from linkside.recording.log import Log
 
 from .parameters import NOISE, Parameter
 from .problem import Problem
 from .search import ROUGH, Search
-
-FloatArray = npt.NDArray[np.float64]
 
 FOLDS = 2
 """Each stretch of a recording is held back once; as many fits."""

@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 import scipy.optimize
 import scipy.signal
 
+from linkside.arrays import FloatArray
 from linkside.recording.log import Log
 from linkside.robot import Robot
 from linkside.robot.config import JointConfig
@@ -22,7 +22,6 @@ from .problem import Problem
 from .signals import derivative, filled, signals
 from .starts import posterior
 
-FloatArray = npt.NDArray[np.float64]
 Drive = dict[str, float]
 Equation = tuple[dict[str, FloatArray], FloatArray]
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
 
 from linkside._core import Likelihood
+from linkside.arrays import FloatArray
 from linkside.kalman.noise import Noise
 from linkside.recording.log import Log
 from linkside.robot import Robot
@@ -19,8 +19,6 @@ from linkside.robot.config import PayloadConfig
 
 from .parameters import TORQUE_ONLY, CoreName, Parameter, catalogue
 from .signals import noise_arrays, signals
-
-FloatArray = npt.NDArray[np.float64]
 
 HUBER = 4.0
 """Innovations beyond so many standard deviations count linearly."""

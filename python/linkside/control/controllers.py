@@ -12,10 +12,10 @@ from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.robot import Robot
 
-FloatArray: TypeAlias = npt.NDArray[np.float64]
 AXES = "xyz"
 
 

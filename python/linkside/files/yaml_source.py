@@ -19,7 +19,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLWarning
 
 from linkside.errors import ConfigError
-from linkside.recording.estimate import write_text
+from linkside.files.writing import write_text
 
 Model = TypeVar("Model", bound=BaseModel)
 Key = str | int

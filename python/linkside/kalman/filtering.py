@@ -11,16 +11,12 @@ from typing import Any, Generic, Protocol, TypeVar, overload
 import numpy as np
 import numpy.typing as npt
 
+from linkside.arrays import FloatArray
+from linkside.channels import BIASED, CHANNELS
 from linkside.errors import EstimatorError
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
-
-FloatArray = npt.NDArray[np.float64]
-Signal = FloatArray | Sequence[float]
-
-BIASED = ("motor", "acceleration", "rate")
-"""Kinds of channels that may have a bias."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -94,8 +90,8 @@ class LiveFilter(ABC, Generic[Core]):
         """Build a filter that has taken no sample."""
 
 
-class KalmanFilter(LiveFilter[Core]):
-    """A Kalman filter, or with ``_smooth`` a smoother, of any model."""
+class KalmanMethod(ABC):
+    """A Kalman filter, or with ``_smooth`` a smoother, of any model, over recordings."""
 
     _smooth = False
 
@@ -163,27 +159,23 @@ class KalmanFilter(LiveFilter[Core]):
                 chosen.append(kind)
         return tuple(chosen)
 
-    def _width(self, kind: str) -> int:
+    def width(self, kind: str) -> int:
         """Channels of a kind."""
-        widths = {"acceleration": len(self.robot.acceleration_channels), "rate": len(self.robot.gyroscope_channels)}
-        return widths.get(kind, self.robot.n)
+        return CHANNELS[kind].width(self.robot)
 
     def _channels(self, kinds: tuple[str, ...]) -> dict[str, Any]:
-        """Which further channels the core is to have for these kinds, and which of all have a bias."""
+        """Kinds of channels as the core names them, and which of their channels have a bias."""
         return {
-            "motor_velocities": "dtheta" in kinds,
-            "rates": "rate" in kinds,
-            "links": "q" in kinds,
-            "torques": "torque" in kinds,
-            "biased": [kind in self._biases for kind in kinds for _ in range(self._width(kind))],
+            "kinds": ["theta" if kind == "motor" else kind for kind in kinds],
+            "biased": [kind in self._biases for kind in kinds for _ in range(self.width(kind))],
         }
 
-    def _columns(self, log: Log, kinds: tuple[str, ...]) -> tuple[str, ...]:
+    def columns(self, log: Log, kinds: tuple[str, ...]) -> tuple[str, ...]:
         """Columns of a log that channels of these kinds read."""
-        return tuple(name for kind in kinds for name in log.columns("theta" if kind == "motor" else kind))
+        return tuple(name for kind in kinds for name in log.columns(CHANNELS[kind].signal))
 
     def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> KalmanEstimate:
-        return KalmanEstimate(t=log.t, names=self.robot.names, channels=self._columns(log, kinds), **result)
+        return KalmanEstimate(t=log.t, names=self.robot.names, channels=self.columns(log, kinds), **result)
 
 
 def sized(name: str, signal: npt.ArrayLike | None, size: int) -> FloatArray:

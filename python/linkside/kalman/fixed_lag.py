@@ -6,17 +6,15 @@ from collections import deque
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from linkside import _core
+from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError
 from linkside.robot import Robot
 
-from .filtering import KalmanEstimate, Signal, sized
+from .filtering import KalmanEstimate, sized
 from .jerk_driven import Arrays, ExtendedKalmanFilter
 from .noise import Noise
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class FixedLagSmoother:
@@ -43,9 +41,9 @@ class FixedLagSmoother:
             raise EstimatorError(f"lag is {lag!r}, expected a whole number of at least 1")
         self.robot, self.lag = robot, lag
         self._filter = ExtendedKalmanFilter(robot, noise, **settings)
-        self._filter._refuse_late("a fixed-lag smoother")
-        self._kinds = self._filter._live_kinds
-        self._before = self._filter._core(self._kinds, self._filter.noise)
+        self._filter.refuse_late("a fixed-lag smoother")
+        self._kinds = self._filter.live_kinds
+        self._before = self._filter.core(self._kinds, self._filter.noise)
         self.reset()
 
     def reset(self) -> None:
@@ -97,7 +95,7 @@ class FixedLagSmoother:
                 f"the first sample of theta of joint {joint} is missing; a filter cannot start without"
             )
         self._begun = True
-        channels, *others = (self._filter._width(kind) for kind in self._kinds[1:])
+        channels, *others = (self._filter.width(kind) for kind in self._kinds[1:])
         rest = (sized("acceleration", acceleration, channels), sized("further", further, sum(others)))
         return np.concatenate((motors, *rest))
 

@@ -7,19 +7,19 @@ from dataclasses import replace
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from linkside import _core
+from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError, NumericalError
 from linkside.recording.estimate import result_of
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.requirements import refuse_unsupported
 
-from .filtering import CoreFilter, KalmanEstimate, KalmanFilter, LiveFilter, Signal
+from .filtering import CoreFilter, KalmanEstimate, KalmanMethod, LiveFilter
 from .late_sensors import Schedule, is_late, unfiltered
 from .noise import Noise
 
-FloatArray = npt.NDArray[np.float64]
 Arrays = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
@@ -69,7 +69,8 @@ class JerkDrivenFilter(LiveFilter[Core]):
         dtheta, ddqref : (n,)
             Motor velocities [rad/s] and commanded link accelerations [rad/s²], where there are any.
         further : (k,)
-            Readings of the kinds asked for, one after the other: ``dtheta``, ``rate``, ``q``, ``torque``.
+            Readings of the kinds asked for, one after the other: ``dtheta``, ``rate``, ``q``, ``torque``,
+            ``dq``.
         out : (states,)
             Array to write the result into.
 
@@ -89,7 +90,99 @@ class JerkDrivenFilter(LiveFilter[Core]):
         return out
 
 
-class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanFilter[_core.ExtendedKalmanFilter]):
+class JerkDriven(KalmanMethod):
+    """What filter and smoother on the acceleration-driven model share; parameters as of `ExtendedKalmanFilter`."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        noise: Noise | None = None,
+        *,
+        biases: Sequence[str] = ("motor", "acceleration", "rate"),
+        damping: bool = True,
+        dtheta: bool = False,
+        rate: bool | None = None,
+        q: bool | None = None,
+        torque: bool | None = None,
+        dq: bool | None = None,
+        gate: float | None = None,
+        iterations: int = 1,
+    ) -> None:
+        refuse_unsupported(robot, "a filter on the acceleration-driven model")
+        wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
+        super().__init__(robot, wanted, biases, gate, iterations)
+        self.noise = noise or Noise()
+        self._damping = damping
+
+    def refuse_late(self, what: str) -> None:
+        """Raise `EstimatorError` where an accelerometer has a filter or a delay inside, which ``what`` cannot undo."""
+        if is_late(self.robot):
+            raise EstimatorError(
+                f"{what} takes readings as they come, and robot.yaml gives an accelerometer a corner_frequency or a "
+                "delay; call run on the whole log"
+            )
+
+    def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
+        kinds = self.kinds(log)
+        noise = self.noise.for_log(log)
+        if is_late(self.robot):
+            result = self._run_late(log, kinds, noise, covariance, innovations)
+        else:
+            core = self.core(kinds, noise)
+            (outcome,) = core.run_all([self.arrays(log, kinds)], self._smooth, covariance, innovations)
+            result = result_of(log.source, outcome)
+        return self._estimate(log, kinds, result)
+
+    def _run_late(
+        self, log: Log, kinds: tuple[str, ...], noise: Noise, covariance: bool, innovations: bool
+    ) -> dict[str, Any]:
+        """Accelerometers with a filter or a delay inside: each reading is used at the time that it is of."""
+        assert log.acceleration is not None  # `kinds` has asked for it
+        acceleration, late, factor = unfiltered(self.robot, log.acceleration, log.period)
+        arrays = self.arrays(replace(log, acceleration=acceleration), kinds)
+        lag = np.zeros(arrays[1].shape[1])
+        lag[self.robot.n :][: len(late)] = late
+        schedule = Schedule(log.t, lag)
+        core = self.core(kinds, noise, factor)
+        (outcome,) = core.run_all([schedule.spread(arrays, log.period)], self._smooth, covariance, innovations)
+        return schedule.gather(result_of(log.source, outcome), arrays[1])
+
+    def kinds(self, log: Log) -> tuple[str, ...]:
+        """Kinds of channels to use, in the filter's order."""
+        log.require("theta", purpose="the Kalman filter")
+        if self.robot.acceleration_channels:
+            log.require("acceleration", purpose="the Kalman filter")
+        return self._with_wanted(("motor", "acceleration"), log, "the Kalman filter")
+
+    def core(
+        self, kinds: tuple[str, ...], noise: Noise, factor: FloatArray | float = 1.0
+    ) -> _core.ExtendedKalmanFilter:
+        """Build a filter of the core for channels of these kinds, which has taken no sample."""
+        return _core.ExtendedKalmanFilter(
+            self.robot.core, **self.settings(kinds, noise, factor), gate=self._gate, iterations=self._iterations
+        )
+
+    def settings(self, kinds: tuple[str, ...], noise: Noise, factor: FloatArray | float = 1.0) -> dict[str, Any]:
+        """Settings of the model: its channels, which of them have a bias, noise, damping."""
+        arrays = noise.arrays(self.robot, kinds)
+        sensors = slice(self.robot.n, self.robot.n + self.width("acceleration"))
+        factors = np.broadcast_to(factor, self.width("acceleration"))
+        arrays["reading"][sensors] = list(arrays["reading"][sensors] * factors)
+        return self._channels(kinds) | {"noise": arrays, "damping": self._damping}
+
+    def arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:
+        """Steps of time, readings, motor velocities and commanded jerk, one row a sample."""
+        signals = {"motor": log.theta, "acceleration": log.acceleration}
+        parts = [signals[k] if k in signals else getattr(log, k) for k in kinds]
+        readings = np.hstack([np.zeros((len(log), 0)) if part is None else part for part in parts])
+        if before is None:
+            log.require_start("a filter")
+        dt = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before.t[-1])
+        dtheta = log.dtheta if log.dtheta is not None else np.full_like(log.theta, np.nan)
+        return dt, np.ascontiguousarray(readings), dtheta, commanded_jerk(log, dt, before)
+
+
+class ExtendedKalmanFilter(JerkDriven, JerkDrivenFilter[_core.ExtendedKalmanFilter]):
     """EKF on the acceleration-driven model: jerk moves the links, motor and sensors measure.
 
     Axelsson, Karlsson and Norrlöf, "Tool position estimation of a flexible industrial robot using recursive Bayesian
@@ -110,9 +203,9 @@ class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanF
         and where that is missing from the motor positions.
     dtheta
         Whether motor velocities measure the state, too: a second use of what the damping torque is computed from.
-    rate, q, torque
-        Whether gyroscopes, link encoders (``q_<joint>``) and joint torque sensors (``torque_<joint>``) are used; by
-        default where the log has them, in `step` not.
+    rate, q, torque, dq
+        Whether gyroscopes, link encoders (``q_<joint>``), joint torque sensors (``torque_<joint>``) and tachometers on
+        the links (``dq_<joint>``) are used; by default where the log has them, in `step` not.
     gate
         Leave a reading out when its innovation exceeds this many standard deviations; None uses all.
     iterations
@@ -132,80 +225,29 @@ class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanF
     own: leave NaN where a sensor has no sample.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        noise: Noise | None = None,
-        *,
-        biases: Sequence[str] = ("motor", "acceleration", "rate"),
-        damping: bool = True,
-        dtheta: bool = False,
-        rate: bool | None = None,
-        q: bool | None = None,
-        torque: bool | None = None,
-        gate: float | None = None,
-        iterations: int = 1,
-    ) -> None:
-        wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque}
-        super().__init__(robot, wanted, biases, gate, iterations)
-        self.noise = noise or Noise()
-        self._damping = damping
-
-    def _refuse_late(self, what: str) -> None:
-        if is_late(self.robot):
-            raise EstimatorError(
-                f"{what} takes readings as they come, and robot.yaml gives an accelerometer a corner_frequency or a "
-                "delay; call run on the whole log"
-            )
-
     @property
-    def _live_kinds(self) -> tuple[str, ...]:
+    def live_kinds(self) -> tuple[str, ...]:
         """Kinds of channels that `step` takes."""
         return ("motor", "acceleration", *(kind for kind, wanted in self._wanted.items() if wanted))
 
     def _start(self) -> _core.ExtendedKalmanFilter:
-        self._refuse_late("step")
-        return self._core(self._live_kinds, self.noise)
-
-    def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
-        kinds = self._kinds(log)
-        noise = self.noise.for_log(log)
-        if is_late(self.robot):
-            result = self._run_late(log, kinds, noise, covariance, innovations)
-        else:
-            core = self._core(kinds, noise)
-            (outcome,) = core.run_all([self._arrays(log, kinds)], self._smooth, covariance, innovations)
-            result = result_of(log.source, outcome)
-        return self._estimate(log, kinds, result)
-
-    def _run_late(
-        self, log: Log, kinds: tuple[str, ...], noise: Noise, covariance: bool, innovations: bool
-    ) -> dict[str, Any]:
-        """Accelerometers with a filter or a delay inside: each reading is used at the time that it is of."""
-        assert log.acceleration is not None  # `_kinds` has asked for it
-        acceleration, late, factor = unfiltered(self.robot, log.acceleration, log.period)
-        arrays = self._arrays(replace(log, acceleration=acceleration), kinds)
-        lag = np.zeros(arrays[1].shape[1])
-        lag[self.robot.n :][: len(late)] = late
-        schedule = Schedule(log.t, lag)
-        core = self._core(kinds, noise, factor)
-        (outcome,) = core.run_all([schedule.spread(arrays, log.period)], self._smooth, covariance, innovations)
-        return schedule.gather(result_of(log.source, outcome), arrays[1])
+        self.refuse_late("step")
+        return self.core(self.live_kinds, self.noise)
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
         """Estimate a recording that comes piece by piece, in bounded memory.
 
         The same bits as `run` when ``noise.jerk`` is given; otherwise the scale of jerk is read off the first piece.
         """
-        self._refuse_late("run_pieces")
+        self.refuse_late("run_pieces")
         core: _core.ExtendedKalmanFilter | None = None
         kinds: tuple[str, ...] = ()
         before: Log | None = None
         for piece in pieces:
             if core is None:
-                kinds = self._kinds(piece)
-                core = self._core(kinds, self.noise.for_log(piece))
-            arrays = self._arrays(piece, kinds, before)
+                kinds = self.kinds(piece)
+                core = self.core(kinds, self.noise.for_log(piece))
+            arrays = self.arrays(piece, kinds, before)
             try:
                 result = core.run(arrays, False, False)
             except NumericalError as error:
@@ -213,41 +255,8 @@ class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanF
             before = piece[-1:]
             yield self._estimate(piece, kinds, result)
 
-    def _kinds(self, log: Log) -> tuple[str, ...]:
-        """Kinds of channels to use, in the filter's order."""
-        log.require("theta", purpose="the Kalman filter")
-        if self.robot.acceleration_channels:
-            log.require("acceleration", purpose="the Kalman filter")
-        return self._with_wanted(("motor", "acceleration"), log, "the Kalman filter")
 
-    def _core(
-        self, kinds: tuple[str, ...], noise: Noise, factor: FloatArray | float = 1.0
-    ) -> _core.ExtendedKalmanFilter:
-        return _core.ExtendedKalmanFilter(
-            self.robot.core, **self._settings(kinds, noise, factor), gate=self._gate, iterations=self._iterations
-        )
-
-    def _settings(self, kinds: tuple[str, ...], noise: Noise, factor: FloatArray | float = 1.0) -> dict[str, Any]:
-        """Settings of the model: its channels, which of them have a bias, noise, damping."""
-        arrays = noise.arrays(self.robot, kinds)
-        sensors = slice(self.robot.n, self.robot.n + self._width("acceleration"))
-        factors = np.broadcast_to(factor, self._width("acceleration"))
-        arrays["reading"][sensors] = list(arrays["reading"][sensors] * factors)
-        return self._channels(kinds) | {"noise": arrays, "damping": self._damping}
-
-    def _arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:
-        """Steps of time, readings, motor velocities and commanded jerk, one row a sample."""
-        signals = {"motor": log.theta, "acceleration": log.acceleration}
-        parts = [signals[k] if k in signals else getattr(log, k) for k in kinds]
-        readings = np.hstack([np.zeros((len(log), 0)) if part is None else part for part in parts])
-        if before is None:
-            log.require_start("a filter")
-        dt = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before.t[-1])
-        dtheta = log.dtheta if log.dtheta is not None else np.full_like(log.theta, np.nan)
-        return dt, np.ascontiguousarray(readings), dtheta, commanded_jerk(log, dt, before)
-
-
-class RauchTungStriebelSmoother(ExtendedKalmanFilter):
+class RauchTungStriebelSmoother(JerkDriven):
     """Smoother: the estimate at each sample of a recording by all of its samples. Parameters as of the filter.
 
     Rauch, Tung and Striebel (1965), in Bierman's (1973) form on the filter's own updates, which inverts no
@@ -255,10 +264,6 @@ class RauchTungStriebelSmoother(ExtendedKalmanFilter):
     """
 
     _smooth = True
-
-    def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
-        """Not for a smoother, which needs what comes later; see `run`."""
-        raise EstimatorError("a smoother looks back from a recording's end; read the log whole and call run")
 
 
 def commanded_jerk(log: Log, dt: FloatArray, before: Log | None) -> FloatArray:

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from linkside.arrays import FloatArray
 from linkside.recording.estimate import Status
 from linkside.robot import Robot
 
-FloatArray = npt.NDArray[np.float64]
 Arrays = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 

@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
+from linkside.arrays import FloatArray
+from linkside.channels import CHANNELS, Channel, widths
 from linkside.errors import EstimatorError
 from linkside.files.yaml_source import Source, write_yaml
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
-FloatArray = npt.NDArray[np.float64]
 Std = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 PositiveStd = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
@@ -53,6 +53,8 @@ class Noise(BaseModel):
         Noise of link encoders [rad].
     joint_torque
         Noise of joint torque sensors [N m].
+    link_velocity
+        Noise of tachometers on the links [rad/s].
     position_walk, velocity_walk
         By how much the links' positions and velocities wander in one second beside what their acceleration does
         [rad/√s, rad/s/√s]. Zero is mechanics; more is room for what no acceleration explains, such as samples that are
@@ -76,6 +78,7 @@ class Noise(BaseModel):
     rate: PositiveStd = 1.0
     link: PositiveStd = 1e-5
     joint_torque: PositiveStd = 1.0
+    link_velocity: PositiveStd = 1e-3
     position_walk: Std | tuple[Std, ...] = 0.0
     velocity_walk: Std | tuple[Std, ...] = 0.0
     motor_bias: Std = 1e-5
@@ -128,25 +131,29 @@ def channel_arrays(noise: Any, motor: FloatArray, robot: Robot, kinds: tuple[str
 
     ``noise`` has the attributes of `Noise` that describe readings; ``motor`` is that of motor positions (n,) [rad].
     """
-    n = robot.n
-    per_kind = {
-        "motor": (motor, noise.motor_bias, noise.motor_bias_walk),
-        "acceleration": (
-            noise.acceleration * sensor_noise(robot.accelerometers),
-            noise.acceleration_bias,
-            noise.acceleration_bias_walk,
-        ),
-        "dtheta": (np.full(n, noise.motor_velocity), 0.0, 0.0),
-        "rate": (noise.rate * sensor_noise(robot.gyroscopes), noise.rate_bias, noise.rate_bias_walk),
-        "q": (np.full(n, noise.link), 0.0, 0.0),
-        "torque": (np.full(n, noise.joint_torque), 0.0, 0.0),
-    }
-    chosen = [per_kind[kind] for kind in kinds]
+    chosen = [CHANNELS[kind] for kind in kinds]
+    sizes = widths(robot, kinds)
+    readings = [motor if kind == "motor" else _reading_noise(noise, CHANNELS[kind], robot) for kind in kinds]
+
+    def biases(suffix: str) -> FloatArray:
+        """Of each channel; zero of a kind that has none."""
+        values = [getattr(noise, f"{c.kind}{suffix}") if c.biased else 0.0 for c in chosen]
+        return np.repeat(np.asarray(values, float), sizes)
+
     return {
-        "reading": np.concatenate([own for own, _, _ in chosen]),
-        "bias_walk": np.concatenate([np.full(len(own), walk) for own, _, walk in chosen]),
-        "initial_bias": np.concatenate([np.full(len(own), bias) for own, bias, _ in chosen]),
+        "reading": np.concatenate(readings),
+        "bias_walk": biases("_bias_walk"),
+        "initial_bias": biases("_bias"),
     }
+
+
+def _reading_noise(noise: Any, channel: Channel, robot: Robot) -> FloatArray:
+    """In the channel's unit; of an inertial sensor a multiple of what robot.yaml gives."""
+    value = getattr(noise, channel.noise)
+    if channel.carrier == "joint":
+        return np.full(robot.n, value)
+    sensors = robot.accelerometers if channel.carrier == "accelerometer" else robot.gyroscopes
+    return np.asarray(value * sensor_noise(sensors))
 
 
 def motor_noise(robot: Robot, transmission: float | tuple[float, ...]) -> FloatArray:

@@ -18,15 +18,15 @@ import pyarrow as pa
 from pyarrow import feather
 
 from linkside import _core
+from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError, NumericalError, OutputError
-from linkside.recording.estimate import EstimateWriter, check_writable
+from linkside.files.writing import check_writable
 from linkside.recording.log import Log
+from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
 
 from .filtering import KalmanEstimate
 from .jerk_driven import Arrays, RauchTungStriebelSmoother
-
-FloatArray = npt.NDArray[np.float64]
 
 ROWS = 65_536
 """Rows of a recording that are in memory at a time."""
@@ -92,7 +92,7 @@ def smooth_pieces(
     folder
         Where a temporary directory is made, removed at the end whatever happens; by default the system's.
     """
-    smoother._refuse_late("smoothing piece by piece")
+    smoother.refuse_late("smoothing piece by piece")
     with _spill_folder(folder) as spill:
         starts = list(_forward(smoother, pieces, spill))
         _backward(starts, spill)
@@ -122,10 +122,10 @@ def _forward(
     rows = 0
     for index, piece in enumerate(pieces):
         if core is None:
-            kinds = smoother._kinds(piece)
-            core = smoother._core(kinds, smoother.noise.for_log(piece))
+            kinds = smoother.kinds(piece)
+            core = smoother.core(kinds, smoother.noise.for_log(piece))
         yield core.copy()
-        arrays = smoother._arrays(piece, kinds, before)
+        arrays = smoother.arrays(piece, kinds, before)
         _save(spill / f"{index}.log", dict(zip((*READ, "t"), (*arrays, piece.t), strict=True)))
         with _in_rows(rows, len(piece)):
             core.run(arrays, False, False)

@@ -10,17 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside import _core
+from linkside.arrays import FloatArray
+from linkside.channels import OUTLIERS, widths
 from linkside.errors import EstimatorError, NumericalError
 from linkside.kalman.jerk_driven import ExtendedKalmanFilter, JerkDrivenFilter
 from linkside.kalman.noise import Noise
 from linkside.recording.estimate import Estimate, result_of
 from linkside.recording.log import Log
 from linkside.robot import Robot
-
-FloatArray = npt.NDArray[np.float64]
-
-OUTLIERS = ("motor", "acceleration", "rate", "q", "torque")
-"""Kinds of channels whose noise may have heavy tails."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +169,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
             "recover": collapse == "recover",
             "quantiles": list(quantiles),
         }
-        self._core(self._front._live_kinds, self.noise)  # settings are checked at once
+        self._core(self._front.live_kinds, self.noise)  # settings are checked at once
 
     def run(self, log: Log, *, covariance: bool = False) -> ParticleEstimate:
         """Estimate a recording; it starts from rest at its first sample.
@@ -215,7 +212,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
             if core is None:
                 core, kinds = self._prepared(piece)
             try:
-                result = core.run(self._front._arrays(piece, kinds, before), False)
+                result = core.run(self._front.arrays(piece, kinds, before), False)
             except NumericalError as error:
                 raise NumericalError(f"{piece.source}: {error}") from None
             before = piece[-1:]
@@ -227,22 +224,22 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         return self._live.effective
 
     def _start(self) -> _core.ParticleFilter:
-        return self._core(self._front._live_kinds, self.noise)
+        return self._core(self._front.live_kinds, self.noise)
 
     def _recorded(self, log: Log, run: Callable[..., Any], covariance: bool) -> ParticleEstimate:
         core, kinds = self._prepared(log)
-        (outcome,) = run(core, [self._front._arrays(log, kinds)], covariance)
+        (outcome,) = run(core, [self._front.arrays(log, kinds)], covariance)
         return self._estimate(log, kinds, result_of(log.source, outcome))
 
     def _prepared(self, log: Log) -> tuple[_core.ParticleFilter, tuple[str, ...]]:
-        kinds = self._front._kinds(log)
+        kinds = self._front.kinds(log)
         return self._core(kinds, self.noise.for_log(log)), kinds
 
     def _core(self, kinds: tuple[str, ...], noise: Noise) -> _core.ParticleFilter:
-        self._front._refuse_late("a particle filter")
-        settings = self._front._settings(kinds, noise)
-        widths = [self._front._width(kind) for kind in kinds]
-        outliers = [self._outliers.get(kind) for kind, width in zip(kinds, widths, strict=True) for _ in range(width)]
+        self._front.refuse_late("a particle filter")
+        settings = self._front.settings(kinds, noise)
+        each = zip(kinds, widths(self.robot, kinds), strict=True)
+        outliers = [self._outliers.get(kind) for kind, width in each for _ in range(width)]
         return _core.ParticleFilter(
             self.robot.core,
             **settings,
@@ -251,7 +248,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         )
 
     def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> ParticleEstimate:
-        channels = self._front._columns(log, kinds)
+        channels = self._front.columns(log, kinds)
         return ParticleEstimate(t=log.t, names=self.robot.names, channels=channels, **result)
 
 

@@ -10,17 +10,17 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside import _core
+from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError, NumericalError
-from linkside.observability.analysis import prismatic
-from linkside.observers.acceleration import longest_dropout, refuse_dropouts, refuse_uneven
+from linkside.recording.continuity import longest_dropout, refuse_dropouts, refuse_uneven
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.requirements import refuse_unsupported
+from linkside.robot.workspace import prismatic
 
 from .gain_map import GainMap
-
-FloatArray = npt.NDArray[np.float64]
-Signal = FloatArray | Sequence[float]
+from .inertia import rigid_inertia
 
 GAIN = 100.0
 """Gain of a velocity observer that is given none [1/s]."""
@@ -128,6 +128,7 @@ class ReducedOrderObserver:
     ) -> None:
         if side not in ("motors", "links"):
             raise EstimatorError(f"side is {side!r}, expected 'motors' or 'links'")
+        refuse_unsupported(robot, "a velocity observer")
         self.robot = robot
         self.side = side
         self.gain = gain
@@ -267,15 +268,6 @@ class NicosiaTomeiObserver(ReducedOrderObserver):
             return self._position_gain
         inertia = np.diag(rigid_inertia(self.robot, np.zeros(self.robot.n), self.side))
         return list((self._least_gain / 4) ** 2 * inertia)
-
-
-def rigid_inertia(robot: Robot, q: FloatArray, side: Literal["motors", "links"] = "motors") -> FloatArray:
-    """Inertia with rigid joints at positions (n,) or (T, n): M, and with ``"motors"`` B + S + Sᵀ [kg m²]."""
-    mass: FloatArray = robot.mass_matrix(q)
-    if side == "links":
-        return mass
-    motors = np.diag([drive.motor_inertia or 0.0 for drive in robot.drives])
-    return np.asarray(mass + motors + robot.coupling + robot.coupling.T)
 
 
 def _each(robot: Robot, name: str, value: float | Sequence[float] | FloatArray) -> list[float]:

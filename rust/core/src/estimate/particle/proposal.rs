@@ -2,12 +2,12 @@
 
 use super::cloud::{Block, Scratch, WIDE, Wide};
 use super::density::{Noise, log_gamma};
-use super::evaluation::Reach;
 use super::random::{Purpose, Stream};
 use super::settings::Proposal;
 use super::shared::Shared;
 use super::sums::Weigh;
 use crate::estimate::kalman::JerkModel;
+use crate::estimate::measurement::Reach;
 use crate::linear;
 use crate::scalar::{Lanes, Scalar, ln};
 use crate::simd::Kernel;
@@ -121,7 +121,7 @@ impl Scratch {
             Proposal::Linearised { iterations, tail } => self.propose(model, sample, shared, items, iterations, tail),
         };
         self.apply_noise(sample);
-        self.sensed.predict(model, &self.after, &sample.dtheta);
+        self.sensed.predict(&model.robot, &model.channels, &self.after, &sample.dtheta);
         change += self.weigh_and_learn(sample);
         change + self.within_limits(sample)
     }
@@ -213,7 +213,7 @@ impl Scratch {
         for iteration in 0..iterations {
             self.noise.copy_from_slice(&self.mode);
             self.apply_noise(sample);
-            self.sensed.linearise(model, &self.after, &sample.dtheta, reach(sample.dt));
+            self.sensed.linearise(&model.robot, &model.channels, &self.after, &sample.dtheta, reach(sample.dt));
             self.gather_information(sample, iteration > 0);
             linear::factorise(&mut self.factor, n);
             linear::solve(&self.factor, n, &mut self.mode, 1);

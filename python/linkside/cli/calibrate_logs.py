@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from linkside.calibration import Calibration, Step, calibrate
+from linkside.calibration import resume as state
 from linkside.errors import EstimatorError
 from linkside.recording.log import Log
 from linkside.robot import Robot
-
-from . import resume as state
-from .calibrate import calibrate
-from .result import Calibration
-from .search import Step
 
 
 def run(
