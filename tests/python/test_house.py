@@ -12,6 +12,7 @@ ROOT = Path(linkside.__file__).parent
 LAYERS = (
     ("errors", "moved"),
     ("arrays", "channels", "text"),
+    ("arguments",),
     ("statistics", "files", "figures"),
     ("robot",),
     ("recording",),

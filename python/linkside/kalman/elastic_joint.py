@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from linkside import _core
+from linkside.arguments import one_of, per_joint, sized
 from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError, NumericalError
 from linkside.files.yaml_source import Source
@@ -17,9 +18,9 @@ from linkside.recording.estimate import result_of
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
-from .filtering import KalmanEstimate, KalmanMethod, LiveFilter, sized
+from .filtering import KalmanEstimate, KalmanMethod, LiveFilter
 from .late_sensors import is_late
-from .noise import PositiveStd, Std, channel_arrays, motor_noise, per_joint
+from .noise import PositiveStd, Std, channel_arrays, motor_noise
 
 Arrays = tuple[FloatArray, FloatArray, FloatArray]
 
@@ -112,10 +113,8 @@ class ElasticJoint(KalmanMethod):
     ) -> None:
         wanted = {"acceleration": accelerations, "dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
         super().__init__(robot, wanted, biases, gate, iterations)
-        if transition not in ("exact", "first-order"):
-            raise EstimatorError(f"transition is {transition!r}, expected 'exact' or 'first-order'")
-        if motor_torque not in ("sampled", "held"):
-            raise EstimatorError(f"motor_torque is {motor_torque!r}, expected 'sampled' or 'held'")
+        one_of("transition", transition, ("exact", "first-order"))
+        one_of("motor_torque", motor_torque, ("sampled", "held"))
         self.noise = noise or ElasticNoise()
         self._held = motor_torque == "held"
         self._disturbances, self._transition = disturbances, transition

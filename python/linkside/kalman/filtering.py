@@ -11,6 +11,7 @@ from typing import Any, Generic, Protocol, TypeVar, overload
 import numpy as np
 import numpy.typing as npt
 
+from linkside.arguments import whole
 from linkside.arrays import FloatArray
 from linkside.channels import BIASED, CHANNELS
 from linkside.errors import EstimatorError
@@ -107,11 +108,9 @@ class KalmanMethod(ABC):
         unknown = sorted(set(biases) - set(BIASED))
         if unknown:
             raise EstimatorError(f"biases: {unknown[0]!r} is not one of {', '.join(map(repr, BIASED))}")
-        if not isinstance(iterations, int) or iterations < 1:
-            raise EstimatorError(f"iterations is {iterations!r}, expected a whole number of at least 1")
         self.robot = robot
         self._wanted, self._biases = dict(wanted), tuple(biases)
-        self._gate, self._iterations = gate, iterations
+        self._gate, self._iterations = gate, whole("iterations", iterations, least=1)
 
     @overload
     def run(self, log: Log, *, covariance: bool = False, innovations: bool = False) -> KalmanEstimate: ...
@@ -166,7 +165,7 @@ class KalmanMethod(ABC):
     def _channels(self, kinds: tuple[str, ...]) -> dict[str, Any]:
         """Kinds of channels as the core names them, and which of their channels have a bias."""
         return {
-            "kinds": ["theta" if kind == "motor" else kind for kind in kinds],
+            "kinds": [CHANNELS[kind].signal for kind in kinds],
             "biased": [kind in self._biases for kind in kinds for _ in range(self.width(kind))],
         }
 
@@ -176,13 +175,3 @@ class KalmanMethod(ABC):
 
     def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> KalmanEstimate:
         return KalmanEstimate(t=log.t, names=self.robot.names, channels=self.columns(log, kinds), **result)
-
-
-def sized(name: str, signal: npt.ArrayLike | None, size: int) -> FloatArray:
-    """Give a copy of a signal's ``size`` values at one sample; NaN where there is no signal."""
-    if signal is None:
-        return np.full(size, np.nan)
-    array = np.array(signal, np.float64)
-    if array.shape != (size,):
-        raise EstimatorError(f"{name} has shape {array.shape}, expected ({size},)")
-    return array

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from linkside import _core
+from linkside.arguments import sized, whole
 from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError
 from linkside.robot import Robot
 
-from .filtering import KalmanEstimate, sized
+from .filtering import KalmanEstimate
 from .jerk_driven import Arrays, ExtendedKalmanFilter
 from .noise import Noise
 
@@ -37,9 +38,7 @@ class FixedLagSmoother:
     """
 
     def __init__(self, robot: Robot, noise: Noise | None = None, *, lag: int, **settings: Any) -> None:
-        if not isinstance(lag, int) or lag < 1:
-            raise EstimatorError(f"lag is {lag!r}, expected a whole number of at least 1")
-        self.robot, self.lag = robot, lag
+        self.robot, self.lag = robot, whole("lag", lag, least=1)
         self._filter = ExtendedKalmanFilter(robot, noise, **settings)
         self._filter.refuse_late("a fixed-lag smoother")
         self._kinds = self._filter.live_kinds

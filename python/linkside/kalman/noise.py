@@ -9,9 +9,9 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from linkside.arguments import per_joint
 from linkside.arrays import FloatArray
 from linkside.channels import CHANNELS, Channel, widths
-from linkside.errors import EstimatorError
 from linkside.files.yaml_source import Source, write_yaml
 from linkside.recording.log import Log
 from linkside.robot import Robot
@@ -160,14 +160,6 @@ def motor_noise(robot: Robot, transmission: float | tuple[float, ...]) -> FloatA
     """Noise of motor positions (n,) [rad]: encoder steps, and the transmission's error."""
     step = robot.config.encoder.resolution / np.sqrt(12)
     return np.asarray(np.hypot(step, per_joint("transmission", transmission, robot.n)))
-
-
-def per_joint(name: str, value: float | tuple[float, ...], n: int) -> FloatArray:
-    """One number for each of n joints."""
-    values = np.atleast_1d(np.asarray(value, float))
-    if len(values) not in (1, n):
-        raise EstimatorError(f"noise: {name} has {len(values)} entries, expected 1 or {n}")
-    return np.array(np.broadcast_to(values, n))
 
 
 def jerk_scale(log: Log) -> FloatArray:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside import _core
+from linkside.arguments import one_of, whole
 from linkside.arrays import FloatArray
 from linkside.channels import OUTLIERS, widths
 from linkside.errors import EstimatorError, NumericalError
@@ -149,17 +150,16 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         torque: bool | None = None,
     ) -> None:
         super().__init__()
-        if collapse not in ("raise", "recover"):
-            raise EstimatorError(f"collapse is {collapse!r}, expected 'raise' or 'recover'")
+        one_of("collapse", collapse, ("raise", "recover"))
         self.robot = robot
         self._front = ExtendedKalmanFilter(robot, noise, biases=biases, damping=damping, rate=rate, q=q, torque=torque)
         self.noise = self._front.noise
         self._outliers = _by_kind(outliers or {})
         self._settings = {
-            "particles": _whole("particles", particles),
-            "seed": _whole("seed", seed) % 2**64,
+            "particles": whole("particles", particles),
+            "seed": whole("seed", seed) % 2**64,
             "proposal": proposal,
-            "iterations": _whole("iterations", iterations),
+            "iterations": whole("iterations", iterations),
             "proposal_tail": proposal_tail,
             "resampling": resampling,
             "threshold": threshold,
@@ -281,12 +281,6 @@ class MarginalizedParticleFilter(ParticleFilter):
     ) -> None:
         self._marginalised = "accelerations" if accelerations else "biases"  # what settings are checked for
         super().__init__(robot, noise, **settings)
-
-
-def _whole(name: str, value: Any) -> int:
-    if not isinstance(value, int | np.integer) or value < 0:
-        raise EstimatorError(f"{name} is {value!r}, expected a whole number of at least 0")
-    return int(value)
 
 
 def _by_kind(outliers: Mapping[str, float | Mixture]) -> dict[str, float | tuple[float, float]]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from linkside import _core
+from linkside.arguments import numbers
 from linkside.errors import ConfigError, EstimatorError
 from linkside.files.yaml_source import Source
 
@@ -292,7 +293,7 @@ class Robot:
 
         De Luca, Schröder, Thümmel 2007, eq. (10).
         """
-        rest = np.zeros_like(_numbers("q", q))
+        rest = np.zeros_like(numbers("q", q))
         derivatives = self._rows(self.core.specific_force_derivatives, q=q, dq=dq, ddq=rest)
         return derivatives[..., 2, :, :], self.specific_force(q, dq, rest)
 
@@ -308,7 +309,7 @@ class Robot:
 
     def _rows(self, kernel: Callable[..., Array], **arguments: ArrayLike) -> Array:
         """Call a kernel of (T, n) arrays on those, or on a single state (n,)."""
-        arrays = {name: _numbers(name, value) for name, value in arguments.items()}
+        arrays = {name: numbers(name, value) for name, value in arguments.items()}
         first, shape = next((name, array.shape) for name, array in arrays.items())
         if len(shape) not in (1, 2) or shape[-1] != self.n:
             raise EstimatorError(f"{first}: expected shape ({self.n},) or (T, {self.n}), got {shape}")
@@ -321,16 +322,6 @@ class Robot:
 
 def _settings(joints: Joints, settings: Mapping[str, Any]) -> Source:
     return Source({"joints": list(joints), **settings})
-
-
-def _numbers(name: str, value: ArrayLike) -> Array:
-    try:
-        array = np.asarray(value)
-        if array.dtype.kind not in "fiub":  # complex numbers, text and dates would be cast, at a loss
-            raise TypeError
-        return array.astype(np.float64, copy=False)
-    except (TypeError, ValueError):
-        raise EstimatorError(f"{name}: expected an array of numbers") from None
 
 
 def _constant(values: ArrayLike, dtype: type[Scalar]) -> NDArray[Scalar]:

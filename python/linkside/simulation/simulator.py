@@ -15,12 +15,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from linkside import _core
+from linkside.arguments import one_of, sized, whole
 from linkside.arrays import FloatArray
 from linkside.channels import CHANNELS, joint_columns
 from linkside.control.controllers import Controller, State, law_of
 from linkside.errors import EstimatorError, OutputError
 from linkside.kalman.elastic_joint import ElasticJointFilter
-from linkside.kalman.filtering import sized
 from linkside.kalman.noise import sensor_noise
 from linkside.observers.acceleration import AccelerationObserver
 from linkside.recording.log import Log
@@ -170,8 +170,8 @@ def simulate(
         "count": _count(duration, rate),
         "period": 1.0 / rate,
         **_stepping(integrator, substeps, rtol, atol),
-        "keep_every": _whole("keep_every", keep_every),
-        "seed": _whole("seed", seed, least=0),
+        "keep_every": whole("keep_every", keep_every, least=1),
+        "seed": whole("seed", seed),
         **{name: None if value is None else sized(name, value, robot.n).tolist() for name, value in start.items()},
     }
     channels = [dataclasses.asdict(channel) for kind in SIGNALS for channel in models[kind]]
@@ -182,9 +182,8 @@ def simulate(
 
 def _stepping(integrator: str, substeps: int, rtol: float | None, atol: float | None) -> dict[str, Any]:
     """Check how time is stepped, as the core takes it."""
-    if integrator not in ("rk4", "adaptive"):
-        raise EstimatorError(f"integrator is {integrator!r}, expected 'rk4' or 'adaptive'")
-    count = _whole("substeps", substeps)
+    one_of("integrator", integrator, ("rk4", "adaptive"))
+    count = whole("substeps", substeps, least=1)
     if integrator == "adaptive":
         if count > 1:
             raise EstimatorError(f"substeps is {count}, but the adaptive integrator takes its steps from rtol and atol")
@@ -266,9 +265,3 @@ def _count(duration: float, rate: float) -> int:
         if not 0 < value < np.inf:
             raise EstimatorError(f"{name} is {value!r}, expected a finite number greater than 0")
     return round(duration * rate) + 1
-
-
-def _whole(name: str, value: int, least: int = 1) -> int:
-    if not isinstance(value, int) or value < least:
-        raise EstimatorError(f"{name} is {value!r}, expected a whole number of at least {least}")
-    return value

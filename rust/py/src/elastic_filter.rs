@@ -3,7 +3,7 @@
 use crate::array::{Signal, rows, shaped, write_into};
 use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
-use crate::kalman::{Matrix, into_dict, named};
+use crate::kalman::{Inside, Matrix, inside, into_dict, named};
 use crate::robot::Robot;
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
@@ -50,7 +50,7 @@ type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'py>);
 impl ElasticJointFilter {
     #[new]
     #[pyo3(signature = (
-        robot, *, kinds, disturbances, biased, first_order, held, noise, gate, iterations
+        robot, *, kinds, disturbances, biased, first_order, held, noise, gate, iterations, late=None
     ))]
     fn new(
         robot: &Robot,
@@ -62,6 +62,7 @@ impl ElasticJointFilter {
         noise: Noise,
         gate: Option<f64>,
         iterations: usize,
+        late: Option<Vec<Inside>>,
     ) -> PyResult<Self> {
         let settings = ElasticSettings {
             kinds: named(&kinds)?,
@@ -71,7 +72,7 @@ impl ElasticJointFilter {
             discretization: if first_order { Discretization::FirstOrder } else { Discretization::Exact },
         };
         let build = || {
-            let model = ElasticModel::new(Arc::clone(&robot.0), &settings, noise.into())?;
+            let model = ElasticModel::new(Arc::clone(&robot.0), &settings, noise.into())?.with_late(&inside(late))?;
             ExtendedKalmanFilter::new(model, FilterSettings { gate, iterations })
         };
         Ok(Self { filter: build().map_err(IntoPyErr::into_py_err)?, tool: robot.0.tool.is_some() })

@@ -6,7 +6,8 @@ use crate::gil::Release;
 use crate::robot::Robot;
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
-    self, FilterOutput, FilterSettings, Inputs, JerkDriven, JerkModel, KalmanRecording, KalmanSample, Keep, Model,
+    self, FilterOutput, FilterSettings, Inputs, JerkDriven, JerkModel, KalmanRecording, KalmanSample, Keep, Lateness,
+    Model,
 };
 use linkside_core::estimate::measurement::Kind;
 use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
@@ -99,6 +100,15 @@ impl Live {
     }
 }
 
+/// Time constant and delay inside a channel's sensor [s], and how many steps of time the delay can have.
+pub(crate) type Inside = Option<(f64, f64, usize)>;
+
+/// None inside any where there is no list.
+pub(crate) fn inside(late: Option<Vec<Inside>>) -> Vec<Option<Lateness>> {
+    let one = |(time_constant, delay, steps)| Lateness { time_constant, delay, steps };
+    late.unwrap_or_default().into_iter().map(|inside| inside.map(one)).collect()
+}
+
 /// Kinds of channels by name.
 pub(crate) fn named(kinds: &[String]) -> PyResult<Vec<Kind>> {
     let find = |name: &String| {
@@ -122,7 +132,7 @@ pub(crate) type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'
 #[pymethods]
 impl ExtendedKalmanFilter {
     #[new]
-    #[pyo3(signature = (robot, *, kinds, biased, noise, gate, iterations, damping))]
+    #[pyo3(signature = (robot, *, kinds, biased, noise, gate, iterations, damping, late=None))]
     fn new(
         robot: &Robot,
         kinds: Vec<String>,
@@ -131,11 +141,12 @@ impl ExtendedKalmanFilter {
         gate: Option<f64>,
         iterations: usize,
         damping: bool,
+        late: Option<Vec<Inside>>,
     ) -> PyResult<Self> {
         let kinds = named(&kinds)?;
         let build = || {
             let model = JerkModel::new(Arc::clone(&robot.0), &kinds, &biased)?;
-            let model = JerkDriven::new(model, noise.into(), damping)?;
+            let model = JerkDriven::new(model, noise.into(), damping)?.with_late(&inside(late))?;
             kalman::ExtendedKalmanFilter::new(model, FilterSettings { gate, iterations })
         };
         let filter = build().map_err(IntoPyErr::into_py_err)?;

@@ -1,5 +1,7 @@
 //! Estimators: a model and a method.
 
+#![warn(clippy::disallowed_methods)] // no functions of the platform's library: clippy.toml
+
 pub(crate) mod jerk_noise;
 pub mod kalman;
 pub mod likelihood;

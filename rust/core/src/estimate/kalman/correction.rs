@@ -1,9 +1,14 @@
 //! The measurement update, one channel after the other.
+//!
+//! The likelihood has an update of its own, which changes the covariance after every reading: derivative numbers want few
+//! operations. This one touches the covariance once a sample, in padded rows that fill a processor's registers, and keeps
+//! each channel's gain for the smoother. Both are the same mathematics; a test holds them equal.
 
 use super::gaussian::{Gaussian, Innovation, Row, Symmetric};
 use super::model::Model;
 use crate::estimate::Status;
 use crate::linear;
+use crate::scalar::log;
 
 /// Scratch and outcome of a measurement update.
 #[derive(Clone, Debug)]
@@ -130,7 +135,7 @@ impl Correction {
         let squared = value * value / variance;
         self.nis += squared;
         self.used += 1;
-        self.log_likelihood -= 0.5 * (squared + (core::f64::consts::TAU * variance).ln());
+        self.log_likelihood -= 0.5 * (squared + log(core::f64::consts::TAU * variance));
     }
 
     /// What is predicted against what is read, before any reading is used: differences and their standard deviations.

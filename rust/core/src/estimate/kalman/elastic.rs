@@ -1,13 +1,14 @@
-//! The elastic-joint model: links and motors moved by motor torques, everything that is recorded as a measurement.
+//! The elastic-joint model's process: links and motors moved by motor torques.
 
+use super::elastic_measurement::ElasticMeasurement;
 use super::gaussian::{Gaussian, Symmetric};
-use super::model::{Linearised, Model};
-use super::output::FilterOutput;
-use super::recording::{KalmanRecording, KalmanSample, check_deviations, check_readings, expect_length};
+use super::model::{Paired, Process};
+use super::recording::{KalmanRecording, KalmanSample};
 use super::transition::Transition;
+use crate::check::{check_deviations, check_readings, expect_length};
 use crate::dynamics::ElasticLayout;
 use crate::error::DesignError;
-use crate::estimate::measurement::{Chained, Channel, Elastic, Kind, read_all};
+use crate::estimate::measurement::Kind;
 use crate::estimate::observer::link_position_at_rest;
 use crate::robot::Robot;
 use std::sync::Arc;
@@ -62,19 +63,7 @@ pub struct ElasticSettings {
 /// (Ulrich and Sasiadek 2011, with every sensor that a log can have).
 ///
 /// θ and θ̇ are those of the elastic joints: the motor of a rigid one moves as its link.
-#[derive(Clone, Debug)]
-pub struct ElasticModel {
-    robot: Arc<Robot>,
-    channels: Vec<Channel>,
-    biases: Vec<Option<usize>>,
-    states: usize,
-    noise: ElasticNoise,
-    transition: Transition,
-    prediction: Vec<f64>,
-    jacobian: Vec<f64>,
-    tau: Vec<f64>,
-    held: bool,
-}
+pub type ElasticModel = Paired<ElasticProcess, ElasticMeasurement>;
 
 impl ElasticModel {
     /// `robot` with `noise`.
@@ -85,33 +74,40 @@ impl ElasticModel {
         let channels = Kind::all_channels(&settings.kinds, &robot);
         expect_length("biased", settings.biased.len(), channels.len())?;
         let layout = ElasticLayout::new(&robot, settings.disturbances)?;
-        let (n, m, d) = (robot.len(), channels.len(), layout.dense);
-        check(&noise, n, m)?;
-        let mut states = d;
+        check(&noise, robot.len(), channels.len())?;
+        let mut states = layout.dense;
         let mut number = |&biased: &bool| {
             states += usize::from(biased);
             biased.then(|| states - 1)
         };
-        let biases = settings.biased.iter().map(&mut number).collect();
-        Ok(Self {
-            transition: Transition::new(&robot, layout, settings.discretization, states),
-            prediction: vec![0.0; m],
-            jacobian: vec![0.0; m * d],
-            tau: vec![0.0; n],
+        let biases: Vec<_> = settings.biased.iter().map(&mut number).collect();
+        let reading = noise.reading.clone();
+        let process = ElasticProcess {
+            transition: Transition::new(&robot, layout.clone(), settings.discretization, states),
+            tau: vec![0.0; robot.len()],
             held: settings.held,
-            robot,
-            channels,
-            biases,
+            robot: Arc::clone(&robot),
+            biases: biases.clone(),
             states,
             noise,
-        })
+        };
+        Ok(Self::of(process, ElasticMeasurement::new(robot, layout, channels, biases, reading)))
     }
+}
 
-    /// What is measured, in the order of the readings.
-    pub fn channel_list(&self) -> &[Channel] {
-        &self.channels
-    }
+/// Links and motors between samples.
+#[derive(Clone, Debug)]
+pub struct ElasticProcess {
+    robot: Arc<Robot>,
+    biases: Vec<Option<usize>>,
+    states: usize,
+    noise: ElasticNoise,
+    transition: Transition,
+    tau: Vec<f64>,
+    held: bool,
+}
 
+impl ElasticProcess {
     fn initial(&self, q: &[f64], theta: &[f64]) -> Gaussian {
         let (n, layout) = (self.robot.len(), &self.transition.layout);
         let (position, rest) = self.noise.initial.split_at(n);
@@ -160,7 +156,7 @@ impl ElasticModel {
     }
 }
 
-impl Model for ElasticModel {
+impl Process for ElasticProcess {
     fn robot(&self) -> &Robot {
         &self.robot
     }
@@ -170,18 +166,12 @@ impl Model for ElasticModel {
         self.states
     }
 
-    #[inline(always)]
-    fn dense(&self) -> usize {
-        self.transition.layout.dense
-    }
-
-    #[inline(always)]
-    fn biases(&self) -> &[Option<usize>] {
-        &self.biases
+    fn widen(&mut self, states: usize) {
+        self.transition.widen(states);
     }
 
     fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError> {
-        recording.expect(self.channels.len(), self.robot.len(), &[("tau", recording.inputs.tau)])
+        recording.expect(self.biases.len(), self.robot.len(), &[("tau", recording.inputs.tau)])
     }
 
     fn start(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) -> Result<(), DesignError> {
@@ -205,58 +195,18 @@ impl Model for ElasticModel {
         self.tau.copy_from_slice(after);
     }
 
-    #[inline(always)]
-    fn linearise(&mut self, reference: &[f64]) {
-        let Self { robot, channels, transition, tau, prediction, jacobian, .. } = self;
-        let Transition { dynamics, layout, .. } = transition;
-        dynamics.accelerate(robot, layout, reference, tau);
-        dynamics.differentiate(robot, layout, reference);
-        jacobian.fill(0.0);
-        let view = Elastic { layout, dynamics, state: reference };
-        let (joints, dense, ddq_by) = (robot.len(), layout.dense, &dynamics.ddq_by);
-        read_all(robot, channels, &view, &mut Chained { prediction, rows: jacobian, joints, dense, ddq_by });
-    }
-
-    #[inline(always)]
-    fn linearised(&self) -> Linearised<'_> {
-        Linearised { prediction: &self.prediction, jacobian: &self.jacobian }
-    }
-
-    #[inline(always)]
-    fn variance(&self, channel: usize) -> f64 {
-        self.noise.reading[channel] * self.noise.reading[channel]
-    }
-
     fn memory(&self) -> usize {
-        self.transition.layout.dense.pow(2) + self.robot.len()
+        self.transition.layout.dense.pow(2)
     }
 
-    /// The transition to this sample, and the torques at it.
     #[inline(always)]
     fn remember(&self, memory: &mut Vec<f64>) {
         self.transition.remember(memory);
-        memory.extend_from_slice(&self.tau);
     }
 
     #[inline(always)]
     fn retreat(&mut self, memory: &[f64], _: f64, lambda: &mut [f64], big: &mut Symmetric) {
-        let size = memory.len() - self.robot.len();
-        self.transition.retreat(&memory[..size], lambda, big);
-    }
-
-    #[inline(always)]
-    fn report(&mut self, memory: &[f64], state: &[f64], i: usize, out: &mut FilterOutput) {
-        let n = self.robot.len();
-        let Transition { layout, dynamics, .. } = &mut self.transition;
-        dynamics.accelerate(&self.robot, layout, &state[..layout.dense], &memory[memory.len() - n..]);
-        let row = i * n..(i + 1) * n;
-        out.q[row.clone()].copy_from_slice(&state[..n]);
-        out.dq[row.clone()].copy_from_slice(&state[n..2 * n]);
-        out.ddq[row].copy_from_slice(&dynamics.ddq);
-        for j in 0..n {
-            out.theta[i * n + j] = state[layout.theta[j]];
-            out.dtheta[i * n + j] = state[layout.dtheta[j]];
-        }
+        self.transition.retreat(memory, lambda, big);
     }
 }
 

@@ -6,6 +6,7 @@ use super::output::{FilterOutput, Keep, Tool};
 use super::phases::{Linearise, Phases, Predict, Report, Update};
 use super::recording::{KalmanRecording, KalmanSample};
 use super::smoother::{History, Smoother};
+use crate::check::expect;
 use crate::error::{DesignError, RunError};
 use rayon::prelude::*;
 
@@ -42,16 +43,9 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
     /// # Errors
     /// A gate or a number of iterations out of range.
     pub fn new(model: M, settings: FilterSettings) -> Result<Self, DesignError> {
-        if let Some(value) = settings.gate.filter(|g| g.is_nan() || *g <= 0.0) {
-            return Err(DesignError::Range {
-                what: "gate",
-                value,
-                expected: "a positive number of standard deviations",
-            });
-        }
-        if settings.iterations == 0 {
-            return Err(DesignError::Range { what: "iterations", value: 0.0, expected: "at least 1" });
-        }
+        let gate = settings.gate.unwrap_or(f64::INFINITY);
+        expect(gate > 0.0, "gate", gate, "a positive number of standard deviations")?;
+        expect(settings.iterations > 0, "iterations", 0.0, "at least 1")?;
         let belief = Gaussian::independent(&vec![0.0; model.states()]);
         Ok(Self {
             prior: belief.clone(),

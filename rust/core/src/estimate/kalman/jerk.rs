@@ -1,7 +1,7 @@
 //! The acceleration-driven model: links moved by jerk, motor and sensors as measurements, readings with slow biases.
 
 use super::gaussian::{Gaussian, Symmetric};
-use super::recording::{check_deviations, check_readings, expect_length};
+use crate::check::{check_deviations, check_readings, expect_length};
 use crate::error::DesignError;
 use crate::estimate::jerk_noise;
 use crate::estimate::measurement::{Channel, Kind};

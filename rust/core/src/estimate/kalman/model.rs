@@ -1,34 +1,27 @@
-//! What a Kalman filter asks of a model.
+//! What a Kalman filter asks of a model: a process, and the channels that measure it, each a part of its own.
 
 use super::gaussian::{Gaussian, Symmetric};
+use super::late::{Late, Lateness};
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample};
+use crate::check::{expect, expect_length};
 use crate::error::DesignError;
 use crate::robot::Robot;
 
-/// A process and the channels that measure it.
+/// How the state moves: f, Q, and the adjoint that a smoother needs.
 ///
-/// The state begins with the link positions (n). Channels depend on its first [`dense`](Self::dense) entries, and each
-/// may have one further state that is its bias. Filter and smoother see nothing else of a model.
-pub trait Model: Clone + Send + Sync {
+/// The state begins with the link positions (n).
+pub trait Process: Clone + Send + Sync {
     /// The robot.
     fn robot(&self) -> &Robot;
 
     /// Number of states.
     fn states(&self) -> usize;
 
-    /// Number of leading states on which channels may depend by more than a bias.
-    fn dense(&self) -> usize;
+    /// Makes room for beliefs of `states`, of which those that are not its own stay as they are.
+    fn widen(&mut self, _states: usize) {}
 
-    /// The state that is each channel's bias (channels).
-    fn biases(&self) -> &[Option<usize>];
-
-    /// Number of channels.
-    fn channels(&self) -> usize {
-        self.biases().len()
-    }
-
-    /// Whether a recording has all that the model needs, in arrays that fit.
+    /// Whether a recording has the signals that drive the process, in arrays that fit.
     ///
     /// # Errors
     /// Wrong lengths.
@@ -43,14 +36,102 @@ pub trait Model: Clone + Send + Sync {
     /// Time update from the sample before: x ← f(x), P ← F P Fᵀ + Q.
     fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian);
 
-    /// Predicts the channels of the sample last predicted to, and their derivatives, at a state's first
-    /// [`dense`](Self::dense) entries.
+    /// How many numbers [`remember`](Self::remember) writes.
+    fn memory(&self) -> usize;
+
+    /// What [`retreat`](Self::retreat) needs of this sample.
+    fn remember(&self, memory: &mut Vec<f64>);
+
+    /// The adjoint of [`predict`](Self::predict): λ ← Fᵀ λ, Λ ← Fᵀ Λ F.
+    fn retreat(&mut self, memory: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric);
+}
+
+/// What is read in a state: h, its derivatives, and the variances of the noise.
+///
+/// Channels depend on the state's first [`dense`](Self::dense) entries, and each may have one further state that is its
+/// bias.
+pub trait Measurement: Clone + Send + Sync {
+    /// Number of leading states on which channels may depend by more than a bias.
+    fn dense(&self) -> usize;
+
+    /// The state that is each channel's bias (channels).
+    fn biases(&self) -> &[Option<usize>];
+
+    /// Whether a recording has the signals that channels depend on beside the state, in arrays that fit.
+    ///
+    /// # Errors
+    /// Wrong lengths.
+    fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError>;
+
+    /// Takes over those signals of a sample, of a recording's `first` or of a later one.
+    fn take(&mut self, sample: &KalmanSample<'_>, first: bool);
+
+    /// h alone, without bias (channels), at a state's first [`dense`](Self::dense) entries.
+    fn evaluate(&mut self, state: &[f64]) -> &[f64];
+
+    /// h and its derivatives.
     fn linearise(&mut self, reference: &[f64]);
 
     /// What [`linearise`](Self::linearise) found.
     fn linearised(&self) -> Linearised<'_>;
 
-    /// Variance of a channel's noise, where the model was linearised.
+    /// Variance of a channel's noise, where the channels were linearised.
+    fn variance(&self, channel: usize) -> f64;
+}
+
+/// What an estimate says of links and motors.
+pub trait Report {
+    /// How many numbers [`remember`](Self::remember) writes.
+    fn memory(&self) -> usize;
+
+    /// What [`report`](Self::report) needs of this sample.
+    fn remember(&self, memory: &mut Vec<f64>);
+
+    /// Writes links and motors at `state` into row `i`.
+    fn report(&mut self, memory: &[f64], state: &[f64], i: usize, out: &mut FilterOutput);
+}
+
+/// A process and the channels that measure it, as filter and smoother see them.
+pub trait Model: Clone + Send + Sync {
+    /// The robot.
+    fn robot(&self) -> &Robot;
+
+    /// Number of states.
+    fn states(&self) -> usize;
+
+    /// See [`Measurement::dense`].
+    fn dense(&self) -> usize;
+
+    /// See [`Measurement::biases`].
+    fn biases(&self) -> &[Option<usize>];
+
+    /// Number of channels.
+    fn channels(&self) -> usize {
+        self.biases().len()
+    }
+
+    /// Whether a recording has all that the model needs, in arrays that fit.
+    ///
+    /// # Errors
+    /// Wrong lengths.
+    fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError>;
+
+    /// See [`Process::start`].
+    ///
+    /// # Errors
+    /// As there.
+    fn start(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) -> Result<(), DesignError>;
+
+    /// See [`Process::predict`].
+    fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian);
+
+    /// Predicts the channels of the sample last predicted to, and their derivatives; see [`Measurement::linearise`].
+    fn linearise(&mut self, reference: &[f64]);
+
+    /// What [`linearise`](Self::linearise) found.
+    fn linearised(&self) -> Linearised<'_>;
+
+    /// See [`Measurement::variance`].
     fn variance(&self, channel: usize) -> f64;
 
     /// How many numbers [`remember`](Self::remember) writes.
@@ -59,11 +140,150 @@ pub trait Model: Clone + Send + Sync {
     /// What [`report`](Self::report) and [`retreat`](Self::retreat) need of this sample.
     fn remember(&self, memory: &mut Vec<f64>);
 
-    /// The adjoint of [`predict`](Self::predict): λ ← Fᵀ λ, Λ ← Fᵀ Λ F.
+    /// See [`Process::retreat`].
     fn retreat(&mut self, memory: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric);
 
-    /// Writes links and motors at `state` into row `i`.
+    /// See [`Report::report`].
     fn report(&mut self, memory: &[f64], state: &[f64], i: usize, out: &mut FilterOutput);
+}
+
+/// A model put together of its two parts, whose states are the same.
+#[derive(Clone, Debug)]
+pub struct Paired<P, M> {
+    /// f and Q.
+    pub(crate) process: P,
+    /// h and R.
+    pub(crate) measurement: M,
+    /// Channels whose sensors have a filter or a delay inside.
+    late: Option<Box<Late>>,
+}
+
+impl<P: Process, M: Measurement> Paired<P, M> {
+    /// A process and the measurement of its state.
+    pub fn of(process: P, measurement: M) -> Self {
+        Self { process, measurement, late: None }
+    }
+
+    /// With what is `inside` the sensor of each channel, as states behind the model's own; an empty list is nothing.
+    ///
+    /// # Errors
+    /// Not one a channel, a time that is negative or not finite.
+    pub fn with_late(mut self, inside: &[Option<Lateness>]) -> Result<Self, DesignError> {
+        let own = self.measurement.biases();
+        expect_length("late", inside.len(), if inside.is_empty() { 0 } else { own.len() })?;
+        for Lateness { time_constant, delay, .. } in inside.iter().flatten() {
+            for (what, value) in [("the time constant of a sensor", *time_constant), ("the delay of a sensor", *delay)]
+            {
+                expect(value.is_finite() && value >= 0.0, what, value, "a finite number of at least 0")?;
+            }
+        }
+        self.late = inside
+            .iter()
+            .any(Option::is_some)
+            .then(|| Box::new(Late::new(inside, own, self.process.states(), self.measurement.dense())));
+        if let Some(late) = &self.late {
+            self.process.widen(late.states());
+        }
+        Ok(self)
+    }
+
+    /// The channels.
+    pub fn measurement_mut(&mut self) -> &mut M {
+        &mut self.measurement
+    }
+}
+
+impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
+    fn robot(&self) -> &Robot {
+        self.process.robot()
+    }
+
+    #[inline(always)]
+    fn states(&self) -> usize {
+        self.late.as_ref().map_or(self.process.states(), |late| late.states())
+    }
+
+    #[inline(always)]
+    fn dense(&self) -> usize {
+        self.measurement.dense()
+    }
+
+    #[inline(always)]
+    fn biases(&self) -> &[Option<usize>] {
+        self.late.as_ref().map_or(self.measurement.biases(), |late| late.biases())
+    }
+
+    fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError> {
+        self.measurement.check(recording)?;
+        self.process.check(recording)
+    }
+
+    fn start(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) -> Result<(), DesignError> {
+        self.process.start(sample, belief)?;
+        self.measurement.take(sample, true);
+        if let Some(late) = &mut self.late {
+            self.measurement.linearise(&belief.mean[..self.measurement.dense()]);
+            late.start(belief, self.measurement.linearised());
+        }
+        Ok(())
+    }
+
+    #[inline(always)]
+    fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
+        self.process.predict(sample, belief);
+        self.measurement.take(sample, false);
+        if let Some(late) = &mut self.late {
+            self.measurement.linearise(&belief.mean[..self.measurement.dense()]);
+            late.advance(belief, self.measurement.linearised(), sample.dt);
+        }
+    }
+
+    #[inline(always)]
+    fn linearise(&mut self, reference: &[f64]) {
+        self.measurement.linearise(reference);
+        if let Some(late) = &mut self.late {
+            late.mask(self.measurement.linearised());
+        }
+    }
+
+    #[inline(always)]
+    fn linearised(&self) -> Linearised<'_> {
+        self.late.as_ref().map_or(self.measurement.linearised(), |late| late.masked())
+    }
+
+    #[inline(always)]
+    fn variance(&self, channel: usize) -> f64 {
+        self.measurement.variance(channel)
+    }
+
+    fn memory(&self) -> usize {
+        let late = self.late.as_ref().map_or(0, |late| late.memory());
+        late + self.process.memory() + self.measurement.memory()
+    }
+
+    #[inline(always)]
+    fn remember(&self, memory: &mut Vec<f64>) {
+        self.process.remember(memory);
+        self.measurement.remember(memory);
+        if let Some(late) = &self.late {
+            late.remember(memory);
+        }
+    }
+
+    #[inline(always)]
+    fn retreat(&mut self, memory: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric) {
+        let own = self.process.memory();
+        if let Some(late) = &self.late {
+            late.retreat(&memory[own + self.measurement.memory()..], lambda, big);
+        }
+        self.process.retreat(&memory[..own], dt, lambda, big);
+    }
+
+    #[inline(always)]
+    fn report(&mut self, memory: &[f64], state: &[f64], i: usize, out: &mut FilterOutput) {
+        let own = self.process.memory();
+        self.measurement.report(&memory[own..own + self.measurement.memory()], state, i, out);
+    }
 }
 
 /// Channels at one state.

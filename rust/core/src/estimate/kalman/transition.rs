@@ -11,7 +11,7 @@ const ANGLE: f64 = 0.5;
 /// Terms of the exponential's series; at [`ANGLE`] they leave less than 2e-6 of a mode's turn.
 const TERMS: usize = 6;
 /// At most so many doublings of a substep.
-const MOST: f64 = 12.0;
+const MOST: u32 = 12;
 
 /// Scratch of a step of time.
 #[derive(Clone, Debug)]
@@ -60,6 +60,11 @@ impl Transition {
         }
     }
 
+    /// Makes room for beliefs of `states`.
+    pub(super) fn widen(&mut self, states: usize) {
+        self.wide = vec![0.0; self.layout.dense * states.next_multiple_of(linear::LANES)];
+    }
+
     /// Learns how fast the robot is at `x`.
     pub(super) fn start(&mut self, robot: &Robot, x: &[f64], tau: &[f64]) {
         self.probe.copy_from_slice(&x[..self.layout.dense]);
@@ -77,7 +82,8 @@ impl Transition {
             self.interpolate(torques, 0.0);
             self.linearise(robot);
         }
-        let doublings = (dt * self.fastest / ANGLE).log2().ceil().clamp(0.0, MOST) as u32;
+        let short = |k: &u32| f64::from(1_u32 << k) * ANGLE < dt * self.fastest;
+        let doublings = (0..MOST).take_while(short).count() as u32;
         let (substeps, length) = (1_u32 << doublings, 1.0 / f64::from(1_u32 << doublings));
         for i in 0..substeps {
             self.integrate(robot, &mut belief.mean[..d], torques, f64::from(i) * length, length, dt * length);

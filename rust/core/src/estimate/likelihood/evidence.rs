@@ -5,11 +5,12 @@ use super::filter::{Filter, Innovation};
 use super::moments::{Lateness, moments};
 use super::parameters::{Parameter, Parameters};
 use super::recording::LikelihoodRecording;
+use crate::check::{expect, expect_length};
 use crate::error::{DesignError, RunError};
 use crate::estimate::kalman::{JerkModel, Noise};
 use crate::estimate::measurement::Kind;
 use crate::robot::Robot;
-use crate::scalar::{Dual, Scalar};
+use crate::scalar::{Dual, Scalar, log};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -73,10 +74,7 @@ impl Likelihood {
         settings: LikelihoodSettings,
         recording: LikelihoodRecording,
     ) -> Result<Self, DesignError> {
-        let value = settings.huber;
-        if value.is_nan() || value <= 0.0 {
-            return Err(DesignError::Range { what: "huber", value, expected: "greater than 0" });
-        }
+        expect(settings.huber > 0.0, "huber", settings.huber, "greater than 0")?;
         recording.check(&robot, settings.torque)?;
         let kinds: &[_] = if settings.torque {
             &[Kind::Motor, Kind::Acceleration, Kind::Torque]
@@ -112,10 +110,7 @@ impl Likelihood {
     /// # Errors
     /// A parameter that the robot does not have; parameters under which the filter breaks down.
     pub fn evaluate(&self, parameters: &[Parameter], values: &[f64], detail: bool) -> Result<Evidence, RunError> {
-        let (found, expected) = (values.len(), parameters.len());
-        if found != expected {
-            return Err(DesignError::Length { what: "values", found, expected }.into());
-        }
+        expect_length("values", values.len(), parameters.len())?;
         let chunks = parameters.len().div_ceil(DIRECTIONS).max(1);
         let filters: Result<Vec<Filter<Dual<DIRECTIONS>>>, _> =
             (0..chunks).map(|c| self.filter(parameters, values, c * DIRECTIONS)).collect();
@@ -140,7 +135,8 @@ impl Likelihood {
         let fixed = self.settings.fixed.iter().map(|&(parameter, value)| (parameter, value, usize::MAX));
         let free = free.iter().zip(values).enumerate().map(|(i, (&p, &value))| (p, value, i.wrapping_sub(first)));
         for (parameter, value, direction) in fixed.chain(free) {
-            let slot = parameters.slot(parameter).ok_or(DesignError::NoParameter { parameter })?;
+            let slot =
+                parameters.slot(parameter).ok_or(DesignError::NoParameter { parameter: format!("{parameter:?}") })?;
             *slot = T::seeded(value, direction);
             if let Parameter::TimeConstant(s) | Parameter::Delay(s) = parameter {
                 late[s] = true;
@@ -196,7 +192,7 @@ impl Likelihood {
         let (limit, size, p) = (self.settings.huber, square.sqrt(), by_value.len());
         let outlying = size > limit;
         let (loss, weight) = if outlying { (limit * (2.0 * size - limit), limit / size) } else { (square, 1.0) };
-        let density = -0.5 * (loss + (core::f64::consts::TAU * variance).ln());
+        let density = -0.5 * (loss + log(core::f64::consts::TAU * variance));
         evidence.log_likelihood += density;
         if let Some(slot) = evidence.densities.get_mut(innovation.row) {
             *slot += density;

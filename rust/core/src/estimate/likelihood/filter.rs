@@ -1,4 +1,8 @@
 //! The filter, over a scalar: what is kept is each reading's innovation.
+//!
+//! Its update differs from that of [`kalman`](crate::estimate::kalman), which defers the covariance to the end of a sample:
+//! here each reading changes it at once, so that a filter inside a sensor can take its next value between two readings,
+//! and no derivative number is computed for padding or for a gain that only a smoother needs. A test holds both equal.
 
 use super::evaluation::{Evaluation, Reading};
 use super::moments::Moment;

@@ -1,5 +1,6 @@
 //! All channels of the acceleration-driven model in one state, with their Jacobian.
 
+use super::motion::PlainMotion;
 use super::view::OfDrives;
 use super::{Channel, Driven, Jacobian, LinkMotion, read_all};
 use crate::robot::Robot;
@@ -13,6 +14,7 @@ pub struct Evaluation<T> {
     /// ∂h/∂(q, q̇, q̈), channels × 3n, row-major.
     pub jacobian: Vec<T>,
     motion: LinkMotion<T>,
+    plain: PlainMotion<T>,
 }
 
 impl<T: Scalar> Evaluation<T> {
@@ -22,6 +24,7 @@ impl<T: Scalar> Evaluation<T> {
             prediction: vec![T::default(); channels],
             jacobian: vec![T::default(); channels * 3 * robot.len()],
             motion: LinkMotion::new(robot),
+            plain: PlainMotion::new(robot),
         }
     }
 
@@ -29,10 +32,16 @@ impl<T: Scalar> Evaluation<T> {
     /// leave it out. Rows of motor velocities stay zero: they are the rate of the motor positions'.
     #[inline(always)]
     pub fn evaluate(&mut self, robot: &Robot, channels: &[Channel], state: &[T], dtheta: &[f64]) {
-        let Self { prediction, jacobian, motion } = self;
+        let Self { prediction, jacobian, motion, .. } = self;
         motion.set(robot, state);
         jacobian.fill(T::default());
         let view = Driven { links: motion, state, dtheta, springs: &OfDrives };
         read_all(robot, channels, &view, &mut Jacobian { prediction, rows: jacobian, joints: robot.len() });
+    }
+
+    /// Predictions alone, as [`evaluate`](Self::evaluate) but for rounding.
+    #[inline(always)]
+    pub fn predict(&mut self, robot: &Robot, channels: &[Channel], state: &[T], dtheta: &[f64]) {
+        self.plain.predict(robot, channels, state, dtheta, &mut self.prediction);
     }
 }

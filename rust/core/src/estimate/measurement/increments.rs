@@ -3,7 +3,7 @@
 use super::motion::PlainMotion;
 use super::view::OfDrives;
 use super::wanted::Along;
-use super::{Channel, Driven, LinkMotion, Values, read_all};
+use super::{Channel, Driven, LinkMotion, read_all};
 use crate::robot::Robot;
 use crate::scalar::Scalar;
 
@@ -35,10 +35,7 @@ impl<T: Scalar> AlongIncrements<T> {
     /// Predictions alone at `state` = (q, q̇, q̈); `dtheta` (n) is each motor's velocity, NaN to leave its damping out.
     #[inline(always)]
     pub(crate) fn predict(&mut self, robot: &Robot, channels: &[Channel], state: &[T], dtheta: &[f64]) {
-        let Self { prediction, plain, .. } = self;
-        plain.set(robot, state);
-        let view = Driven { links: plain, state, dtheta, springs: &OfDrives };
-        read_all(robot, channels, &view, &mut Values(prediction));
+        self.plain.predict(robot, channels, state, dtheta, &mut self.prediction);
     }
 
     /// Predictions, and their derivatives along increments of acceleration (Axelsson, Karlsson and Norrlöf 2012,

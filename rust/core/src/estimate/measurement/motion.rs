@@ -1,6 +1,7 @@
 //! How the links move: what sensors on them see, and the torques that it takes.
 
-use super::Wanted;
+use super::view::OfDrives;
+use super::{Channel, Driven, Values, Wanted, read_all};
 use crate::dynamics::{Kinematics, Loads, NewtonEuler};
 use crate::robot::{Robot, Sensor};
 use crate::scalar::Scalar;
@@ -156,10 +157,26 @@ impl<T: Scalar> PlainMotion<T> {
 
     /// At `state` = (q, q̇, q̈).
     #[inline(always)]
-    pub(crate) fn set(&mut self, robot: &Robot, state: &[T]) {
+    fn set(&mut self, robot: &Robot, state: &[T]) {
         let (tree, n) = (&robot.tree, robot.len());
         self.motion.set(tree, &state[..n], &state[n..2 * n], &state[2 * n..3 * n]);
         self.motion.inverse_dynamics_into(tree, &mut self.tau);
+    }
+
+    /// `channels` at `state`, links moved by jerk; `dtheta` (n) is each motor's velocity for the damping torque, NaN to
+    /// leave it out.
+    #[inline(always)]
+    pub(crate) fn predict(
+        &mut self,
+        robot: &Robot,
+        channels: &[Channel],
+        state: &[T],
+        dtheta: &[f64],
+        prediction: &mut [T],
+    ) {
+        self.set(robot, state);
+        let view = Driven { links: self, state, dtheta, springs: &OfDrives };
+        read_all(robot, channels, &view, &mut Values(prediction));
     }
 }
 

@@ -9,7 +9,6 @@ mod motion;
 mod moves;
 mod output;
 mod proposal;
-mod random;
 mod renewal;
 mod resample;
 mod settings;

@@ -6,7 +6,7 @@ mod soft_windup;
 pub use motor_friction::MotorFriction;
 pub use soft_windup::SoftWindup;
 
-use super::expect;
+use crate::check::expect_of;
 use crate::error::RobotError;
 use crate::scalar::Scalar;
 
@@ -53,19 +53,19 @@ impl Drive {
         ];
         let friction = self.link_friction.iter().map(|&g| ("link friction", g));
         for (what, value) in finite.into_iter().chain(friction) {
-            expect(value.is_finite(), what, owner, value, "a finite number")?;
+            expect_of(value.is_finite(), what, owner, value, "a finite number")?;
         }
         let fades = stribeck == 0.0 || stribeck_velocity > 0.0;
-        expect(fades, "Stribeck velocity", owner, stribeck_velocity, "greater than 0")?;
+        expect_of(fades, "Stribeck velocity", owner, stribeck_velocity, "greater than 0")?;
         if self.elastic {
-            expect(self.stiffness > 0.0, "stiffness", owner, self.stiffness, "greater than 0")?;
-            expect(self.motor_inertia > 0.0, "motor inertia", owner, self.motor_inertia, "greater than 0")?;
-            expect(self.damping >= 0.0, "damping", owner, self.damping, "at least 0")?;
+            expect_of(self.stiffness > 0.0, "stiffness", owner, self.stiffness, "greater than 0")?;
+            expect_of(self.motor_inertia > 0.0, "motor inertia", owner, self.motor_inertia, "greater than 0")?;
+            expect_of(self.damping >= 0.0, "damping", owner, self.damping, "at least 0")?;
             let (cubic, rising) = (self.cubic_stiffness, "greater than 0: the spring's torque must rise with torsion");
-            expect(cubic >= 0.0, "cubic stiffness", owner, cubic, "at least 0")?;
-            expect(shape >= 0.0, "soft wind-up's shape", owner, shape, "at least 0")?;
+            expect_of(cubic >= 0.0, "cubic stiffness", owner, cubic, "at least 0")?;
+            expect_of(shape >= 0.0, "soft wind-up's shape", owner, shape, "at least 0")?;
             let least = self.soft_windup.least_slope(self.stiffness, cubic);
-            expect(least > 0.0, "least tangent stiffness", owner, least, rising)?;
+            expect_of(least > 0.0, "least tangent stiffness", owner, least, rising)?;
         }
         Ok(())
     }

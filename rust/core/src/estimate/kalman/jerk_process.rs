@@ -1,0 +1,58 @@
+//! The process of the acceleration-driven model: links moved by commanded and random jerk, biases that wander.
+
+use super::gaussian::{Gaussian, Symmetric};
+use super::jerk::{JerkModel, Noise};
+use super::model::Process;
+use super::recording::{KalmanRecording, KalmanSample};
+use crate::error::DesignError;
+use crate::estimate::observer::link_position_at_rest;
+use crate::robot::Robot;
+
+/// See the module.
+#[derive(Clone, Debug)]
+pub struct JerkProcess {
+    pub(crate) model: JerkModel,
+    pub(crate) noise: Noise,
+}
+
+impl Process for JerkProcess {
+    fn robot(&self) -> &Robot {
+        &self.model.robot
+    }
+
+    #[inline(always)]
+    fn states(&self) -> usize {
+        self.model.states()
+    }
+
+    fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError> {
+        recording.expect(self.model.channels(), self.model.joints(), &[("jerk", recording.inputs.jerk)])
+    }
+
+    fn start(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) -> Result<(), DesignError> {
+        let theta = &sample.readings[..self.model.joints()];
+        if let Some(joint) = theta.iter().position(|x| x.is_nan()) {
+            return Err(DesignError::NoStart { joint });
+        }
+        let q = link_position_at_rest(&self.model.robot, theta)?;
+        *belief = self.model.initial(&q, &self.noise);
+        Ok(())
+    }
+
+    #[inline(always)]
+    fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
+        self.model.predict(belief, &self.noise, sample.dt, sample.inputs.jerk);
+    }
+
+    fn memory(&self) -> usize {
+        0
+    }
+
+    #[inline(always)]
+    fn remember(&self, _: &mut Vec<f64>) {}
+
+    #[inline(always)]
+    fn retreat(&mut self, _: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric) {
+        self.model.retreat(lambda, big, dt);
+    }
+}
