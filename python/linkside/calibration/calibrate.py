@@ -16,6 +16,7 @@ from linkside.recording.log import Log
 from linkside.recording.motion import moving
 from linkside.robot import Robot
 
+from .acceptance import foretell, objections
 from .calibration import Calibration
 from .equations import better
 from .parameters import NOISE, Bounds, Parameter, choose
@@ -23,6 +24,7 @@ from .problem import Problem
 from .recordings import refuse, use_torque
 from .result import Estimated, Fit
 from .search import GAIN, ROUGH, Progress, Search
+from .starts import other_springs
 from .uncertainty import Alone, Contradiction, Uncertainty, compare, uncertainty, unidentifiable
 
 ROUNDS = 3
@@ -58,9 +60,10 @@ def calibrate(
 ) -> Calibration:
     """Find a robot's parameters from its own recordings, without any external measurement.
 
-    The posterior probability of the free parameters is maximised: the likelihood of all readings, which the
-    innovations of the Kalman filter on the acceleration-driven model give (Schweppe 1965), and a Gaussian prior around
-    the values of robot.yaml whose widths are its ``tolerances``. Gradients are exact. Innovations beyond four standard
+    The posterior probability of the free parameters is maximised: the likelihood of what accelerometers (and motor
+    torques) read, given the motors' positions, which the innovations of the Kalman filter on the acceleration-driven
+    model give (Schweppe 1965), and a Gaussian prior around the values of robot.yaml whose widths are its
+    ``tolerances``. Gradients are exact. Innovations beyond four standard
     deviations count linearly (Huber 1964), so that outliers have a bounded influence.
 
     Parameters
@@ -106,6 +109,7 @@ def calibrate(
     run = _Run(problem, dict(start or {}), progress)
     run.solve()
     after = run.problem.evidence(run.z, detail=True)
+    foretold = foretell(run.problem, run.z) if len(run.problem.free) else None
     found = uncertainty(after, min(log.period for log in logs))
     return Calibration(
         estimates=_estimates(run.problem.free, run.z, found),
@@ -114,6 +118,8 @@ def calibrate(
         after=Fit.of(after),
         held_out=_held_out(run.problem, run.z, held_out),
         contradictions=_contradictions(run.problem, run.z),
+        foretold=foretold,
+        objections=objections(run.problem.free, run.z, foretold),
         evaluations=run.evaluations,
         seconds=time.perf_counter() - began,
         problem=run.problem,
@@ -157,7 +163,9 @@ class _Run:
     def solve(self) -> None:
         self._leave_out()
         self._search(ROUGH, [p for p in self.problem.free if p.kind in NOISE])
+        self.at = other_springs(self.problem, self.at)
         self._search(ROUGH, self.problem.free)
+        self.at = other_springs(self.problem, self.at)
         self._leave_out()
         for _ in range(ROUNDS):
             self._search(GAIN, self.problem.free)

@@ -25,9 +25,10 @@ def run(
     torque: bool | None,
     bounds: Sequence[str],
     held_out: Sequence[str],
+    force: bool,
     no_check: bool = False,
 ) -> Calibration:
-    """Calibrate and write; the best so far is kept beside ``out`` until all is done."""
+    """Calibrate, and write what is to be believed, or all by ``force``; the best so far is kept beside ``out``."""
     partial = Path(f"{out}.partial")
     check_writable(partial, (".partial",))
     start = state.kept(partial) if resume else None
@@ -49,7 +50,8 @@ def run(
         start=start,
         progress=show,
     )
-    result.write(robot, out)
+    if result.accepted or force:
+        result.write(robot, out)
     if report is not None:
         result.write_report(report)
     partial.unlink(missing_ok=True)

@@ -6,6 +6,7 @@ Whatever a user can get wrong is one line on standard error and exit status 2, a
 from __future__ import annotations
 
 import os
+import sys
 import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -190,8 +191,13 @@ def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> 
 @click.option("--held-out", type=click.Path(), multiple=True, help="A log that only tests the outcome.")
 @_no_check
 @click.option("--resume", is_flag=True, help="Go on with an interrupted run.")
+@click.option("--force", is_flag=True, help="Write the outcome even where it is not to be believed.")
 def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **options: Any) -> None:
-    """Find ROBOT's stiffness, damping, load and sensor errors from its own recordings."""
+    """Find ROBOT's stiffness, damping, load and sensor errors from its own recordings.
+
+    An outcome that does not foretell readings better than ROBOT as it is, or that is at a bound or far from it, is not
+    written, and the exit status is 3.
+    """
     from . import calibrate_logs
 
     outputs = [Path(out), *([Path(options["report"])] if options["report"] else [])]
@@ -202,8 +208,10 @@ def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **optio
     with bar(None) as advance:
         result = calibrate_logs.run(robot, logs, out, resume, advance, **options)
     click.echo(result.to_text(), nl=False)
-    for output in outputs:
+    for output in outputs if result.accepted or options["force"] else outputs[1:]:
         click.echo(f"written: {output}")
+    if not result.accepted:
+        sys.exit(3)
 
 
 @main.command()

@@ -178,7 +178,9 @@ class KalmanMethod(ABC):
         bias = np.array(arrays["initial_bias"])[biased]
         if not isinstance(self._at, str):
             core.set_start(
-                *given(self._at, np.concatenate([np.zeros(core.own_states - len(bias)), bias]), core.own_states - len(bias))
+                *given(
+                    self._at, np.concatenate([np.zeros(core.own_states - len(bias)), bias]), core.own_states - len(bias)
+                )
             )
             return
         n = self.robot.n

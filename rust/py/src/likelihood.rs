@@ -6,7 +6,7 @@ use crate::gil::Release;
 use crate::kalman::Noise;
 use crate::robot::Robot;
 use linkside_core::estimate::likelihood::{self, Evidence, LikelihoodRecording, LikelihoodSettings, Parameter};
-use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
+use numpy::{IntoPyArray, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -125,6 +125,7 @@ fn into_dict(py: Python<'_>, e: Evidence, count: usize, channels: usize) -> PyRe
     out.set_item("gradient", shaped(py, e.gradient, vec![p])?)?;
     out.set_item("information", shaped(py, e.information, vec![p, p])?)?;
     let kept = if e.innovations.is_empty() { 0 } else { count };
+    out.set_item("densities", e.densities.into_pyarray(py))?;
     out.set_item("scores", shaped(py, e.scores, vec![kept, p])?)?;
     out.set_item("innovations", shaped(py, e.innovations, vec![kept, channels])?)?;
     Ok(out)

@@ -43,6 +43,8 @@ pub struct Evidence {
     pub gradient: Vec<f64>,
     /// Σ ∂ν ∂νᵀ/s + ½ ∂ln s ∂ln sᵀ over innovations ν of variance s (p × p): Fisher's information along the recording.
     pub information: Vec<f64>,
+    /// Each sample's part of the log-likelihood (count); empty unless asked for.
+    pub densities: Vec<f64>,
     /// Each sample's part of the gradient (count × p); empty unless asked for.
     pub scores: Vec<f64>,
     /// Innovations over their standard deviations (count × channels), NaN where missing; empty unless asked for.
@@ -153,6 +155,7 @@ impl Likelihood {
         let mut evidence = Evidence {
             gradient: vec![0.0; p],
             information: vec![0.0; p * p],
+            densities: vec![0.0; if detail { count } else { 0 }],
             scores: vec![0.0; if detail { count * p } else { 0 }],
             innovations: vec![f64::NAN; if detail { count * channels } else { 0 }],
             ..Evidence::default()
@@ -186,7 +189,11 @@ impl Likelihood {
         let (limit, size, p) = (self.settings.huber, square.sqrt(), by_value.len());
         let outlying = size > limit;
         let (loss, weight) = if outlying { (limit * (2.0 * size - limit), limit / size) } else { (square, 1.0) };
-        evidence.log_likelihood -= 0.5 * (loss + log(core::f64::consts::TAU * variance));
+        let density = -0.5 * (loss + log(core::f64::consts::TAU * variance));
+        evidence.log_likelihood += density;
+        if let Some(slot) = evidence.densities.get_mut(innovation.row) {
+            *slot += density;
+        }
         evidence.used += 1;
         for k in 0..p {
             let relative = by_variance[k] / variance;
