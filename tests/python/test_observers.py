@@ -330,7 +330,7 @@ def singular_posture(robot):
         ({"poles": -5.0}, "positive number of rad/s"),
         ({"period": 0.0}, "the sampling period is 0"),
         ({"period": float("nan")}, "the sampling period is NaN"),
-        ({"form": "future"}, "'current', 'predictor'"),
+        ({"form": "future"}, "'current' or 'predictor'"),
         ({"worst_acceleration_std": 0.0, "period": 1e-3}, "worst_acceleration_std is 0"),
     ],
 )
