@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 from os import PathLike
 from typing import Literal
 
@@ -13,7 +14,7 @@ from pydantic import BaseModel, ConfigDict
 from linkside import _core
 from linkside.errors import EstimatorError, NumericalError
 from linkside.files.yaml_source import Source
-from linkside.recording.estimate import result_of
+from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
@@ -183,9 +184,8 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
         dtheta: Signal | None = None,
         acceleration: Signal | None = None,
         further: Signal | None = None,
-        out: FloatArray | None = None,
-    ) -> FloatArray:
-        """Take one sample and give the mean of the state at its time; the first sample starts from rest.
+    ) -> _core.State:
+        """Take one sample and give the state at its time.
 
         Parameters
         ----------
@@ -199,23 +199,29 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
             Accelerometer channels in the order of ``robot.acceleration_channels`` [m/s²].
         further : (k,)
             Readings of the kinds asked for (``rate``, ``q``, ``torque``), one after the other in this order.
-        out : (states,)
-            Array to write the result into.
 
         Returns
         -------
-        (states,)
-            Link positions (n) and velocities (n), motor positions and velocities of the elastic joints, disturbance
-            torques, biases. ``covariance`` and ``status`` tell the rest.
+        State
+            The fields of an estimate's row; ``state`` is link positions (n) and velocities (n), motor positions and
+            velocities of the elastic joints, disturbance torques, biases.
+
+        Raises
+        ------
+        EstimatorError
+            ``dt`` is not a positive, finite time, a reading is infinite, or a signal has a wrong shape. The filter
+            is as it was before, and takes the next sample.
+        NumericalError
+            Readings so absurd that the estimate is no longer finite: the next sample starts anew.
         """
         live, kinds = self._live, self._live_kinds
         given = {"motor": theta, "acceleration": acceleration, "dtheta": dtheta}
         names = {"motor": "theta"}
         parts = [sized(names.get(kind, kind), given[kind], self._width(kind)) for kind in kinds if kind in given]
         parts.append(sized("further", further, sum(self._width(kind) for kind in kinds if kind not in given)))
-        out = np.empty(live.states) if out is None else out
-        self.status = live.step(dt, np.concatenate(parts), tau, out)
-        return out
+        state = live.step(dt, np.concatenate(parts), tau)
+        self.status = state.status
+        return state
 
     def fresh(self) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
         """Build a filter of the core for a loop, and the kinds of its channels.
@@ -233,12 +239,13 @@ class ElasticJointFilter(KalmanFilter[_core.ElasticJointFilter]):
     def _start(self) -> _core.ElasticJointFilter:
         return self._core(self._live_kinds, held=self._held)
 
-    def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
+    _run_all = staticmethod(_core.ElasticJointFilter.run_all)
+
+    def _job(self, log: Log) -> Job[KalmanEstimate]:
         kinds = self._kinds(log)
-        core = self._core(kinds, held=self._held)
         dt, readings, tau = self._arrays(log, kinds)
-        (outcome,) = core.run_all([(dt, readings, self._acting(tau))], self._smooth, covariance, innovations)
-        return self._estimate(log, kinds, result_of(log.source, outcome))
+        arrays = (dt, readings, self._acting(tau))
+        return Job(log, self._core(kinds, held=self._held), arrays, partial(self._estimate, log, kinds))
 
     def _kinds(self, log: Log) -> tuple[str, ...]:
         """Kinds of channels to use, in the filter's order."""

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar, overload
 
@@ -12,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside.errors import EstimatorError
+from linkside.recording.batch import Copies, Job, run_each
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
@@ -67,8 +67,10 @@ class CoreFilter(Protocol):
 Core = TypeVar("Core", bound=CoreFilter)
 
 
-class LiveFilter(ABC, Generic[Core]):
+class LiveFilter(Copies, ABC, Generic[Core]):
     """The state between calls of ``step``."""
+
+    _cores = ("_started",)
 
     def __init__(self) -> None:
         self.status = 0
@@ -80,8 +82,8 @@ class LiveFilter(ABC, Generic[Core]):
         return self._live.covariance
 
     def reset(self) -> None:
-        """Forget the state: the next `step` starts anew, from rest."""
-        self._started = None
+        """Forget the state: the next `step` starts anew."""
+        self._started, self.status = None, 0
 
     @property
     def _live(self) -> Core:
@@ -144,14 +146,14 @@ class KalmanFilter(LiveFilter[Core]):
         NumericalError
             The estimate is no longer finite; names the sample.
         """
-        if isinstance(log, Log):
-            return self._run(log, covariance, innovations)
-        with ThreadPoolExecutor() as pool:
-            return list(pool.map(lambda one: self._run(one, covariance, innovations), log))
+        return run_each(log, self._job, lambda jobs: self._run_all(jobs, self._smooth, covariance, innovations))
 
     @abstractmethod
-    def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
-        """Estimate one recording."""
+    def _job(self, log: Log) -> Job[KalmanEstimate]:
+        """Prepare one recording."""
+
+    _run_all: Callable[..., list[Any]]
+    """Of the core's filter."""
 
     def _with_wanted(self, kinds: tuple[str, ...], log: Log, purpose: str) -> tuple[str, ...]:
         """``kinds`` and those that were asked for, or are there unless asked about."""
@@ -190,7 +192,10 @@ def sized(name: str, signal: npt.ArrayLike | None, size: int) -> FloatArray:
     """Give a copy of a signal's ``size`` values at one sample; NaN where there is no signal."""
     if signal is None:
         return np.full(size, np.nan)
-    array = np.array(signal, np.float64)
+    try:
+        array = np.array(signal, np.float64)
+    except (TypeError, ValueError):
+        raise EstimatorError(f"{name} is {signal!r}, expected {size} numbers") from None
     if array.shape != (size,):
         raise EstimatorError(f"{name} has shape {array.shape}, expected ({size},)")
     return array

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy.typing as npt
 
 from linkside import _core
 from linkside.errors import EstimatorError, NumericalError
-from linkside.recording.estimate import result_of
+from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
@@ -34,9 +35,8 @@ class JerkDrivenCore(CoreFilter, Protocol):
         dtheta: Signal | None,
         ddqref: Signal | None,
         further: Signal | None,
-        out: FloatArray,
-    ) -> int:
-        """Take one sample, write the state's mean into ``out``, and give the status."""
+    ) -> _core.State:
+        """Take one sample and give the state at its time."""
 
 
 Core = TypeVar("Core", bound=JerkDrivenCore)
@@ -54,9 +54,8 @@ class JerkDrivenFilter(LiveFilter[Core]):
         dtheta: Signal | None = None,
         ddqref: Signal | None = None,
         further: Signal | None = None,
-        out: FloatArray | None = None,
-    ) -> FloatArray:
-        """Take one sample and give the mean of the state at its time; the first sample starts from rest.
+    ) -> _core.State:
+        """Take one sample and give the state at its time.
 
         Parameters
         ----------
@@ -70,23 +69,24 @@ class JerkDrivenFilter(LiveFilter[Core]):
             Motor velocities [rad/s] and commanded link accelerations [rad/s²], where there are any.
         further : (k,)
             Readings of the kinds asked for, one after the other: ``dtheta``, ``rate``, ``q``, ``torque``.
-        out : (states,)
-            Array to write the result into.
 
         Returns
         -------
-        (states,)
-            Link positions, velocities, accelerations, then biases. ``covariance`` and ``status`` tell the rest.
+        State
+            The fields of an estimate's row; ``state`` is link positions, velocities, accelerations, then biases.
 
         Raises
         ------
+        EstimatorError
+            ``dt`` is not a positive, finite time, a reading is infinite, or a signal has a wrong shape. The filter
+            is as it was before, and takes the next sample.
         NumericalError
-            Of a particle filter: no particle explains the sample.
+            Readings so absurd that the estimate is no longer finite: the next sample starts anew. Of a particle filter,
+            also: no particle explains the sample, which counts as one without readings.
         """
-        live = self._live
-        out = np.empty(live.states) if out is None else out
-        self.status = live.step(dt, theta, acceleration, dtheta, ddqref, further, out)
-        return out
+        state = self._live.step(dt, theta, acceleration, dtheta, ddqref, further)
+        self.status = state.status
+        return state
 
 
 class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanFilter[_core.ExtendedKalmanFilter]):
@@ -167,20 +167,17 @@ class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanF
         self._refuse_late("step")
         return self._core(self._live_kinds, self.noise)
 
-    def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
+    _run_all = staticmethod(_core.ExtendedKalmanFilter.run_all)
+
+    def _job(self, log: Log) -> Job[KalmanEstimate]:
         kinds = self._kinds(log)
         noise = self.noise.for_log(log)
         if is_late(self.robot):
-            result = self._run_late(log, kinds, noise, covariance, innovations)
-        else:
-            core = self._core(kinds, noise)
-            (outcome,) = core.run_all([self._arrays(log, kinds)], self._smooth, covariance, innovations)
-            result = result_of(log.source, outcome)
-        return self._estimate(log, kinds, result)
+            return self._late_job(log, kinds, noise)
+        finish = partial(self._estimate, log, kinds)
+        return Job(log, self._core(kinds, noise), self._arrays(log, kinds), finish)
 
-    def _run_late(
-        self, log: Log, kinds: tuple[str, ...], noise: Noise, covariance: bool, innovations: bool
-    ) -> dict[str, Any]:
+    def _late_job(self, log: Log, kinds: tuple[str, ...], noise: Noise) -> Job[KalmanEstimate]:
         """Accelerometers with a filter or a delay inside: each reading is used at the time that it is of."""
         assert log.acceleration is not None  # `_kinds` has asked for it
         acceleration, late, factor = unfiltered(self.robot, log.acceleration, log.period)
@@ -189,8 +186,11 @@ class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanF
         lag[self.robot.n :][: len(late)] = late
         schedule = Schedule(log.t, lag)
         core = self._core(kinds, noise, factor)
-        (outcome,) = core.run_all([schedule.spread(arrays, log.period)], self._smooth, covariance, innovations)
-        return schedule.gather(result_of(log.source, outcome), arrays[1])
+
+        def finish(result: dict[str, Any]) -> KalmanEstimate:
+            return self._estimate(log, kinds, schedule.gather(result, arrays[1]))
+
+        return Job(log, core, schedule.spread(arrays, log.period), finish)
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
         """Estimate a recording that comes piece by piece, in bounded memory.

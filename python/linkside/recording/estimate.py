@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-from linkside.errors import EstimatorError, LinksideError, LogError, OutputError
+from linkside.errors import EstimatorError, LogError, OutputError
 from linkside.files.tables import numbers, open_table
 
 if TYPE_CHECKING:
@@ -49,6 +49,8 @@ class Status(IntFlag):
     """Not one reading was used: the row is a prediction."""
     UNWRAPPED = 32
     """An encoder wrapped, and its jump was taken out."""
+    CONTRADICTED = 64
+    """The readings have contradicted the model for a while: the estimate may be far off."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -222,9 +224,9 @@ class Estimate:
         return self.names, there
 
 
-def result_of(source: str, outcome: dict[str, Any] | LinksideError) -> dict[str, Any]:
+def result_of(source: str, outcome: dict[str, Any] | Exception) -> dict[str, Any]:
     """Give the arrays that a log came to, or raise the error that it came to, with the log's name."""
-    if isinstance(outcome, LinksideError):
+    if isinstance(outcome, Exception):
         raise type(outcome)(f"{source}: {outcome}")
     return outcome
 

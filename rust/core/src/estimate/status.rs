@@ -17,4 +17,6 @@ impl Status {
     pub const PREDICTED: u8 = 16;
     /// An encoder wrapped, and its jump was taken out.
     pub const UNWRAPPED: u8 = 32;
+    /// The readings have contradicted the model for a while.
+    pub const CONTRADICTED: u8 = 64;
 }

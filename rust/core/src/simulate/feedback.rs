@@ -3,7 +3,7 @@
 use super::sensors::Motion;
 use crate::control::State;
 use crate::dynamics::ElasticLayout;
-use crate::error::DesignError;
+use crate::error::{DesignError, RunError};
 use crate::estimate::kalman::{ElasticModel, ExtendedKalmanFilter, Inputs, KalmanSample};
 use crate::estimate::observer::{AccelerationObserver, Sample};
 use crate::robot::Robot;
@@ -67,6 +67,15 @@ impl Feedback for SensorFeedback {
     }
 }
 
+/// Of a step, what is wrong with its sample. An estimator that is lost tells no number, which ends the simulation with the
+/// time at which it was.
+fn usable(outcome: Result<(), RunError>) -> Result<(), DesignError> {
+    match outcome {
+        Err(RunError::Design(error)) => Err(error),
+        _ => Ok(()),
+    }
+}
+
 /// The elastic-joint filter's estimate from some of the readings.
 #[derive(Clone)]
 pub struct FilterFeedback {
@@ -109,7 +118,7 @@ impl simd::Kernel for Step<'_> {
             *reading = known.readings[channel];
         }
         let inputs = Inputs { tau: known.tau, ..Inputs::default() };
-        filter.step(KalmanSample { dt: known.dt, readings, inputs })
+        usable(filter.step(KalmanSample { dt: known.dt, readings, inputs }))
     }
 }
 
@@ -158,7 +167,7 @@ impl Feedback for ObserverFeedback {
         let (theta, others) = known.readings.split_at(observer.joints());
         // The torque was chosen after the last sample, from its estimate.
         observer.hold(known.tau)?;
-        observer.step(Sample { theta, tau: known.tau, acceleration: &others[..observer.channels()] })?;
+        usable(observer.step(Sample { theta, tau: known.tau, acceleration: &others[..observer.channels()] }))?;
         out.q.copy_from_slice(observer.q());
         out.dq.copy_from_slice(observer.dq());
         for j in 0..observer.joints() {

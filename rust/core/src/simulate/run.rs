@@ -9,6 +9,7 @@ use super::sensors::{Motion, Suite};
 use super::start::Start;
 use crate::control::{Controller, State};
 use crate::error::{DesignError, SimulationError};
+use crate::interrupt::Watch;
 use crate::robot::Robot;
 use crate::simd;
 
@@ -34,6 +35,9 @@ pub struct Plan {
     pub keep_every: usize,
 }
 
+/// Steps of integration between two samples, at most.
+const MOST_SUBSTEPS: usize = 1_000_000;
+
 impl Plan {
     fn check(&self) -> Result<(), DesignError> {
         let (what, expected) = ("period", "a finite number greater than 0");
@@ -45,6 +49,10 @@ impl Plan {
             if value == 0 {
                 return Err(DesignError::Range { what, value: 0.0, expected: "at least 1" });
             }
+        }
+        if substeps > MOST_SUBSTEPS {
+            let (what, expected) = ("substeps", "at most 1000000");
+            return Err(DesignError::Range { what, value: substeps as f64, expected });
         }
         Ok(())
     }
@@ -64,7 +72,8 @@ pub fn simulate(
     controller: &mut dyn Controller,
 ) -> Result<Recording, SimulationError> {
     plan.check()?;
-    let world = World::new(robot, start, plan.stepping)?;
+    let mut world = World::new(robot, start, plan.stepping)?;
+    world.out = Recording::with_capacity(robot, plan.count.div_ceil(plan.keep_every), suite.readings.len())?;
     let limit = largest_stable_step(robot, &world.x, &world.tau)?;
     if limit.is_nan() {
         return Err(SimulationError::Singular);
@@ -141,15 +150,19 @@ impl World {
 
     /// Moves from one sample to the next.
     #[inline(always)]
-    fn advance(&mut self, robot: &Robot, t: f64, dt: f64) -> Result<(), SimulationError> {
+    fn advance(&mut self, robot: &Robot, t: f64, dt: f64, watch: &Watch) -> Result<(), SimulationError> {
         let Self { x, tau, plant, mover, .. } = self;
         match mover {
             Mover::Fixed(method, substeps) => {
                 for _ in 0..*substeps {
+                    if watch.stops() {
+                        return Err(SimulationError::Interrupted { time: t });
+                    }
                     method.step(robot, plant, x, tau, dt / *substeps as f64);
                 }
                 Ok(())
             }
+            Mover::Adaptive(_) if watch.stops() => Err(SimulationError::Interrupted { time: t }),
             Mover::Adaptive(method) => method.advance(robot, plant, x, tau, (t, dt)),
         }
     }
@@ -191,8 +204,9 @@ impl simd::Kernel for Run<'_> {
 
     #[inline(always)]
     fn run(mut self) -> Self::Output {
+        let watch = Watch::current();
         for sample in 0..self.plan.count {
-            self.sample(sample)?;
+            self.sample(sample, &watch)?;
         }
         Ok(self.world.out)
     }
@@ -200,7 +214,7 @@ impl simd::Kernel for Run<'_> {
 
 impl Run<'_> {
     #[inline(always)]
-    fn sample(&mut self, sample: usize) -> Result<(), SimulationError> {
+    fn sample(&mut self, sample: usize, watch: &Watch) -> Result<(), SimulationError> {
         let Self { robot, plan, world, suite, feedback, controller } = self;
         let (dt, t) = (plan.period, sample as f64 * plan.period);
         world.look(robot);
@@ -219,6 +233,6 @@ impl Run<'_> {
         if sample.is_multiple_of(plan.keep_every) {
             world.keep(robot, t, &suite.readings);
         }
-        world.advance(robot, t, dt)
+        world.advance(robot, t, dt, watch)
     }
 }

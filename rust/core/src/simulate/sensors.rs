@@ -3,6 +3,7 @@
 use super::random::Random;
 use crate::dynamics::ElasticDynamics;
 use crate::error::DesignError;
+use crate::memory::filled;
 use crate::robot::{Robot, Sensor};
 use crate::spatial::Vec3;
 use core::f64::consts::TAU;
@@ -79,6 +80,9 @@ impl SensorModel {
     }
 }
 
+/// A reading is no older than so many samples.
+const LONGEST_DELAY: f64 = 1e6;
+
 /// One channel with its past.
 #[derive(Clone, Debug)]
 struct Channel {
@@ -93,10 +97,14 @@ struct Channel {
 }
 
 impl Channel {
-    fn new(model: SensorModel, period: f64) -> Self {
+    fn new(model: SensorModel, period: f64) -> Result<Self, DesignError> {
         let lag = model.delay / period;
+        if lag.is_nan() || lag > LONGEST_DELAY {
+            return Err(DesignError::Range { what: "delay", value: model.delay, expected: "at most 1000000 samples" });
+        }
         let share = -(-TAU * model.corner_frequency * period).exp_m1();
-        Self { model, share, low_pass: 0.0, past: vec![0.0; lag.ceil() as usize + 1], lag }
+        let past = filled(0.0, lag.ceil() as usize + 1, 1)?;
+        Ok(Self { model, share, low_pass: 0.0, past, lag })
     }
 
     #[inline(always)]
@@ -144,7 +152,7 @@ impl Suite {
         for model in models {
             model.check()?;
         }
-        let channels = models.iter().map(|&model| Channel::new(model, period)).collect();
+        let channels = models.iter().map(|&model| Channel::new(model, period)).collect::<Result<_, _>>()?;
         let [truth, readings] = core::array::from_fn(|_| vec![0.0; expected]);
         Ok(Self { channels, random: Random { seed }, truth, readings })
     }

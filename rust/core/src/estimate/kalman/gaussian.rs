@@ -65,6 +65,11 @@ impl Symmetric {
         linear::subtract_outer(&mut self.data, self.n, self.stride, a, b);
     }
 
+    /// The matrix with its rows padded to a common length.
+    pub fn padded(&self) -> &[f64] {
+        &self.data
+    }
+
     /// The matrix without its padding, row-major.
     pub fn dense(&self) -> impl Iterator<Item = f64> + '_ {
         self.data.chunks_exact(self.stride).flat_map(|row| row[..self.n].iter().copied())

@@ -17,7 +17,7 @@ mod transition;
 pub use channels::{Channel, Evaluation};
 pub use driven::JerkDriven;
 pub use elastic::{Discretization, ElasticModel, ElasticNoise, ElasticSettings};
-pub use filter::{ExtendedKalmanFilter, FilterSettings};
+pub use filter::{ExtendedKalmanFilter, FilterSettings, MOST_ITERATIONS};
 pub use gaussian::{Gaussian, Row, Symmetric};
 pub use jerk::{Further, JerkModel, Noise};
 pub use model::{Linearised, Model};

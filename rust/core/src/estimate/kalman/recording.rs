@@ -44,6 +44,24 @@ pub struct KalmanRecording<'a> {
     pub inputs: Inputs<'a>,
 }
 
+impl KalmanSample<'_> {
+    /// Whether a filter can take this sample.
+    ///
+    /// # Errors
+    /// A step of time that is not positive and finite, an infinite reading, wrong lengths.
+    pub(crate) fn check(&self, model: &impl Model) -> Result<(), DesignError> {
+        let Self { dt, readings, inputs } = *self;
+        if !(dt > 0.0 && dt.is_finite()) {
+            return Err(DesignError::Range { what: "dt", value: dt, expected: "a positive, finite time" });
+        }
+        model.check(&KalmanRecording { dt: &[dt], readings, inputs })?;
+        let Inputs { dtheta, jerk, tau } = inputs;
+        [("readings", readings), ("dtheta", dtheta), ("jerk", jerk), ("tau", tau)]
+            .into_iter()
+            .try_for_each(|(what, values)| refuse_infinite(what, values))
+    }
+}
+
 impl<'a> KalmanRecording<'a> {
     /// Some rows.
     pub(super) fn rows(&self, rows: core::ops::Range<usize>, model: &impl Model) -> Self {
@@ -76,6 +94,15 @@ impl<'a> KalmanRecording<'a> {
         let count = self.dt.len();
         expect_length("readings", self.readings.len(), count * channels)?;
         needed.iter().try_for_each(|(what, values)| expect_length(what, values.len(), count * joints))
+    }
+}
+
+/// # Errors
+/// A value that is infinite; NaN is one that is missing.
+pub(crate) fn refuse_infinite(what: &'static str, values: &[f64]) -> Result<(), DesignError> {
+    match values.iter().position(|x| x.is_infinite()) {
+        Some(index) => Err(DesignError::Infinite { what, index, value: values[index] }),
+        None => Ok(()),
     }
 }
 

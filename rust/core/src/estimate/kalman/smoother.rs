@@ -10,8 +10,10 @@ use super::gaussian::{Gaussian, Innovation, Symmetric};
 use super::model::Model;
 use super::output::{FilterOutput, Keep};
 use super::recording::KalmanRecording;
-use crate::error::RunError;
+use crate::error::{DesignError, RunError};
+use crate::interrupt::Watch;
 use crate::linear;
+use crate::memory::room;
 use crate::simd::{self, Kernel};
 
 /// What the filter knew at each sample of a stretch.
@@ -31,20 +33,20 @@ pub(super) struct History {
 }
 
 impl History {
-    fn with_capacity(count: usize, model: &impl Model, stride: usize, whole: bool) -> Self {
+    fn with_capacity(count: usize, model: &impl Model, stride: usize, whole: bool) -> Result<Self, DesignError> {
         let (d, m, states) = (model.dense(), model.channels(), model.states());
         let kept = if whole { states } else { d };
-        Self {
+        Ok(Self {
             kept,
             stride,
-            dt: Vec::with_capacity(count),
-            means: Vec::with_capacity(count * states),
-            covariances: Vec::with_capacity(count * kept * stride),
-            jacobians: Vec::with_capacity(count * m * d),
-            gains: Vec::with_capacity(count * m * stride),
-            innovations: Vec::with_capacity(count * m),
-            memories: Vec::with_capacity(count * model.memory()),
-        }
+            dt: room(count, 1)?,
+            means: room(count, states)?,
+            covariances: room(count, kept * stride)?,
+            jacobians: room(count, m * d)?,
+            gains: room(count, m * stride)?,
+            innovations: room(count, m)?,
+            memories: room(count, model.memory())?,
+        })
     }
 
     /// Kept rows of the predicted covariance at sample `i`.
@@ -109,18 +111,23 @@ struct Back<'a, M> {
 }
 
 impl<M: Model> Kernel for Back<'_, M> {
-    type Output = ();
+    type Output = Result<(), RunError>;
 
     #[inline(always)]
-    fn run(self) {
+    fn run(self) -> Self::Output {
         let Self { smoother, history, out, keep } = self;
+        let watch = Watch::current();
         for i in (0..history.dt.len()).rev() {
+            if watch.stops() {
+                return Err(RunError::Interrupted { sample: i });
+            }
             smoother.back(history, i);
             smoother.smooth(history, i, keep.covariance);
             smoother.report(history, i, out, keep);
             let Smoother { filter, lambda, big, .. } = &mut *smoother;
             filter.model.retreat(history.memory(i), history.dt[i], lambda, big);
         }
+        Ok(())
     }
 }
 
@@ -169,7 +176,9 @@ impl<M: Model> Smoother<M> {
             let rows = i * stretch..((i + 1) * stretch).min(count);
             parts.push(self.stretch_back(start, recording.rows(rows, &self.filter.model), keep)?);
         }
-        Ok(parts.into_iter().rev().reduce(FilterOutput::followed_by).unwrap_or_default())
+        let mut parts = parts.into_iter().rev();
+        let first = parts.next().unwrap_or_default();
+        Ok(parts.try_fold(first, FilterOutput::followed_by)?)
     }
 
     /// Samples whose history fits into the memory set aside.
@@ -199,10 +208,10 @@ impl<M: Model> Smoother<M> {
         let mut filter = start.clone();
         let count = recording.dt.len();
         filter.model.check(&recording)?;
-        let mut history = History::with_capacity(count, &filter.model, self.big.stride, keep.covariance);
+        let mut history = History::with_capacity(count, &filter.model, self.big.stride, keep.covariance)?;
         let run = Run { filter: &mut filter, recording, keep, history: Some(&mut history) };
         let mut out = simd::dispatch(simd::level(), run)?;
-        simd::dispatch(simd::level(), Back { smoother: self, history: &history, out: &mut out, keep });
+        simd::dispatch(simd::level(), Back { smoother: self, history: &history, out: &mut out, keep })?;
         Ok(out)
     }
 

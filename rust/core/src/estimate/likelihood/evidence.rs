@@ -7,10 +7,12 @@ use super::parameters::{Parameter, Parameters};
 use super::recording::LikelihoodRecording;
 use crate::error::{DesignError, RunError};
 use crate::estimate::kalman::{Further, JerkModel, Noise};
+use crate::interrupt::Watch;
+use crate::memory::filled;
+use crate::parallel;
 use crate::robot::Robot;
 use crate::scalar::{Dual, Scalar};
 use crate::simd;
-use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Derivatives that one pass through a recording carries.
@@ -156,16 +158,20 @@ impl Likelihood {
         let mut evidence = Evidence {
             gradient: vec![0.0; p],
             information: vec![0.0; p * p],
-            scores: vec![0.0; if detail { count * p } else { 0 }],
-            innovations: vec![f64::NAN; if detail { count * channels } else { 0 }],
+            scores: filled(0.0, if detail { count } else { 0 }, p)?,
+            innovations: filled(f64::NAN, if detail { count } else { 0 }, channels)?,
             ..Evidence::default()
         };
         let recording = &self.recording;
         let mut slopes = [vec![0.0; p], vec![0.0; p]];
-        for _ in 0..filters[0].stretches(STRETCH) {
-            filters.par_iter_mut().for_each(|filter| {
+        let watch = Watch::current();
+        for stretch in 0..filters[0].stretches(STRETCH) {
+            parallel::each(filters.iter_mut().collect(), |filter| {
                 simd::dispatch(simd::level(), Advance { filter, recording, count: STRETCH });
             });
+            if watch.stops() {
+                return Err(RunError::Interrupted { sample: stretch * STRETCH });
+            }
             for i in 0..filters[0].innovations.len() {
                 for (k, (value, variance)) in slopes_of(&filters, i).take(p).enumerate() {
                     (slopes[0][k], slopes[1][k]) = (value, variance);

@@ -4,6 +4,7 @@ use super::evaluation::{Evaluation, Reading};
 use super::moments::Moment;
 use super::recording::LikelihoodRecording;
 use crate::estimate::kalman::{Channel, JerkModel, Noise};
+use crate::interrupt::Watch;
 use crate::scalar::Scalar;
 use crate::simd::Kernel;
 
@@ -79,7 +80,11 @@ impl<T: Scalar> Filter<T> {
     #[inline(always)]
     fn advance(&mut self, recording: &LikelihoodRecording, count: usize) {
         self.innovations.clear();
+        let watch = Watch::current();
         for i in self.next..(self.next + count).min(self.moments.len()) {
+            if watch.stops() {
+                return;
+            }
             let moment = self.moments[i];
             if i == 0 {
                 self.start(recording);

@@ -2,7 +2,7 @@
 
 use super::density::Density;
 use crate::error::DesignError;
-use crate::estimate::kalman::{Channel, JerkModel, Noise};
+use crate::estimate::kalman::{Channel, JerkModel, MOST_ITERATIONS, Noise};
 
 /// Most particles that a filter takes.
 pub const MOST_PARTICLES: usize = 1 << 22;
@@ -108,7 +108,7 @@ impl ParticleSettings {
             range(h > 0.0 && h <= 1.0, "kernel", h, "a width above 0 and up to 1")?;
         }
         if let Proposal::Linearised { iterations, tail } = self.proposal {
-            range(iterations > 0, "iterations", 0.0, "at least 1")?;
+            range((1..=MOST_ITERATIONS).contains(&iterations), "iterations", iterations as f64, "1 to 100")?;
             let dof = tail.unwrap_or(2);
             range(dof >= 2 && dof % 2 == 0, "proposal_tail", f64::from(dof), "an even number of at least 2")?;
         }

@@ -7,6 +7,7 @@ use super::schedule::Logic;
 use super::settings::{Gains, Settings};
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
+use crate::estimate::observer::{LONGEST, Start};
 use crate::linear::add_scaled;
 use crate::robot::Robot;
 use std::sync::Arc;
@@ -28,6 +29,10 @@ pub struct VelocityObserver {
     map: Option<Mapped>,
     level: usize,
     since_jump: usize,
+    /// Share of each innovation in the velocity since the start (n): what a mean velocity takes of its last part.
+    share: Vec<f64>,
+    /// Whether the velocity was given at the start.
+    given: bool,
     samples: usize,
     status: u8,
     encoders: Vec<Encoder>,
@@ -72,6 +77,8 @@ impl VelocityObserver {
             map,
             level,
             since_jump: 0,
+            share: zero(),
+            given: false,
             samples: 0,
             status: 0,
             encoders: vec![Encoder::default(); n],
@@ -105,6 +112,7 @@ impl VelocityObserver {
                 return Err(DesignError::Length { what, found: given.len(), expected });
             }
         }
+        self.given = true;
         self.velocity.copy_from_slice(dq);
         self.lag.copy_from_slice(lag);
         self.samples = 0;
@@ -114,9 +122,55 @@ impl VelocityObserver {
     /// Takes positions (n) [rad] and torques (n) [N m], the latter held until the next sample; NaN where one is missing.
     ///
     /// # Errors
-    /// A first sample that lacks a position, a spring too stiff for the period there, an inertia that is singular.
-    #[inline(always)]
+    /// A first sample that lacks a position, a spring too stiff for the period there, an inertia that is singular; wrong
+    /// lengths, an infinite reading, a position that has been missing for more than [`LONGEST`], which leave the state as
+    /// it was. [`RunError::NotFinite`]: readings so absurd that nothing is left; it then starts anew.
     pub fn step(&mut self, q: &[f64], torque: &[f64]) -> Result<(), RunError> {
+        self.check(q, torque)?;
+        self.take(q, torque)?;
+        if self.is_finite() {
+            return Ok(());
+        }
+        let sample = self.samples - 1;
+        self.reset();
+        Err(RunError::NotFinite { sample })
+    }
+
+    /// Forgets the state: the next sample starts anew.
+    pub fn reset(&mut self) {
+        (self.samples, self.given) = (0, false);
+        self.velocity.fill(0.0);
+        self.lag.fill(0.0);
+        self.spring.fill(0.0);
+        self.torque.fill(0.0);
+        if let Gains::Scheduled(schedule) = &self.settings.gains {
+            (self.level, self.since_jump) = (schedule.start, 0);
+            self.gains.fill(schedule.gains[schedule.start - 1]);
+            self.weigh();
+        }
+    }
+
+    fn check(&self, q: &[f64], torque: &[f64]) -> Result<(), DesignError> {
+        let expected = self.joints();
+        for (what, values) in [("q", q), ("tau", torque)] {
+            if values.len() != expected {
+                return Err(DesignError::Length { what, found: values.len(), expected });
+            }
+            if let Some(index) = values.iter().position(|x| x.is_infinite()) {
+                return Err(DesignError::Infinite { what, index, value: values[index] });
+            }
+        }
+        let longest = (LONGEST / self.settings.period).round().max(1.0);
+        let late = |(q, encoder): (&f64, &Encoder)| q.is_nan() && f64::from(encoder.missing()) >= longest;
+        match q.iter().zip(&self.encoders).position(late) {
+            Some(joint) if self.samples > 0 => Err(DesignError::Late { joint, longest: LONGEST }),
+            _ => Ok(()),
+        }
+    }
+
+    /// [`step`](Self::step) with a sample that has been checked.
+    #[inline(always)]
+    pub(super) fn take(&mut self, q: &[f64], torque: &[f64]) -> Result<(), RunError> {
         self.status = 0;
         let regular = if self.samples == 0 { self.begin(q)? } else { self.advance(q) };
         if !regular {
@@ -154,6 +208,7 @@ impl VelocityObserver {
     #[inline(always)]
     fn advance(&mut self, q: &[f64]) -> bool {
         let period = self.settings.period;
+        let starts = self.settings.start == Start::Auto && !self.given;
         for j in 0..q.len() {
             let slope = self.acceleration[j] + self.spring[j];
             let predicted = self.position[j] + period * (self.velocity[j] + 0.5 * period * slope);
@@ -162,6 +217,7 @@ impl VelocityObserver {
             self.status |= if reading.missing { Status::BRIDGED } else { 0 };
             self.position[j] = reading.position;
             self.innovation[j] = reading.innovation;
+            self.share[j] = if starts { f64::from(reading.periods) / self.samples as f64 } else { 0.0 };
             self.velocity[j] += period * slope;
         }
         self.correct();
@@ -176,14 +232,19 @@ impl VelocityObserver {
     #[inline(always)]
     fn correct(&mut self) {
         if let Some(map) = &mut self.map {
-            for (velocity, change) in self.velocity.iter_mut().zip(map.weigh(&self.position, &self.innovation)) {
-                *velocity += change;
+            let most = map.share();
+            let changes = map.weigh(&self.position, &self.innovation);
+            for (j, (velocity, &change)) in self.velocity.iter_mut().zip(changes).enumerate() {
+                let mean = self.share[j] / self.settings.period * self.innovation[j];
+                *velocity += if self.share[j] > most { mean } else { change };
             }
             return;
         }
         for j in 0..self.innovation.len() {
             let change = self.weights[j] * self.innovation[j];
-            self.velocity[j] += change;
+            // At a start the mean velocity since then, until the gain follows it faster.
+            let mean = self.share[j] / self.settings.period * self.innovation[j];
+            self.velocity[j] += if mean.abs() > change.abs() { mean } else { change };
             self.lag[j] += change / self.gains[j];
         }
     }
@@ -287,6 +348,16 @@ impl VelocityObserver {
     /// See [`Status`].
     pub fn status(&self) -> u8 {
         self.status
+    }
+
+    /// Whether positions and torques are those of the motors.
+    pub fn is_of_motors(&self) -> bool {
+        self.settings.motors
+    }
+
+    /// Time since the first sample [s].
+    pub fn time(&self) -> f64 {
+        self.samples.saturating_sub(1) as f64 * self.settings.period
     }
 
     pub(super) fn has_tool(&self) -> bool {
