@@ -67,8 +67,8 @@ class AccelerationObserver(Copies):
     Notes
     -----
     Motor positions may be slower than the log, NaN between, as slow as one in 0.05 s: each then counts for the time
-    since the one before. Where innovations have for 0.05 s been five times as large as with
-    ``worst_acceleration_std`` in the measured accelerations, ``status`` says CONTRADICTED.
+    since the one before. Where innovations have for 0.05 s been as large as an error of
+    ``worst_acceleration_std`` in the measured accelerations makes them, ``status`` says CONTRADICTED.
 
     The innovation is used at the sampling instants only; between them the model is integrated exactly, with the
     torque held and the acceleration interpolated.

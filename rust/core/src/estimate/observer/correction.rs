@@ -1,6 +1,6 @@
 //! How a motor position corrects its joint, and whether the two go together.
 
-use super::late::{Late, Spread};
+use super::late::{Late, READING, Spread};
 use super::sampled::{ORDER, Sampled, State};
 use super::settings::Start;
 
@@ -9,8 +9,8 @@ pub const LONGEST: f64 = 0.05;
 
 /// Time over which innovations are judged [s].
 const WINDOW: f64 = 0.05;
-/// How many times larger than expected they are where readings contradict the model.
-const CONTRADICTION: f64 = 5.0;
+/// An innovation that noise alone does not make, in multiples of what a position reading may be off by.
+const NOISE: f64 = 5.0;
 
 /// The gain of one joint as it depends on when its position was last read.
 #[derive(Clone, Debug)]
@@ -30,8 +30,8 @@ pub(super) struct Correction {
 }
 
 impl Correction {
-    /// For a joint whose innovations are about `expected` [rad] where the model is right.
-    pub(super) fn new(late: Late, period: f64, expected: f64) -> Self {
+    /// For a joint whose innovations are at most about `most` [rad] where the model is about right, beside noise.
+    pub(super) fn new(late: Late, period: f64, most: f64) -> Self {
         let longest = ((LONGEST / period).round() as usize).clamp(1, 1 << 16);
         Self {
             late,
@@ -41,7 +41,7 @@ impl Correction {
             spread: Spread::default(),
             share: (period / WINDOW).min(1.0),
             square: 0.0,
-            limit: (CONTRADICTION * expected).powi(2),
+            limit: (NOISE * READING).powi(2) + most.powi(2),
         }
     }
 
@@ -71,7 +71,9 @@ impl Correction {
         for (x, gain) in x.iter_mut().zip(gain) {
             *x += gain * innovation;
         }
-        self.square += (self.share * self.since as f64).min(1.0) * (innovation * innovation - self.square);
+        // An error of acceleration grows with the square of the time that it has.
+        let grown = innovation / (self.since * self.since) as f64;
+        self.square += (self.share * self.since as f64).min(1.0) * (grown * grown - self.square);
         self.since = 0;
     }
 

@@ -3,7 +3,7 @@
 use super::acceleration::{AccelerationMap, Sight};
 use super::correction::{Correction, LONGEST};
 use super::gains::JointModel;
-use super::late::{Late, READING};
+use super::late::Late;
 use super::poles::Poles;
 use super::recording::{Recording, Sample, Trajectory};
 use super::rest::link_position_at_rest;
@@ -79,8 +79,8 @@ impl AccelerationObserver {
             }
             let sampled = Sampled::new(*model, &robot.drives[joint], &poles, settings.period);
             let late = Late::new(*model, &robot.drives[joint], speed, settings.period);
-            let expected = READING.hypot(sampled.innovation(model.order(), settings.worst_acceleration_std));
-            corrections.push(Correction::new(late, settings.period, expected));
+            let most = sampled.innovation(model.order(), settings.worst_acceleration_std);
+            corrections.push(Correction::new(late, settings.period, most));
             joints.push(sampled);
         }
         Ok(Self {
