@@ -18,7 +18,7 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 import linkside
-from linkside.figures.plots import COLOURS
+from linkside.figures import COLOURS
 from linkside.tuning import tune
 
 Array = npt.NDArray[np.float64]

@@ -12,7 +12,17 @@ import sys
 
 from . import demo
 from .control import controllers, feedback, trajectories
-from .errors import ConfigError, EstimatorError, LinksideError, LogError, NumericalError, OutputError
+from .errors import (
+    ConfigError,
+    EstimatorError,
+    LinksideError,
+    LinksideWarning,
+    LogError,
+    NumericalError,
+    OutputError,
+    RecordingWarning,
+    RobotWarning,
+)
 from .kalman import (
     ElasticJointFilter,
     ElasticJointSmoother,
@@ -28,7 +38,7 @@ from .moved import Moved
 from .observability import sensors
 from .observers import AccelerationObserver, poles
 from .particle import MarginalizedParticleFilter, Mixture, ParticleEstimate, ParticleFilter
-from .recording import Estimate, EstimateWriter, Log, Status
+from .recording import Estimate, EstimateWriter, Finding, Log, Status, inspect
 from .robot import Robot
 from .simulation import Sensor, Simulation, simulate
 from .velocity import GainMap, HybridGain, NicosiaTomeiObserver, ReducedOrderObserver, VelocityEstimate
@@ -43,11 +53,13 @@ __all__ = [
     "EstimateWriter",
     "EstimatorError",
     "ExtendedKalmanFilter",
+    "Finding",
     "FixedLagSmoother",
     "GainMap",
     "HybridGain",
     "KalmanEstimate",
     "LinksideError",
+    "LinksideWarning",
     "Log",
     "LogError",
     "MarginalizedParticleFilter",
@@ -59,8 +71,10 @@ __all__ = [
     "ParticleEstimate",
     "ParticleFilter",
     "RauchTungStriebelSmoother",
+    "RecordingWarning",
     "ReducedOrderObserver",
     "Robot",
+    "RobotWarning",
     "Sensor",
     "Simulation",
     "Status",
@@ -69,6 +83,7 @@ __all__ = [
     "controllers",
     "demo",
     "feedback",
+    "inspect",
     "poles",
     "sensors",
     "simulate",

@@ -135,7 +135,6 @@ class Likelihood:
         noise: Mapping[str, Any],
         biased: Sequence[bool],
         torque: bool,
-        held: bool,
         fixed: Sequence[tuple[tuple[str, int, int], float]],
         huber: float,
     ) -> Likelihood: ...
@@ -152,22 +151,28 @@ class ExtendedKalmanFilter:
         cls,
         robot: Robot,
         *,
-        motor_velocities: bool,
-        rates: bool,
-        links: bool,
-        torques: bool,
+        kinds: Sequence[str],
         biased: Sequence[bool],
         noise: Mapping[str, Any],
         gate: float | None,
         iterations: int,
         damping: bool,
+        told: Sequence[tuple[str, int, int, float]],
+        late: Sequence[tuple[float, float, int] | None] | None = None,
     ) -> ExtendedKalmanFilter: ...
     @property
     def states(self) -> int: ...
     @property
+    def own_states(self) -> int: ...
+    @property
+    def parameters(self) -> tuple[list[float], list[float]]: ...
+    @property
+    def findings(self) -> list[tuple[int | None, int, int, float, float, str]]: ...
+    @property
     def covariance(self) -> _Array: ...
     def copy(self) -> ExtendedKalmanFilter: ...
     def reset(self) -> None: ...
+    def set_start(self, mean: _Signal, covariance: _Array) -> None: ...
     def step(
         self,
         dt: float,
@@ -191,11 +196,7 @@ class ElasticJointFilter:
         cls,
         robot: Robot,
         *,
-        accelerations: bool,
-        motor_velocities: bool,
-        rates: bool,
-        links: bool,
-        torques: bool,
+        kinds: Sequence[str],
         disturbances: bool,
         biased: Sequence[bool],
         first_order: bool,
@@ -203,13 +204,17 @@ class ElasticJointFilter:
         noise: Mapping[str, Any],
         gate: float | None,
         iterations: int,
+        late: Sequence[tuple[float, float, int] | None] | None = None,
     ) -> ElasticJointFilter: ...
     @property
     def states(self) -> int: ...
     @property
+    def own_states(self) -> int: ...
+    @property
     def covariance(self) -> _Array: ...
     def copy(self) -> ElasticJointFilter: ...
     def reset(self) -> None: ...
+    def set_start(self, mean: _Signal, covariance: _Array) -> None: ...
     def step(self, dt: float, readings: _Signal, tau: _Signal) -> State: ...
     def run(self, arrays: tuple[_Array, _Array, _Array]) -> dict[str, npt.NDArray[Any]]: ...
     @staticmethod
@@ -230,7 +235,7 @@ class StretchSmoother:
     def back(
         self, start: ExtendedKalmanFilter, arrays: _KalmanArrays, covariance: bool
     ) -> dict[str, npt.NDArray[Any]]: ...
-    def first(self, start: ExtendedKalmanFilter, arrays: _KalmanArrays, t: float) -> State: ...
+    def row(self, start: ExtendedKalmanFilter, arrays: _KalmanArrays, row: int, t: float) -> State: ...
 
 @final
 class ParticleFilter:
@@ -240,10 +245,7 @@ class ParticleFilter:
         cls,
         robot: Robot,
         *,
-        motor_velocities: bool,
-        rates: bool,
-        links: bool,
-        torques: bool,
+        kinds: Sequence[str],
         biased: Sequence[bool],
         noise: Mapping[str, Any],
         damping: bool,

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from linkside import EstimatorError, Robot
 from linkside.velocity.gain_design import christoffel, coriolis_bound, design_gain, survey
-from linkside.velocity.observers import rigid_inertia
+from linkside.velocity.inertia import rigid_inertia
 
 from . import two_rods
 from .robots import robots, spring, states

@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from linkside import Estimate, EstimatorError, GainMap, Log, NicosiaTomeiObserver, ReducedOrderObserver, Robot
-from linkside.observability.analysis import prismatic
+from linkside.robot.workspace import prismatic
 from linkside.velocity.gain_design import design_gain
 from linkside.velocity.shaped_gain import approximate_inverse, reduce_deformation, shaped
 

@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from linkside.consistency.compare import autocovariance
+from linkside.arrays import FloatArray
+from linkside.statistics import autocovariance
 
+from .acceptance import Foretold
 from .parameters import Parameter
 from .problem import Evidence, Problem
 from .uncertainty import Contradiction, Uncertainty
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-FloatArray = npt.NDArray[np.float64]
 
 LAGS = 50
 
@@ -78,7 +72,7 @@ class Fit:
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class Result:
     """Parameters under which recordings are most probable, and how far to believe them.
 
     Attributes
@@ -95,6 +89,10 @@ class Calibration:
         Log-likelihood of recordings that were not used, before and after.
     contradictions : tuple of Contradiction
         Between recordings.
+    foretold : Foretold, optional
+        How well readings are foretold by parameters that were fitted without them.
+    objections : tuple of str
+        Reasons not to believe the outcome.
     evaluations : int
         Of the likelihood with its gradient.
     seconds : float
@@ -113,11 +111,18 @@ class Calibration:
     after: Fit
     held_out: tuple[float, float] | None
     contradictions: tuple[Contradiction, ...]
+    foretold: Foretold | None
+    objections: tuple[str, ...]
     evaluations: int
     seconds: float
     problem: Problem
     z: FloatArray
     uncertainty: Uncertainty
+
+    @property
+    def accepted(self) -> bool:
+        """Whether there is no reason not to believe the outcome."""
+        return not self.objections
 
     @property
     def correlation(self) -> FloatArray:
@@ -128,32 +133,17 @@ class Calibration:
         """Give an estimate by its parameter's name, such as ``stiffness_axis2``."""
         return next(e for e in self.estimates if e.parameter.name == name)
 
-    def write(self, source: str | Path, out: str | Path) -> None:
-        """Write the robot.yaml ``source`` with the estimates in place of its values; see `output.write`."""
-        from .output import write
-
-        write(self, source, out)
-
-    def write_report(self, out: str | Path) -> None:
-        """Write a report with figures: one HTML file."""
-        from .report import write
-
-        write(self, out)
-
-    def profile(self, first: str, second: str, points: int = 15) -> Figure:
-        """Draw the posterior over a pair of parameters, see `figures.profile`."""
-        from .figures import profile
-
-        return profile(self, first, second, points)
-
     def to_text(self) -> str:
         """Report in words."""
-        lines = [f"{'':28} {'before':>12} {'estimate':>12} {'std. error':>11}"]
+        lines = [f"not to be believed: {objection}" for objection in self.objections]
+        lines.append(f"{'':28} {'before':>12} {'estimate':>12} {'std. error':>11}")
         for e in self.estimates:
             edge = "  at its bound" if e.at_bound else ""
             lines.append(f"{e.parameter.name:28} {e.parameter.start:12.5g} {e.value:12.5g} {e.std:11.2g}{edge}")
         lines += [f"not estimated: {name}: {reason}" for name, reason in self.refused.items()]
         lines.append(self._fit_line())
+        if self.foretold is not None:
+            lines.append(f"{self.foretold} against robot.yaml, by parameters fitted without them")
         if self.held_out is not None:
             lines.append(f"held out: log-likelihood {self.held_out[0]:.1f} before, {self.held_out[1]:.1f} after")
         wide = max((e.widening for e in self.estimates), default=1.0)

@@ -5,36 +5,38 @@ Whatever a user can get wrong is one line on standard error and exit status 2, a
 
 from __future__ import annotations
 
-import re
-import signal
+import os
 import sys
-import traceback
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+import warnings
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, cast
+from typing import Any
 
 import click
 
-from linkside.errors import EstimatorError, LinksideError, NumericalError, OutputError
+from linkside.errors import EstimatorError, LogError, OutputError, RecordingWarning
+from linkside.files.writing import check_writable
 from linkside.kalman.noise import Noise
 from linkside.observers import poles as patterns
-from linkside.recording.estimate import Estimate, EstimateWriter, check_writable
-from linkside.recording.log import Log, log_rows
+from linkside.recording.checks import verdicts
+from linkside.recording.estimate import Estimate
+from linkside.recording.log import Log
 from linkside.robot import Robot
 
-from .methods import METHODS, Options, Run
-
-if TYPE_CHECKING:
-    from . import progress
+from .error_tables import tool_table
+from .estimate_logs import Job, estimate_all, naming, output_folder
+from .failures import Commands
+from .methods import METHODS, Options
+from .terminal import bar, show
 
 ROWS = 8192
 """Rows of a log that are in memory at a time."""
 
 WHOLE = 2**62
 """More rows than a log has."""
+
+_no_check = click.option("--no-check", is_flag=True, help="Believe the recordings without looking at them first.")
 
 PATTERNS: dict[str, Callable[[float], patterns.PolePattern]] = {
     "damped": patterns.damped,
@@ -57,33 +59,6 @@ class Poles(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
             self.fail(str(error), param, ctx)
         except (KeyError, ValueError):
             self.fail(f"{value!r} is neither a frequency nor one of {', '.join(PATTERNS)} with one", param, ctx)
-
-
-class Commands(click.Group):
-    """Commands whose errors are one line."""
-
-    def main(self, *args: Any, **kwargs: Any) -> NoReturn:
-        """Run a command and exit: 0 if all is well, 2 on an error, 130 when interrupted."""
-        _prepare_streams()
-        try:
-            sys.exit(super().main(*args, **{**kwargs, "prog_name": "linkside", "standalone_mode": False}) or 0)
-        except click.Abort:
-            _complain("interrupted")
-            sys.exit(130)
-        except click.ClickException as error:
-            _complain(error.format_message())
-        except (LinksideError, OSError) as error:
-            _complain(_in_words(error))
-        sys.exit(2)
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run a command; show where an error comes from if that was asked for."""
-        try:
-            return super().invoke(ctx)
-        except (LinksideError, OSError):
-            if ctx.params["debug"]:
-                traceback.print_exc()
-            raise
 
 
 @click.group(cls=Commands, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
@@ -109,27 +84,34 @@ def main(ctx: click.Context, debug: bool) -> None:
 @click.option("--particles", type=int, default=1000, show_default=True, help="How many a particle filter has.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of a particle filter's random numbers.")
 @click.option("--gain", type=float, default=100, show_default=True, help="Gain of a velocity observer [1/s].")
+@click.option("--strict", is_flag=True, help="Exit with status 3 where readings contradict the model.")
+@_no_check
 @click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this file; one for each log.")
-def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, truths: tuple[str, ...], **options: Any) -> None:
+def estimate(
+    robot: str, logs: tuple[str, ...], method: str, out: str, strict: bool, no_check: bool, **options: Any
+) -> int:
     """Estimate the motion of ROBOT's links from recordings.
 
     ROBOT is a robot.yaml, each LOG a Parquet or CSV file. Logs are read piece by piece and may be larger than memory.
     """
+    truths: tuple[str, ...] = options.pop("truths")
     if truths and len(truths) != len(logs):
         raise click.UsageError(f"--truth is there {len(truths)} times, for {len(logs)} logs")
     _refuse_untaken(method)
     loaded = Robot.load(robot)
     if options["tuning"] is not None:
         options["tuning"] = METHODS[method].read_tuning(options["tuning"])
-    with _naming(robot):
-        run = METHODS[method].build(loaded, Options(**options))
+    with naming(robot):
+        spill = Path(os.path.realpath(out))
+        run = METHODS[method].build(loaded, Options(**options, spill=spill if spill.is_dir() else spill.parent))
     rows = WHOLE if METHODS[method].whole(loaded) else ROWS
-    with _output_folder(out, logs) as outputs:
+    with output_folder(out, logs) as outputs:
         _refuse_clashes(outputs, [robot, *logs, *truths])
         for output in outputs:
             check_writable(output)
         files = zip(logs, outputs, truths or [None] * len(logs), strict=True)
-        _estimate_all([Job(loaded, run, rows, *three) for three in files])
+        believable = estimate_all([Job(loaded, run, rows, not no_check, *three) for three in files])
+    return 3 if strict and not believable else 0
 
 
 def _refuse_untaken(method: str) -> None:
@@ -150,6 +132,7 @@ def _refuse_untaken(method: str) -> None:
 @click.option("--free", help="Which values, by their keys in that file, a,b,c.  [default: transmission, poles]")
 @click.option("--states", multiple=True, type=click.Path(), help="What the links did, one for each LOG (observer).")
 @click.option("--figure", type=click.Path(), help="Draw the Pareto front (observer).")
+@_no_check
 @click.option("--evaluations", type=click.IntRange(1), default=2000, help="How often to estimate LOGs (observer).")
 def tune(robot: str, logs: tuple[str, ...], method: str, **options: Any) -> None:
     """Find the noise of a Kalman filter under which recordings are most likely, or the poles of an observer.
@@ -169,13 +152,11 @@ def tune(robot: str, logs: tuple[str, ...], method: str, **options: Any) -> None
 def _tune_noise(robot: str, logs: Sequence[str], options: dict[str, Any]) -> None:
     from linkside.tuning import noise_likelihood as module
 
-    from . import progress
-
     loaded = Robot.load(robot)
     noise = None if options["start"] is None else Noise.read(options["start"])
-    recordings = [Log.read(log, loaded) for log in logs]
+    recordings = [Log.read(log, loaded, check=not options["no_check"]) for log in logs]
     free = tuple((options["free"] or "transmission").split(","))
-    with progress.bar(None) as advance:
+    with bar(None) as advance:
         result = module.tune(loaded, recordings, noise, free, partial(_show_best, advance, "log-likelihood"))
     result.after.write(options["out"])
     click.echo(result.to_text(), nl=False)
@@ -184,14 +165,12 @@ def _tune_noise(robot: str, logs: Sequence[str], options: dict[str, Any]) -> Non
 def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> None:
     from linkside.tuning import observer_front as tune_observer
 
-    from . import progress
-
     loaded = Robot.load(robot)
     _check_figure(options["figure"], [robot, *logs, *options["states"], options["out"]])
-    recordings = [Log.read(log, loaded) for log in logs]
+    recordings = [Log.read(log, loaded, check=not options["no_check"]) for log in logs]
     states = [Estimate.read(file) for file in options["states"]] or None
     free = tuple((options["free"] or "poles").split(","))
-    with progress.bar(None) as advance:
+    with bar(None) as advance:
         shown = partial(_show_best, advance, "sum of ratios")
         count = options["evaluations"]
         front = tune_observer.tune_observer(loaded, recordings, states, free, shown, evaluations=count)
@@ -210,23 +189,29 @@ def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> 
 @click.option("--torque/--no-torque", default=None, help="Whether motor torques are readings, too.")
 @click.option("--bound", "bounds", multiple=True, help="NAME=LOW:HIGH, least and largest value of a parameter.")
 @click.option("--held-out", type=click.Path(), multiple=True, help="A log that only tests the outcome.")
+@_no_check
 @click.option("--resume", is_flag=True, help="Go on with an interrupted run.")
+@click.option("--force", is_flag=True, help="Write the outcome even where it is not to be believed.")
 def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **options: Any) -> None:
-    """Find ROBOT's stiffness, damping, load and sensor errors from its own recordings."""
-    from linkside.calibration import command
+    """Find ROBOT's stiffness, damping, load and sensor errors from its own recordings.
 
-    from . import progress
+    An outcome that does not foretell readings better than ROBOT as it is, or that is at a bound or far from it, is not
+    written, and the exit status is 3.
+    """
+    from . import calibrate_logs
 
     outputs = [Path(out), *([Path(options["report"])] if options["report"] else [])]
     _refuse_clashes(outputs, [robot, *logs, *options["held_out"]])
     check_writable(out, (".yaml", ".yml"))
     if options["report"]:
         check_writable(options["report"], (".html", ".htm"))
-    with progress.bar(None) as advance:
-        result = command.run(robot, logs, out, resume, advance, **options)
+    with bar(None) as advance:
+        result = calibrate_logs.run(robot, logs, out, resume, advance, **options)
     click.echo(result.to_text(), nl=False)
-    for output in outputs:
+    for output in outputs if result.accepted or options["force"] else outputs[1:]:
         click.echo(f"written: {output}")
+    if not result.accepted:
+        sys.exit(3)
 
 
 @main.command()
@@ -234,17 +219,30 @@ def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **optio
 @click.argument("log", type=click.Path(), required=False)
 @click.option("--figure", type=click.Path(), help="Draw it: a file that ends in .png, .pdf or .svg.")
 def check(robot: str, log: str | None, figure: str | None) -> None:
-    """Say which link accelerations ROBOT's sensors see, how well and where, along LOG if it is given."""
+    """Say what ROBOT's sensors see, how well and where; along LOG if it is given, which is looked at for mistakes."""
     from linkside.observability import analysis as module
-
-    from . import progress
+    from linkside.observability.words import check_tables
 
     loaded = Robot.load(robot)
     _check_figure(figure, [robot, log])
-    report = module.check(loaded, None if log is None else Log.stream(log, loaded))
-    progress.show(progress.check_tables(report))
+    if log is not None:
+        _look_at(loaded, log)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecordingWarning)  # all is listed above
+        report = module.check(loaded, None if log is None else Log.stream(log, loaded))
+    show(check_tables(report))
     if figure is not None:
         _draw(report.figure(), figure)
+
+
+def _look_at(robot: Robot, path: str) -> None:
+    """List what the checks of recordings find; raise `LogError` where one refuses."""
+    rows, refused = verdicts(Log.read(path, robot, check=False), robot)
+    for name, words in rows:
+        click.echo(f"{name:<22}{words}")
+    click.echo("")
+    if refused is not None:
+        raise LogError(f"{path}: {refused}")
 
 
 @main.command()
@@ -252,15 +250,12 @@ def check(robot: str, log: str | None, figure: str | None) -> None:
 def demo(figure: str) -> None:
     """Run the observer on a robot and a recording that come with the package."""
     from linkside.demo import run as module
-
-    from . import progress
+    from linkside.demo.figure import demo_figure
 
     _check_figure(figure, [])
     result = module.run()
-    from linkside.figures import plots
-
-    progress.show([progress.tool_table(result.errors, "the truth")])
-    _draw(plots.demo_figure(result), figure)
+    show([tool_table(result.errors, "the truth")])
+    _draw(demo_figure(result), figure)
     click.echo("Next, your own log:   linkside estimate robot.yaml log.parquet --out estimate.parquet")
     click.echo("      your own robot: linkside check robot.yaml")
 
@@ -277,6 +272,7 @@ def demo(figure: str) -> None:
 @click.option("--limit", type=float, help="Take the smallest set whose score is at most this.")
 @click.option("--by", type=click.Choice(["condition", "covariance"]), default="condition", show_default=True)
 @click.option("--out", type=click.Path(), help="Where to write the chosen `accelerometers`, YAML.")
+@_no_check
 @click.option("--figure", type=click.Path(), help="Draw where it is singular: a file that ends in .png, .pdf or .svg.")
 def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: Any) -> None:
     """Choose accelerometers for ROBOT: those that see its joints best along LOGs, or in the whole workspace."""
@@ -290,9 +286,9 @@ def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: 
     loaded = Robot.load(robot)
     sensors = [] if options["candidates"] is None else list(placement.read_candidates(options["candidates"]))
     kinds = options["axes"].split(",")
-    with _naming(robot):
+    with naming(robot):
         sensors += placement.candidates(loaded, links, reach=options["reach"], steps=options["steps"], axes=kinds)
-        where = [Log.read(log, loaded) for log in logs] or None
+        where = [Log.read(log, loaded, check=not options["no_check"]) for log in logs] or None
         choice = {"count": options["count"], "limit": options["limit"], "criterion": options["by"]}
         found = placement.place(loaded, sensors, where, **choice)
     click.echo(found.to_text(), nl=False)
@@ -307,137 +303,24 @@ def _show_best(advance: Callable[[str, int], None], what: str, _: int, best: flo
     advance(f"{what} {best:.5g}", 1)
 
 
-@dataclass(frozen=True)
-class Job:
-    """A log to estimate, how, and where the estimate and the truth are."""
-
-    robot: Robot
-    run: Run
-    rows: int
-    log: str
-    output: Path
-    truth: str | None
-
-
-def _estimate_all(jobs: Sequence[Job]) -> None:
-    """Estimate each log; of several, one that cannot be used does not keep the others waiting."""
-    from . import progress
-
-    failed = 0
-    counts = [log_rows(job.log) for job in jobs]
-    with progress.bar(None if None in counts else sum(cast("list[int]", counts))) as advance:
-        for job in jobs:
-            try:
-                _estimate_one(job, partial(advance, job.log))
-            except LinksideError as error:
-                if len(jobs) == 1:
-                    raise
-                failed += 1
-                _complain(_in_words(error))
-    if failed:
-        raise click.ClickException(f"{failed} of {len(jobs)} logs could not be estimated")
-
-
-def _estimate_one(job: Job, advance: Callable[[int], None]) -> None:
-    from . import progress
-
-    known = None if job.truth is None else Estimate.read(job.truth)
-    tally, kept = progress.Tally(), []
-    with EstimateWriter(job.output) as writer:
-        for piece in _pieces(job, tally):
-            writer.write(piece)
-            tally.add(piece)
-            advance(len(piece))
-            if known is not None:
-                kept.append(piece)
-        with _naming(str(job.truth)):  # still inside: an estimate that cannot be compared as asked is not kept
-            error = None if known is None else Estimate.concatenate(kept).error_against(known)
-    if error is not None:
-        progress.show(progress.error_tables(error, job.robot, str(job.truth)))
-    click.echo(f"{job.output}: {tally}")
-
-
-def _pieces(job: Job, tally: progress.Tally) -> Iterator[Estimate]:
-    pieces = tally.timed(Log.stream(job.log, job.robot, job.rows), sign=-1)
-    estimates = tally.timed(job.run(pieces))
-    while True:
-        with _naming(job.log):
-            piece = next(estimates, None)
-        if piece is None:
-            return
-        yield piece
-
-
-@contextmanager
-def _output_folder(out: str, logs: Sequence[str]) -> Iterator[list[Path]]:
-    """Name the output of each log; a directory that had to be made for them is gone again if it stays empty."""
-    if "{stem}" in out or (len(logs) == 1 and not Path(out).is_dir()):
-        yield [Path(out.replace("{stem}", _stem(log))) for log in logs]
-        return
-    folder = Path(out)
-    if folder.suffix in (".parquet", ".csv"):
-        raise OutputError(f"{out}: one file for {len(logs)} logs; name a directory, or a file with {{stem}}")
-    made = not folder.exists()
-    folder.mkdir(exist_ok=True)
-    try:
-        yield [folder / f"{_stem(log)}.estimate.parquet" for log in logs]
-    finally:
-        if made:
-            with suppress(OSError):
-                folder.rmdir()
-
-
-def _stem(log: str) -> str:
-    return re.sub(r"\.(parquet|csv|csv\.gz)$", "", Path(log).name, flags=re.IGNORECASE)
-
-
 def _refuse_clashes(outputs: Sequence[Path], inputs: Sequence[str | None]) -> None:
-    taken = {Path(path).resolve(): "would be written over what is read" for path in inputs if path is not None}
+    taken = {os.path.realpath(path): "would be written over what is read" for path in inputs if path is not None}
     for output in outputs:
-        if (where := output.resolve()) in taken:
+        if (where := os.path.realpath(output)) in taken:
             raise OutputError(f"{output}: {taken[where]}")
         taken[where] = "is the output of two logs; give --out as a name that differs, or run them apart"
 
 
 def _check_figure(figure: str | None, inputs: Sequence[str | None]) -> None:
     if figure is not None:
-        from linkside.figures import plots
+        from linkside import figures
 
-        plots.check_writable(figure)
+        figures.check_writable(figure)
         _refuse_clashes([Path(figure)], inputs)
 
 
 def _draw(figure: Any, path: str) -> None:
-    from linkside.figures import plots
+    from linkside.figures import save
 
-    plots.save(figure, path)
+    save(figure, path)
     click.echo(f"figure: {path}")
-
-
-@contextmanager
-def _naming(source: str) -> Iterator[None]:
-    """Let errors of an estimator, which knows of no files, say where they come from."""
-    try:
-        yield
-    except (EstimatorError, NumericalError) as error:
-        if source in str(error):
-            raise
-        raise type(error)(f"{source}: {error}") from error
-
-
-def _prepare_streams() -> None:
-    for stream in (sys.stdout, sys.stderr):
-        with suppress(AttributeError):
-            cast("Any", stream).reconfigure(errors="replace")  # µ and σ must not break a terminal in ASCII
-    with suppress(ValueError):  # only the main thread may; so that a job that is ended leaves nothing half done
-        signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-
-
-def _in_words(error: Exception) -> str:
-    if isinstance(error, OSError) and error.strerror:
-        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    return str(error)
-
-
-def _complain(message: str) -> None:
-    click.echo(f"linkside: {' '.join(message.split())}", err=True)

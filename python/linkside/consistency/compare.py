@@ -10,14 +10,18 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
+from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.kalman.filtering import KalmanEstimate
-from linkside.recording.estimate import Estimate, _counterparts
+from linkside.recording.estimate import Estimate
+from linkside.recording.times import counterparts
+from linkside.statistics import autocovariance, long_run_variance
+
+from .measures import Measures, Ratio
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FloatArray = npt.NDArray[np.float64]
 
 LEVEL = 0.99
 LAGS = 50
@@ -25,127 +29,15 @@ LEAST_STD = 1e-12
 """Below this a standard deviation is that of something that cannot move."""
 
 
-@dataclass(frozen=True)
-class Ratio:
-    """A mean that should be 1, with the bounds it should be in.
-
-    Attributes
-    ----------
-    mean : float
-        Normalised square per degree of freedom.
-    low, high : float
-        Its bounds.
-    inside : float
-        Share of samples within their own bounds; should be `Consistency.level`.
-    degrees : float
-        Degrees of freedom of a sample.
-    independent : float
-        Share of samples that count as independent; 1 for innovations.
-    varying : float or None
-        Of an error, the mean without the error's constant part.
-    """
-
-    mean: float
-    low: float
-    high: float
-    inside: float
-    degrees: float
-    independent: float
-    varying: float | None = None
-
-    @property
-    def verdict(self) -> str:
-        """``"consistent"``, ``"overconfident"`` or ``"cautious"``."""
-        return "overconfident" if self.mean > self.high else "cautious" if self.mean < self.low else "consistent"
-
-
 @dataclass(frozen=True, eq=False)
-class Consistency:
-    """How a filter's innovations, and its errors where a truth is given, compare with what it expects.
-
-    Attributes
-    ----------
-    level : float
-        Probability of all bounds.
-    t, nis, nees : (T,)
-        Time, and normalised squares of innovations and of the error of q, per degree of freedom; NaN where there is
-        none.
-    innovations, position, tool : Ratio
-        Of innovations over the recording, of the error of q, and of the tool's. The last two are None without a truth.
-    log_likelihood : float
-        Of the whole recording.
-    channels : tuple of str
-        The m channels.
-    normalised : (T, m)
-        Innovations over their standard deviations.
-    autocorrelation : (lags, m)
-        Of those, from lag 1 on; zero for a filter that is right.
-    bound : (m,)
-        What an autocorrelation of white innovations exceeds with probability 1 - level.
-    white : (m,)
-        Whether Ljung and Box's test over all lags leaves a channel's innovations white.
-    """
-
-    level: float
-    t: FloatArray
-    nis: FloatArray
-    nees: FloatArray | None
-    innovations: Ratio
-    position: Ratio | None
-    tool: Ratio | None
-    log_likelihood: float
-    channels: tuple[str, ...]
-    normalised: FloatArray
-    autocorrelation: FloatArray
-    bound: FloatArray
-    white: npt.NDArray[np.bool_]
-
-    @property
-    def sizes(self) -> FloatArray:
-        """Root mean square of each channel's normalised innovations, (m,); 1 for a filter that is right."""
-        counts = np.maximum(1, np.isfinite(self.normalised).sum(axis=0))
-        return np.asarray(np.sqrt(np.nansum(self.normalised**2, axis=0) / counts))
-
-    def to_text(self) -> str:
-        """Report in words."""
-        parts = [("innovations", self.innovations), ("error of q", self.position), ("error of the tool", self.tool)]
-        lines = [_line(name, ratio, self.level) for name, ratio in parts if ratio is not None]
-        lines += self._whiteness_lines()
-        lines.append(f"log-likelihood: {self.log_likelihood:.1f}")
-        return "\n".join([*self._verdicts(), *lines]) + "\n"
+class Consistency(Measures):
+    """Measures with a figure."""
 
     def figure(self) -> Figure:
         """Draw NIS over time, innovations' distribution and autocorrelation, and NEES where there is a truth."""
         from .figure import draw
 
         return draw(self)
-
-    def _verdicts(self) -> list[str]:
-        ratio, what = (self.position, "errors") if self.position else (self.innovations, "innovations")
-        factor = float(np.sqrt(ratio.mean))
-        if ratio.verdict == "consistent":
-            return [f"The filter is consistent: {what} are as large as it says."]
-        if ratio.verdict == "cautious":
-            return [f"The filter is cautious: {what} are {_times(1 / factor)} smaller than it says."]
-        constant = ratio.varying is not None and ratio.varying < 0.5 * ratio.mean
-        sees = self.innovations.verdict == "overconfident"  # no innovation shows an offset at rest
-        advice = "try linkside tune" if sees or not constant else "most of it is a constant offset: calibrate"
-        return [f"The filter is overconfident: {what} are {_times(factor)} larger than it says; {advice}."]
-
-    def _whiteness_lines(self) -> list[str]:
-        if not self.channels:
-            return ["whiteness of innovations: not known; run with innovations=True"]
-        coloured = [name for name, white in zip(self.channels, self.white, strict=True) if not white]
-        if not coloured:
-            return [f"innovations are white in all {len(self.channels)} channels over {len(self.autocorrelation)} lags"]
-        rows = [f"innovations are correlated in time in {len(coloured)} of {len(self.channels)} channels:"]
-        rows += [self._channel_line(index, name) for index, name in enumerate(self.channels) if name in coloured]
-        return [*rows, "  errors of the model (stiffness, mass, friction) last from sample to sample, noise does not"]
-
-    def _channel_line(self, index: int, name: str) -> str:
-        first, size = self.autocorrelation[0, index], self.sizes[index]
-        bound = f"white: within ±{self.bound[index]:.2f}"
-        return f"  {name}: {first:.2f} at lag 1 ({bound}), RMS {size:.2f} times what is expected"
 
 
 def consistency(
@@ -207,30 +99,6 @@ def consistency(
     )
 
 
-def autocovariance(values: FloatArray, lags: int) -> FloatArray:
-    """Autocovariance of a series at lags 0 … lags about zero, (lags + 1,); NaN are left out, and the rest joined."""
-    known = values[np.isfinite(values)]
-    size = len(known)
-    if size == 0:
-        return np.zeros(lags + 1)
-    spectrum = np.abs(np.fft.rfft(known, 2 * size)) ** 2
-    covariance = np.fft.irfft(spectrum)[: min(lags + 1, size)] / size
-    return np.pad(covariance, (0, lags + 1 - len(covariance)))
-
-
-def long_run_variance(values: FloatArray) -> float:
-    """Sum of a series' autocovariance about its mean over all lags: what the variance of its sum grows by each sample.
-
-    Taken up to where the autocovariance first meets zero, beyond which an estimate is mostly noise (Geyer 1992).
-    """
-    known = values[np.isfinite(values)]
-    if len(known) < 2:
-        return 0.0
-    covariance = autocovariance(known - known.mean(), len(known) - 1)
-    end = int(np.argmax(covariance <= 0)) or len(covariance)
-    return float(covariance[0] + 2 * covariance[1:end].sum())
-
-
 def _normalised(estimate: KalmanEstimate, channels: Sequence[str] | None) -> tuple[FloatArray, tuple[str, ...]]:
     if estimate.innovation is None or estimate.innovation_std is None:
         return np.empty((len(estimate), 0)), ()
@@ -288,7 +156,7 @@ def _position(estimate: KalmanEstimate, truth: Estimate | None, level: float) ->
         return None, None
     if estimate.q_std is None:
         raise EstimatorError("the estimate has no standard deviations to compare its error with")
-    error = estimate.q - truth.q[_counterparts(estimate.t, truth.t, "the truth")]
+    error = estimate.q - truth.q[counterparts(estimate.t, truth.t, "the truth")]
     return _error_ratio(error, estimate.q_std, estimate.covariance, level)
 
 
@@ -296,7 +164,7 @@ def _tool(estimate: KalmanEstimate, truth: Estimate | None, level: float) -> Rat
     """The same of the tool, axis by axis; an axis that the robot cannot move along has no error."""
     if truth is None or truth.tool_position is None or estimate.tool_position is None or estimate.tool_std is None:
         return None
-    error = estimate.tool_position - truth.tool_position[_counterparts(estimate.t, truth.t, "the truth")]
+    error = estimate.tool_position - truth.tool_position[counterparts(estimate.t, truth.t, "the truth")]
     return _error_ratio(error, estimate.tool_std, None, level)[0]
 
 
@@ -321,14 +189,3 @@ def _squares(error: FloatArray, std: FloatArray, covariance: FloatArray | None) 
     chosen = np.flatnonzero(uncertain)
     error, block = error[:, chosen], covariance[:, chosen[:, None], chosen]
     return np.asarray((error * np.linalg.solve(block, error[:, :, None])[:, :, 0]).sum(axis=1))
-
-
-def _times(factor: float) -> str:
-    return f"{factor:.2g} times" if factor >= 1.1 else "slightly"
-
-
-def _line(name: str, ratio: Ratio, level: float) -> str:
-    varying = "" if ratio.varying is None else f", {ratio.varying:.3g} without its constant part"
-    bounds = f"{100 * level:g} % bounds {ratio.low:.3f} to {ratio.high:.3f}"
-    share = f"{100 * ratio.inside:.1f} % of samples within theirs"
-    return f"{name}: {ratio.mean:.3g} per degree of freedom{varying}; {bounds}; {share} ({ratio.verdict})"

@@ -5,16 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 from scipy import stats
 
-from linkside.figures.plots import COLOURS
+from linkside.arrays import FloatArray
+from linkside.figures import COLOURS
 
-from .compare import Consistency, Ratio
-
-FloatArray = npt.NDArray[np.float64]
+from .measures import Measures, Ratio
 
 STRETCHES = 100
 """Points of a line over time."""
@@ -22,7 +20,7 @@ STRETCHES = 100
 BLUE, GREEN = COLOURS[0], COLOURS[2]
 
 
-def draw(report: Consistency) -> Figure:
+def draw(report: Measures) -> Figure:
     """Draw it, see `Consistency.figure`."""
     last = "sizes" if report.nees is None else "nees"
     figure = Figure(figsize=(12, 7.2), layout="constrained")
@@ -56,7 +54,7 @@ def _over_time(axes: Any, t: FloatArray, squares: FloatArray, ratio: Ratio, what
     _tidy(axes)
 
 
-def _histogram(axes: Any, report: Consistency) -> None:
+def _histogram(axes: Any, report: Measures) -> None:
     grid = np.linspace(-4.5, 4.5, 91)
     for index, name in enumerate(report.channels):
         values = report.normalised[:, index]
@@ -68,7 +66,7 @@ def _histogram(axes: Any, report: Consistency) -> None:
     _tidy(axes, _few(report))
 
 
-def _lags(axes: Any, report: Consistency) -> None:
+def _lags(axes: Any, report: Measures) -> None:
     lags = 1 + np.arange(len(report.autocorrelation))
     for index, name in enumerate(report.channels):
         axes.plot(lags, report.autocorrelation[:, index], ".-", color=_colour(report, index), label=name, alpha=0.8)
@@ -79,7 +77,7 @@ def _lags(axes: Any, report: Consistency) -> None:
     _tidy(axes, _few(report))
 
 
-def _sizes(axes: Any, report: Consistency) -> None:
+def _sizes(axes: Any, report: Measures) -> None:
     """Root mean square of each channel's normalised innovations."""
     colours = [_colour(report, index) for index in range(len(report.channels))]
     axes.barh(report.channels, report.sizes, color=colours)
@@ -89,11 +87,11 @@ def _sizes(axes: Any, report: Consistency) -> None:
     _tidy(axes, legend=False)
 
 
-def _colour(report: Consistency, index: int) -> Any:
+def _colour(report: Measures, index: int) -> Any:
     return colormaps["viridis"](0.9 * index / max(1, len(report.channels) - 1))
 
 
-def _few(report: Consistency) -> bool:
+def _few(report: Measures) -> bool:
     return 0 < len(report.channels) <= 8
 
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.observers.acceleration import AccelerationObserver
 from linkside.robot import Robot
 from linkside.robot.config import JointConfig
 
-FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 
 

@@ -12,16 +12,16 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside._core import State
+from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError
-from linkside.observers.acceleration import AccelerationObserver, Signal
+from linkside.observers.acceleration import AccelerationObserver
 from linkside.observers.poles import damped
 from linkside.robot import Robot
+from linkside.robot.requirements import refuse_unsupported
 
 from .closed_loop import closed_loop_poles
 from .controllers import knots
 from .feedforward import Desired
-
-FloatArray = npt.NDArray[np.float64]
 
 SLOW = 60.0
 """Frequency of the two slow closed-loop poles [rad/s]: near the frequency at which links swing on their springs."""
@@ -175,6 +175,7 @@ class StateFeedback:
     def __init__(
         self, robot: Robot, desired: Desired, gains: npt.ArrayLike, observer: AccelerationObserver | None = None
     ) -> None:
+        refuse_unsupported(robot, "state feedback")
         self.gains = np.array(gains, float)
         if self.gains.shape != (robot.n, 4 * robot.n) or not np.isfinite(self.gains).all():
             raise EstimatorError(f"gains: expected finite numbers ({robot.n}, {4 * robot.n}), got {self.gains.shape}")

@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from linkside import _core
+from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.robot import Robot
+from linkside.robot.requirements import refuse_unsupported
 
 from .trajectories import Trajectory
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +74,7 @@ def inverse_dynamics(robot: Robot, trajectory: Trajectory) -> Desired:
     EstimatorError
         A trajectory that is not known, or not smooth, up to the derivative that the robot needs; other joints.
     """
+    refuse_unsupported(robot, "inverse dynamics along a motion")
     if trajectory.derivatives.shape[2] != robot.n:
         raise EstimatorError(f"trajectory: {trajectory.derivatives.shape[2]} joints, the robot has {robot.n}")
     needed = derivative_order(robot)

@@ -11,11 +11,10 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import Chebyshev
 
+from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.robot import Robot
 from linkside.robot import compile as tree
-
-FloatArray = npt.NDArray[np.float64]
 
 HIGHEST = 17
 """No robot is asked for a derivative beyond this."""

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections import deque
+from itertools import islice
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from linkside import _core
+from linkside.arguments import finite_or_missing, sized, time_step, whole
+from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError, NumericalError
 from linkside.recording.batch import Copies
 from linkside.robot import Robot
 
-from .filtering import KalmanEstimate, Signal, sized
+from .filtering import KalmanEstimate
 from .jerk_driven import Arrays, ExtendedKalmanFilter
 from .noise import Noise
-
-FloatArray = npt.NDArray[np.float64]
+from .start import WINDOW, Readings
 
 
 class FixedLagSmoother(Copies):
@@ -36,27 +37,24 @@ class FixedLagSmoother(Copies):
     Raises
     ------
     EstimatorError
-        Settings out of range, or sensors whose readings come late.
+        Settings out of range.
     """
 
     _cores = ("_before",)
 
     def __init__(self, robot: Robot, noise: Noise | None = None, *, lag: int, **settings: Any) -> None:
-        if not isinstance(lag, int) or lag < 1:
-            raise EstimatorError(f"lag is {lag!r}, expected a whole number of at least 1")
-        self.robot, self.lag = robot, lag
+        self.robot, self.lag = robot, whole("lag", lag, least=1)
         self._filter = ExtendedKalmanFilter(robot, noise, **settings)
-        self._filter._refuse_late("a fixed-lag smoother")
-        self._kinds = self._filter._live_kinds
+        self._kinds = self._filter.live_kinds
         self.reset()
 
     def reset(self) -> None:
         """Forget everything: the next `step` starts anew."""
-        self._before = self._filter._core(self._kinds, self._filter.noise)
+        self._before = self._filter.core(self._kinds, self._filter.noise, np.inf)
         self._window: deque[tuple[float, FloatArray, FloatArray, FloatArray]] = deque()
         self._ddqref: FloatArray | None = None
-        self._begun = False
-        self._t = 0.0
+        self._period = np.inf  # the first step of time says how many samples a delay spans
+        self._t, self._count = 0.0, 0
 
     def step(
         self,
@@ -76,26 +74,44 @@ class FixedLagSmoother(Copies):
             The state ``lag`` samples ago, with ``state`` and ``covariance``; ``t`` counts from 0 at the first sample.
             None while there are not enough samples.
         """
-        if not 0 < dt < np.inf:
-            raise EstimatorError(f"dt is {dt}, expected a positive, finite time in seconds")
+        time_step(dt)
         reading = self._reading(theta, acceleration, further)
         moved = self._moved(dt, dtheta, ddqref)
-        self._window.append((dt, reading, *moved))
-        self._begun = True
+        before = self._period, self._ddqref
+        self._period = self._period if self._count else dt
         self._ddqref = None if ddqref is None else sized("ddqref", ddqref, self.robot.n)
-        if len(self._window) <= self.lag:
-            return None
+        self._window.append((dt, reading, *moved))
+        self._count += 1
         try:
-            state = _core.StretchSmoother(self._before).first(self._before, self._stacked(len(self._window)), self._t)
-            self._forget()
+            return self._advanced()
+        except EstimatorError:
+            self._window.pop()
+            self._count -= 1
+            self._period, self._ddqref = before
+            raise
         except NumericalError:
             self.reset()
             raise
+
+    def _advanced(self) -> _core.State | None:
+        """The state ``lag`` samples ago, if there are so many; nothing older is kept than is needed."""
+        if self._count <= WINDOW:
+            self._begin()
+        row = len(self._window) - 1 - self.lag
+        if row < 0:
+            return None
+        t = self._t + sum(sample[0] for sample in islice(self._window, 1, row + 1))
+        arrays = self._stacked(len(self._window))
+        state = _core.StretchSmoother(self._before).row(self._before, arrays, row, t)
+        # While the first samples decide where the filter starts, none can be forgotten.
+        while self._count >= WINDOW and len(self._window) > self.lag:
+            self._forget()
         return state
 
     def flush(self) -> KalmanEstimate | None:
         """At the end of a stream, the estimate of the last ``lag`` samples; then start anew."""
-        estimate = self._back(len(self._window)) if self._window else None
+        done = max(len(self._window) - self.lag, 0)
+        estimate = self._back(slice(done, None)) if self._window else None
         self.reset()
         return estimate
 
@@ -112,17 +128,15 @@ class FixedLagSmoother(Copies):
 
     def _reading(self, theta: Signal, acceleration: Signal | None, further: Signal | None) -> FloatArray:
         motors = sized("theta", theta, self.robot.n)
-        if not self._begun and np.isnan(motors).any():
+        if not self._count and np.isnan(motors).any():
             joint = self.robot.names[int(np.argmax(np.isnan(motors)))]
             raise EstimatorError(
                 f"the first sample of theta of joint {joint} is missing; a filter cannot start without"
             )
-        channels, *others = (self._filter._width(kind) for kind in self._kinds[1:])
+        channels, *others = (self._filter.width(kind) for kind in self._kinds[1:])
         rest = (sized("acceleration", acceleration, channels), sized("further", further, sum(others)))
-        for name, values in zip(("theta", "acceleration", "further"), (motors, *rest), strict=True):
-            if np.isinf(values).any():
-                raise EstimatorError(f"{name} is {values}, expected finite numbers, or NaN where a reading is missing")
-        return np.concatenate((motors, *rest))
+        parts = zip(("theta", "acceleration", "further"), (motors, *rest), strict=True)
+        return np.concatenate([finite_or_missing(name, values) for name, values in parts])
 
     def _moved(self, dt: float, dtheta: Signal | None, ddqref: Signal | None) -> tuple[FloatArray, FloatArray]:
         """Motor velocities, and the commanded jerk since the sample before."""
@@ -132,13 +146,26 @@ class FixedLagSmoother(Copies):
             jerk = np.nan_to_num((now - self._ddqref) / dt, posinf=0.0, neginf=0.0)
         return sized("dtheta", dtheta, self.robot.n), jerk
 
-    def _back(self, rows: int) -> KalmanEstimate:
-        """The window's first rows, smoothed."""
+    def _begin(self) -> None:
+        """Let the filter before the window start where the samples so far say."""
+        readings = np.array([row[1] for row in self._window])
+        dtheta = np.array([row[2] for row in self._window])
+        n, sensors = self.robot.n, self._filter.width("acceleration")
+        first = Readings(
+            np.cumsum([row[0] for row in self._window]),
+            readings[:, :n],
+            None if np.isnan(dtheta).all() else dtheta,
+            None if np.isnan(readings[:, n : n + sensors]).all() else readings[:, n : n + sensors],
+        )
+        self._before = self._filter.started_core(self._kinds, self._filter.noise, first, self._period)
+
+    def _back(self, rows: slice) -> KalmanEstimate:
+        """Rows of the window, smoothed."""
         arrays = self._stacked(len(self._window))
         result = _core.StretchSmoother(self._before).back(self._before, arrays, True)
         t = self._t + np.cumsum(arrays[0]) - arrays[0][0]
-        first: dict[str, Any] = {name: a[:rows] for name, a in result.items()}
-        return KalmanEstimate(t=t[:rows], names=self.robot.names, **first)
+        first: dict[str, Any] = {name: a[rows] for name, a in result.items() if name != "findings"}
+        return KalmanEstimate(t=t[rows], names=self.robot.names, **first)
 
     def _forget(self) -> None:
         """Let the filter before the window take the window's first sample."""

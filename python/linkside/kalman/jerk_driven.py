@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from linkside import _core
+from linkside.arguments import time_step
+from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError, NumericalError
 from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.considered import considered
+from linkside.robot.requirements import refuse_unsupported
 
-from .filtering import CoreFilter, KalmanEstimate, KalmanFilter, LiveFilter, Signal
-from .late_sensors import Schedule, is_late, unfiltered
+from .filtering import CoreFilter, KalmanEstimate, KalmanMethod, LiveFilter
+from .late_sensors import inside, is_late
 from .noise import Noise
+from .start import Moving, Readings, Start
+from .starting import DecidingFilter, first_readings, with_first
 
-FloatArray = npt.NDArray[np.float64]
 Arrays = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
@@ -68,7 +71,8 @@ class JerkDrivenFilter(LiveFilter[Core]):
         dtheta, ddqref : (n,)
             Motor velocities [rad/s] and commanded link accelerations [rad/s²], where there are any.
         further : (k,)
-            Readings of the kinds asked for, one after the other: ``dtheta``, ``rate``, ``q``, ``torque``.
+            Readings of the kinds asked for, one after the other: ``dtheta``, ``rate``, ``q``, ``torque``,
+            ``dq``.
 
         Returns
         -------
@@ -84,12 +88,104 @@ class JerkDrivenFilter(LiveFilter[Core]):
             Readings so absurd that the estimate is no longer finite: the next sample starts anew. Of a particle filter,
             also: no particle explains the sample, which counts as one without readings.
         """
+        if self._started is None:
+            self._period = time_step(dt)
         state = self._live.step(dt, theta, acceleration, dtheta, ddqref, further)
         self.status = state.status
         return state
 
 
-class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanFilter[_core.ExtendedKalmanFilter]):
+class JerkDriven(KalmanMethod):
+    """What filter and smoother on the acceleration-driven model share; parameters as of `ExtendedKalmanFilter`."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        noise: Noise | None = None,
+        *,
+        biases: Sequence[str] = ("motor", "acceleration", "rate"),
+        damping: bool = True,
+        dtheta: bool = False,
+        rate: bool | None = None,
+        q: bool | None = None,
+        torque: bool | None = None,
+        dq: bool | None = None,
+        gate: float | None = None,
+        iterations: int = 1,
+        tolerances: bool = True,
+        start: Start = "auto",
+    ) -> None:
+        refuse_unsupported(robot, "a filter on the acceleration-driven model")
+        wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
+        super().__init__(robot, wanted, biases, gate, iterations, start)
+        self.noise = noise or Noise()
+        self._damping = damping
+        self._uncertain = considered(robot) if tolerances else []
+
+    def refuse_late(self, what: str) -> None:
+        """Raise `EstimatorError` where a sensor has a filter or delay inside, which ``what`` does not know."""
+        if is_late(self.robot):
+            raise EstimatorError(
+                f"{what} takes readings as they come, and robot.yaml gives a sensor a corner_frequency or a delay; "
+                "use a Kalman filter"
+            )
+
+    _run_all = staticmethod(_core.ExtendedKalmanFilter.run_all)
+
+    def _job(self, log: Log) -> Job[KalmanEstimate]:
+        kinds = self.kinds(log)
+        core = self.started_core(kinds, self.noise.for_log(log), first_readings(log), log.period)
+        return Job(log, core, self.arrays(log, kinds), partial(self._estimate, log, kinds))
+
+    def kinds(self, log: Log) -> tuple[str, ...]:
+        """Kinds of channels to use, in the filter's order."""
+        log.require("theta", purpose="the Kalman filter")
+        if self.robot.acceleration_channels:
+            log.require("acceleration", purpose="the Kalman filter")
+        return self._with_wanted(("motor", "acceleration"), log, "the Kalman filter")
+
+    def core(self, kinds: tuple[str, ...], noise: Noise, period: float) -> _core.ExtendedKalmanFilter:
+        """Build a filter of the core, without a sample yet, for channels of these kinds every ``period`` [s]."""
+        return _core.ExtendedKalmanFilter(
+            self.robot.core,
+            **self.settings(kinds, noise),
+            gate=self._gate,
+            iterations=self._iterations,
+            late=inside(self.robot, kinds, period),
+            told=[parameter.told for parameter in self._uncertain],
+        )
+
+    def started_core(
+        self, kinds: tuple[str, ...], noise: Noise, first: Readings, period: float
+    ) -> _core.ExtendedKalmanFilter:
+        """Build a filter of the core that starts where the ``first`` samples say."""
+        core = self.core(kinds, noise, period)
+        self._begin(core, first, kinds, noise, np.array(noise.arrays(self.robot, kinds)["jerk"]))
+        return core
+
+    def _state(self, moving: Moving, arrays: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
+        mean = np.concatenate([moving.q, moving.dq, moving.ddq])
+        return mean, np.concatenate([moving.q_std, moving.dq_std, moving.ddq_std])
+
+    def settings(self, kinds: tuple[str, ...], noise: Noise) -> dict[str, Any]:
+        """Settings of the model: its channels, which of them have a bias, noise, damping."""
+        return self._channels(kinds) | {"noise": noise.arrays(self.robot, kinds), "damping": self._damping}
+
+    def arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:
+        """Steps of time, readings, motor velocities and commanded jerk, one row a sample."""
+        signals = {"motor": log.theta, "acceleration": log.acceleration}
+        parts = [signals[k] if k in signals else getattr(log, k) for k in kinds]
+        readings = np.hstack([np.zeros((len(log), 0)) if part is None else part for part in parts])
+        if before is None:
+            log.require_start("a filter")
+        dt = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before.t[-1])
+        dtheta = log.dtheta if log.dtheta is not None else np.full_like(log.theta, np.nan)
+        return dt, np.ascontiguousarray(readings), dtheta, commanded_jerk(log, dt, before)
+
+
+class ExtendedKalmanFilter(
+    JerkDriven, DecidingFilter[_core.ExtendedKalmanFilter], JerkDrivenFilter[_core.ExtendedKalmanFilter]
+):
     """EKF on the acceleration-driven model: jerk moves the links, motor and sensors measure.
 
     Axelsson, Karlsson and Norrlöf, "Tool position estimation of a flexible industrial robot using recursive Bayesian
@@ -110,13 +206,20 @@ class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanF
         and where that is missing from the motor positions.
     dtheta
         Whether motor velocities measure the state, too: a second use of what the damping torque is computed from.
-    rate, q, torque
-        Whether gyroscopes, link encoders (``q_<joint>``) and joint torque sensors (``torque_<joint>``) are used; by
-        default where the log has them, in `step` not.
+    rate, q, torque, dq
+        Whether gyroscopes, link encoders (``q_<joint>``), joint torque sensors (``torque_<joint>``) and tachometers on
+        the links (``dq_<joint>``) are used; by default where the log has them, in `step` not.
     gate
         Leave a reading out when its innovation exceeds this many standard deviations; None uses all.
     iterations
         How often a sample's measurement is linearised; 1 is the plain update.
+    tolerances
+        Whether the ``tolerances`` of robot.yaml count in standard deviations, as far as independent sensors have not
+        narrowed them (Schmidt–Kalman); the estimate itself is the same.
+    start
+        The state at the first sample: ``"auto"``, the first 32 samples decide, be the robot at rest or in motion;
+        ``"rest"``; or a mean and a covariance of the state, with or without its biases. `step` answers at once: its
+        first rows are as uncertain as the samples up to then leave them.
 
     Raises
     ------
@@ -125,87 +228,47 @@ class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanF
 
     Notes
     -----
-    An accelerometer's ``corner_frequency`` and ``delay`` in robot.yaml are accounted for: each of its readings is used
-    at the time that it is of, so that a row then rests on readings that come up to the delay later.
+    ``corner_frequency`` and ``delay`` of accelerometers and gyroscopes in robot.yaml are accounted for: what the sensor
+    holds is part of the state, behind the biases. In `step` the first ``dt`` says how many samples a delay spans.
 
     A reading that is NaN is missing, which equals deleting it. Steps of time may vary, and sensors have rates of their
     own: leave NaN where a sensor has no sample.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        noise: Noise | None = None,
-        *,
-        biases: Sequence[str] = ("motor", "acceleration", "rate"),
-        damping: bool = True,
-        dtheta: bool = False,
-        rate: bool | None = None,
-        q: bool | None = None,
-        torque: bool | None = None,
-        gate: float | None = None,
-        iterations: int = 1,
-    ) -> None:
-        wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque}
-        super().__init__(robot, wanted, biases, gate, iterations)
-        self.noise = noise or Noise()
-        self._damping = damping
-
-    def _refuse_late(self, what: str) -> None:
-        if is_late(self.robot):
-            raise EstimatorError(
-                f"{what} takes readings as they come, and robot.yaml gives an accelerometer a corner_frequency or a "
-                "delay; call run on the whole log"
-            )
+    def step(self, **sample: Any) -> _core.State:
+        """Take one sample and give the state at its time; arguments as of `JerkDrivenFilter.step`."""
+        if not self._deciding():
+            return super().step(**sample)
+        noise = self.noise
+        jerk = np.array(noise.arrays(self.robot, self.live_kinds)["jerk"])
+        return self._decide(
+            sample, super().step, lambda first: self._begin(self._live, first, self.live_kinds, noise, jerk)
+        )
 
     @property
-    def _live_kinds(self) -> tuple[str, ...]:
+    def live_kinds(self) -> tuple[str, ...]:
         """Kinds of channels that `step` takes."""
         return ("motor", "acceleration", *(kind for kind, wanted in self._wanted.items() if wanted))
 
     def _start(self) -> _core.ExtendedKalmanFilter:
-        self._refuse_late("step")
-        return self._core(self._live_kinds, self.noise)
-
-    _run_all = staticmethod(_core.ExtendedKalmanFilter.run_all)
-
-    def _job(self, log: Log) -> Job[KalmanEstimate]:
-        kinds = self._kinds(log)
-        noise = self.noise.for_log(log)
-        if is_late(self.robot):
-            return self._late_job(log, kinds, noise)
-        finish = partial(self._estimate, log, kinds)
-        return Job(log, self._core(kinds, noise), self._arrays(log, kinds), finish)
-
-    def _late_job(self, log: Log, kinds: tuple[str, ...], noise: Noise) -> Job[KalmanEstimate]:
-        """Accelerometers with a filter or a delay inside: each reading is used at the time that it is of."""
-        assert log.acceleration is not None  # `_kinds` has asked for it
-        acceleration, late, factor = unfiltered(self.robot, log.acceleration, log.period)
-        arrays = self._arrays(replace(log, acceleration=acceleration), kinds)
-        lag = np.zeros(arrays[1].shape[1])
-        lag[self.robot.n :][: len(late)] = late
-        schedule = Schedule(log.t, lag)
-        core = self._core(kinds, noise, factor)
-
-        def finish(result: dict[str, Any]) -> KalmanEstimate:
-            return self._estimate(log, kinds, schedule.gather(result, arrays[1]))
-
-        return Job(log, core, schedule.spread(arrays, log.period), finish)
+        return self.core(self.live_kinds, self.noise, self._period)
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
         """Estimate a recording that comes piece by piece, in bounded memory.
 
         The same bits as `run` when ``noise.jerk`` is given; otherwise the scale of jerk is read off the first piece.
         """
-        self._refuse_late("run_pieces")
         core: _core.ExtendedKalmanFilter | None = None
         kinds: tuple[str, ...] = ()
         before: Log | None = None
+        first, pieces = with_first(pieces)
         for piece in pieces:
             if core is None:
-                kinds = self._kinds(piece)
-                core = self._core(kinds, self.noise.for_log(piece))
-            arrays = self._arrays(piece, kinds, before)
+                kinds = self.kinds(piece)
+            arrays = self.arrays(piece, kinds, before)
+            if core is None and first is not None:
+                core = self.started_core(kinds, self.noise.for_log(piece), first, piece.period)
+            assert core is not None  # there is a first piece
             try:
                 result = core.run(arrays, False, False)
             except NumericalError as error:
@@ -213,41 +276,8 @@ class ExtendedKalmanFilter(JerkDrivenFilter[_core.ExtendedKalmanFilter], KalmanF
             before = piece[-1:]
             yield self._estimate(piece, kinds, result)
 
-    def _kinds(self, log: Log) -> tuple[str, ...]:
-        """Kinds of channels to use, in the filter's order."""
-        log.require("theta", purpose="the Kalman filter")
-        if self.robot.acceleration_channels:
-            log.require("acceleration", purpose="the Kalman filter")
-        return self._with_wanted(("motor", "acceleration"), log, "the Kalman filter")
 
-    def _core(
-        self, kinds: tuple[str, ...], noise: Noise, factor: FloatArray | float = 1.0
-    ) -> _core.ExtendedKalmanFilter:
-        return _core.ExtendedKalmanFilter(
-            self.robot.core, **self._settings(kinds, noise, factor), gate=self._gate, iterations=self._iterations
-        )
-
-    def _settings(self, kinds: tuple[str, ...], noise: Noise, factor: FloatArray | float = 1.0) -> dict[str, Any]:
-        """Settings of the model: its channels, which of them have a bias, noise, damping."""
-        arrays = noise.arrays(self.robot, kinds)
-        sensors = slice(self.robot.n, self.robot.n + self._width("acceleration"))
-        factors = np.broadcast_to(factor, self._width("acceleration"))
-        arrays["reading"][sensors] = list(arrays["reading"][sensors] * factors)
-        return self._channels(kinds) | {"noise": arrays, "damping": self._damping}
-
-    def _arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:
-        """Steps of time, readings, motor velocities and commanded jerk, one row a sample."""
-        signals = {"motor": log.theta, "acceleration": log.acceleration}
-        parts = [signals[k] if k in signals else getattr(log, k) for k in kinds]
-        readings = np.hstack([np.zeros((len(log), 0)) if part is None else part for part in parts])
-        if before is None:
-            log.require_start("a filter")
-        dt = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before.t[-1])
-        dtheta = log.dtheta if log.dtheta is not None else np.full_like(log.theta, np.nan)
-        return dt, np.ascontiguousarray(readings), dtheta, commanded_jerk(log, dt, before)
-
-
-class RauchTungStriebelSmoother(ExtendedKalmanFilter):
+class RauchTungStriebelSmoother(JerkDriven):
     """Smoother: the estimate at each sample of a recording by all of its samples. Parameters as of the filter.
 
     Rauch, Tung and Striebel (1965), in Bierman's (1973) form on the filter's own updates, which inverts no
@@ -255,10 +285,6 @@ class RauchTungStriebelSmoother(ExtendedKalmanFilter):
     """
 
     _smooth = True
-
-    def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
-        """Not for a smoother, which needs what comes later; see `run`."""
-        raise EstimatorError("a smoother looks back from a recording's end; read the log whole and call run")
 
 
 def commanded_jerk(log: Log, dt: FloatArray, before: Log | None) -> FloatArray:

@@ -26,19 +26,22 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict
 
+from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.files.yaml_source import Source, write_yaml
 from linkside.recording.log import Log
 from linkside.robot import Robot
 from linkside.robot import compile as tree
 from linkside.robot.config import AccelerometerConfig
+from linkside.robot.workspace import workspace
 
-from .analysis import CheckReport, Sight, check, workspace
+from .analysis import check
+from .report import CheckReport
+from .result import Observability
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = npt.NDArray[np.float64]
 Criterion = Literal["condition", "covariance"]
 
 POSTURES = 256
@@ -80,7 +83,7 @@ class Placement:
     criterion: Criterion
     score: float
     before: float
-    q: Array
+    q: FloatArray
     log: Log | None
     alone: tuple[float, ...]
 
@@ -107,9 +110,11 @@ class Placement:
 
     def figure(self) -> Figure:
         """Draw where the set is singular, its singular postures marked, and how well each candidate does alone."""
-        from linkside.figures.plots import placement_figure
+        from .placement_figure import Scores, placement_figure
 
-        return placement_figure(self)
+        label = "worst condition number" if self.criterion == "condition" else "standard deviation [rad/s²]"
+        scores = Scores(self.alone, self.score, self.before, label)
+        return placement_figure(self.report, [sensor.name for sensor in self.chosen], scores)
 
     def write(self, path: str | Path) -> None:
         """Write the chosen ``accelerometers`` as robot.yaml has them."""
@@ -226,7 +231,7 @@ class _Search:
         self,
         robot: Robot,
         sensors: tuple[AccelerometerConfig, ...],
-        q: Array,
+        q: FloatArray,
         logs: Sequence[Log],
         share: float,
         criterion: Criterion,
@@ -242,12 +247,12 @@ class _Search:
         # Sets that see too little still compare: a trace of knowledge in all directions.
         self.trace = 1e-12 * np.trace(self.information.sum(axis=0), axis1=1, axis2=2).max() * np.eye(rows[0].shape[2])
         everything = _mounted(robot, sensors)
-        if not np.isfinite(Sight.of(everything, q).worst).any():
+        if not np.isfinite(Observability.of(everything, q).worst).any():
             raise EstimatorError(
                 "all candidates together do not tell the elastic joints apart; add some on other links, or more axes"
             )
 
-    def _rows(self) -> list[Array]:
+    def _rows(self) -> list[FloatArray]:
         """T_A over noise of each candidate, elastic joints alone, (T, axes, e)."""
         everything = _mounted(self.robot, self.sensors)
         matrix = everything.acceleration_map(self.q, np.zeros_like(self.q))[0][:, :, self.robot.elastic]
@@ -255,7 +260,7 @@ class _Search:
         blocks = np.split(matrix, ends[:-1], axis=1)
         return [block / sensor.noise_std for block, sensor in zip(blocks, self.sensors, strict=True)]
 
-    def _refuse_unseen(self, rows: list[Array]) -> None:
+    def _refuse_unseen(self, rows: list[FloatArray]) -> None:
         size = np.max([np.abs(block).max(axis=(0, 1)) for block in rows], axis=0)
         names = [name for name, elastic in zip(self.robot.names, self.robot.elastic, strict=True) if elastic]
         for name, seen in zip(names, size > 1e-9 * size.max(initial=0.0), strict=True):
@@ -271,18 +276,18 @@ class _Search:
         most = max(len(sensor.axes) for sensor in self.sensors)
         return max(1, -(-int(self.robot.elastic.sum()) // most))
 
-    def scores(self, sets: Sequence[tuple[int, ...]]) -> Array:
+    def scores(self, sets: Sequence[tuple[int, ...]]) -> FloatArray:
         """Of several sets, to compare them."""
         return np.array([self._score(self._sum(chosen)) for chosen in sets])
 
-    def _sum(self, chosen: tuple[int, ...]) -> Array:
+    def _sum(self, chosen: tuple[int, ...]) -> FloatArray:
         return np.asarray(self.information[list(chosen)].sum(axis=0) + self.trace)
 
     def _volume(self, chosen: tuple[int, ...]) -> float:
         """What a set tells even if it is too small to have a score: its log-determinant, over all postures."""
         return float(np.linalg.slogdet(self._sum(chosen))[1].mean())
 
-    def _score(self, information: Array) -> float:
+    def _score(self, information: FloatArray) -> float:
         values = np.linalg.eigvalsh(information)
         if self.criterion == "condition":
             return float(np.quantile(np.sqrt(values[:, -1] / values[:, 0]), self.share, method="lower"))
@@ -337,10 +342,10 @@ class _Search:
         return self._exact(_mounted(self.robot, tuple(self.sensors[i] for i in chosen)))
 
     def _exact(self, robot: Robot) -> float:
-        sight = Sight.of(robot, self.q)
+        observability = Observability.of(robot, self.q)
         if self.criterion == "condition":
-            return float(np.quantile(sight.condition, self.share, method="lower"))
-        variance = np.sort(np.sum(sight.joints**2, axis=1))
+            return float(np.quantile(observability.condition, self.share, method="lower"))
+        variance = np.sort(np.sum(observability.joints**2, axis=1))
         return float(np.sqrt(variance[: max(1, int(self.share * len(variance)))].mean()))
 
     def result(self, best: tuple[int, ...]) -> Placement:
@@ -367,7 +372,9 @@ def _candidates(
     return checked
 
 
-def _postures(robot: Robot, postures: Log | Sequence[Log] | npt.ArrayLike | None) -> tuple[Array, Sequence[Log], float]:
+def _postures(
+    robot: Robot, postures: Log | Sequence[Log] | npt.ArrayLike | None
+) -> tuple[FloatArray, Sequence[Log], float]:
     """Postures, evenly thinned out, the recordings that they are from, and the share of them that counts."""
     if postures is None:
         return workspace(robot)[:POSTURES], (), WORKSPACE_SHARE

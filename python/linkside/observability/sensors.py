@@ -17,12 +17,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.robot import Robot
 from linkside.robot import compile as tree
 from linkside.robot.config import AccelerometerConfig
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,20 +44,20 @@ class AccelerationMap:
         Which joints' accelerations are unknown.
     """
 
-    matrix: Array
-    bias: Array
-    noise_std: Array
+    matrix: FloatArray
+    bias: FloatArray
+    noise_std: FloatArray
     channels: tuple[str, ...]
     joints: tuple[str, ...]
     elastic: NDArray[np.bool_]
 
     @cached_property
-    def whitened(self) -> Array:
+    def whitened(self) -> FloatArray:
         """Elastic columns of T_A, each row over its noise, (M, n_elastic) [1/(rad/s²)]."""
         return self.matrix[:, self.elastic] / self.noise_std[:, None]
 
     @cached_property
-    def _svd(self) -> tuple[Array, Array]:
+    def _svd(self) -> tuple[FloatArray, FloatArray]:
         """All n_elastic singular values, falling, those below rounding as 0, and their directions as rows."""
         _, values, directions = np.linalg.svd(self.whitened, full_matrices=True)
         padded = np.zeros(directions.shape[0])
@@ -67,7 +66,7 @@ class AccelerationMap:
         return np.where(padded > rounding, padded, 0.0), directions
 
     @property
-    def singular_values(self) -> Array:
+    def singular_values(self) -> FloatArray:
         """Singular values of `whitened`, falling, (n_elastic,) [1/(rad/s²)].
 
         One over the least is the standard deviation of the worst combination of link accelerations.
@@ -83,12 +82,12 @@ class AccelerationMap:
         return float(values[0] / values[-1]) if values[-1] > 0 else np.inf
 
     @property
-    def worst_direction(self) -> Array:
+    def worst_direction(self) -> FloatArray:
         """The combination of elastic joints' accelerations that is seen worst, a unit vector (n_elastic,)."""
         return self._svd[1][-1] if self.singular_values.size else np.zeros(0)
 
     @cached_property
-    def acceleration_std(self) -> Array:
+    def acceleration_std(self) -> FloatArray:
         """Standard deviation of each elastic joint's acceleration, (n_elastic,) [rad/s²]; inf where not seen.
 
         Square root of the diagonal of (T_Aᵀ R⁻¹ T_A)⁻¹, by way of singular values and never of that product.
@@ -131,7 +130,7 @@ def acceleration_map(robot: Robot, q: ArrayLike, dq: ArrayLike | None = None) ->
     )
 
 
-def _kinematics(robot: Robot, q: Array, dq: Array) -> Any:
+def _kinematics(robot: Robot, q: FloatArray, dq: FloatArray) -> Any:
     data = robot.model.createData()
     position, velocity = robot.to_pinocchio(q), robot.velocity_to_pinocchio(dq)
     pin.forwardKinematics(robot.model, data, position, velocity, np.zeros(robot.n))
@@ -139,7 +138,7 @@ def _kinematics(robot: Robot, q: Array, dq: Array) -> Any:
     return data
 
 
-def _rows(robot: Robot, data: Any, sensor: AccelerometerConfig) -> tuple[Array, Array]:
+def _rows(robot: Robot, data: Any, sensor: AccelerometerConfig) -> tuple[FloatArray, FloatArray]:
     """Rows of one accelerometer, in sensor axes: T_A, and W_A from the classical acceleration at q̈ = 0."""
     joint, pose = tree.mount(robot.model, sensor)
     local = (robot.model, data, joint, pose, pin.ReferenceFrame.LOCAL)
@@ -150,7 +149,7 @@ def _rows(robot: Robot, data: Any, sensor: AccelerometerConfig) -> tuple[Array, 
     return jacobian[axes], (centripetal - gravity)[axes]
 
 
-def _state(name: str, value: ArrayLike, n: int) -> Array:
+def _state(name: str, value: ArrayLike, n: int) -> FloatArray:
     array = np.asarray(value, dtype=np.float64)
     if array.shape != (n,):
         raise EstimatorError(f"{name}: expected shape ({n},), got {array.shape}")

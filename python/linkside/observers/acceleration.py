@@ -7,26 +7,21 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Literal, overload
 
 import numpy as np
-import numpy.typing as npt
 
 from linkside import _core
-from linkside.errors import EstimatorError, LogError, NumericalError
+from linkside.arguments import one_of
+from linkside.arrays import FloatArray, Signal
+from linkside.errors import EstimatorError, NumericalError
 from linkside.recording.batch import Copies, Job, run_each
+from linkside.recording.continuity import longest_dropout, refuse_dropouts, refuse_uneven
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.requirements import refuse_unsupported
 
 from .poles import PolePattern, damped
 
-FloatArray = npt.NDArray[np.float64]
-Signal = FloatArray | Sequence[float]
 Poles = float | PolePattern | Mapping[str, "PolePattern | Sequence[complex]"]
-
-LONGEST_DROPOUT = 0.05
-"""An observer bridges readings that are missing for up to this long [s]."""
-
-UNEVEN = 0.2
-"""A step of time may differ from the period by this share of it."""
 
 
 class AccelerationObserver(Copies):
@@ -62,7 +57,7 @@ class AccelerationObserver(Copies):
     ------
     EstimatorError
         Poles that are unstable, unpaired, too many, too few or too fast for the sampling period; fewer measured
-        accelerations than elastic joints.
+        accelerations than elastic joints; what `robot.requirements` lists.
 
     Notes
     -----
@@ -88,9 +83,11 @@ class AccelerationObserver(Copies):
         worst_acceleration_std: float = 10.0,
         start: Literal["auto", "rest"] = "auto",
     ) -> None:
-        _one_of("start", start, ("auto", "rest"))
-        _one_of("form", form, ("current", "predictor"))
-        _one_of("accelerations", accelerations, ("sensors", "joints"))
+        one_of("start", start, ("auto", "rest"))
+        one_of("form", form, ("current", "predictor"))
+        one_of("accelerations", accelerations, ("sensors", "joints"))
+        on_joints = " on joint accelerations" if accelerations == "joints" else ""
+        refuse_unsupported(robot, f"the acceleration-driven observer{on_joints}")
         self.robot, self.form, self.accelerations = robot, form, accelerations
         self.worst_acceleration_std = worst_acceleration_std
         self.poles = {name: _joint_poles(poles, name, order) for name, order in _orders(robot, bias).items()}
@@ -179,7 +176,7 @@ class AccelerationObserver(Copies):
             core = core or self._designed(piece.period)
             arrays = self._arrays(piece, seen, first)
             try:
-                result = core.run(*arrays)
+                result: dict[str, Any] = core.run(*arrays)
             except NumericalError as error:
                 raise NumericalError(f"{piece.source}: {error}") from None
             seen, first = piece[-longest_dropout(piece) :], first + len(piece)
@@ -228,56 +225,9 @@ class AccelerationObserver(Copies):
         return log.theta, tau, getattr(log, self._signal)
 
 
-def longest_dropout(log: Log) -> int:
-    """Rows for which an observer bridges a missing reading."""
-    return max(1, round(LONGEST_DROPOUT / log.period))
-
-
-def refuse_uneven(log: Log, before: Log | None = None, first: int = 0) -> None:
-    """Raise `LogError` at the first step of time that is not the period, for methods that need an even rate."""
-    steps = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before.t[-1])
-    off = np.abs(steps - log.period) > UNEVEN * log.period
-    if off.any():
-        row = int(np.argmax(off))
-        raise LogError(
-            f"{log.source}: row {first + row} (t = {log.t[row]:.6g}): {steps[row]:.6g} s after the row before, where "
-            f"the period is {log.period:.6g} s; this estimator needs an even rate, so resample the log"
-        )
-
-
-def refuse_dropouts(
-    log: Log, signal: str, channels: npt.NDArray[np.bool_], before: Log | None = None, first: int = 0
-) -> None:
-    """Raise `LogError` where one of a signal's ``channels`` is missing for longer than an observer can bridge."""
-    values = getattr(log, signal)
-    if values is None:
-        return
-    missing = np.isnan(values) & channels
-    earlier = np.zeros((0, missing.shape[1]), bool) if before is None else np.isnan(getattr(before, signal)) & channels
-    if not missing.any():
-        return
-    # A run of more than `longest` rows: the count of missing rows over a window equals its length.
-    longest = longest_dropout(log)
-    counts = np.cumsum(np.vstack([np.zeros((1, missing.shape[1]), int), earlier, missing]), axis=0)
-    runs = counts[longest + 1 :] - counts[: -longest - 1] > longest
-    if runs.any():
-        start, channel = np.argwhere(runs)[0]
-        row = int(start) - len(earlier)
-        time = log.t[0] + row * log.period
-        raise LogError(
-            f"{log.source}: row {first + row} (t = {time:.6g}): '{log.columns(signal)[int(channel)]}' is missing for "
-            f"more than {LONGEST_DROPOUT} s, longer than an observer can bridge"
-        )
-
-
 def _named(message: str, joints: Sequence[str]) -> str:
     """Joints by their names, which the core does not know."""
     return re.sub(r"\bjoint (\d+)", lambda match: f"joint '{joints[int(match[1])]}'", message)
-
-
-def _one_of(name: str, value: object, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        raise EstimatorError(f"{name} is {value!r}, expected one of {', '.join(map(repr, allowed))}")
 
 
 def _orders(robot: Robot, bias: bool) -> dict[str, int]:

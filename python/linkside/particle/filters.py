@@ -11,6 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside import _core
+from linkside.arguments import one_of, whole
+from linkside.arrays import FloatArray
+from linkside.channels import OUTLIERS, widths
 from linkside.errors import EstimatorError, NumericalError
 from linkside.kalman.jerk_driven import ExtendedKalmanFilter, JerkDrivenFilter
 from linkside.kalman.noise import Noise
@@ -18,11 +21,6 @@ from linkside.recording.batch import Job, run_each
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
-
-FloatArray = npt.NDArray[np.float64]
-
-OUTLIERS = ("motor", "acceleration", "rate", "q", "torque")
-"""Kinds of channels whose noise may have heavy tails."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +46,7 @@ class ParticleEstimate(Estimate):
     Attributes
     ----------
     effective : (T,)
-        Effective number of particles 1/Σw², before particles are chosen anew.
+        Effective number of particles 1/Σw², before resampling.
     log_likelihood : (T,)
         Logarithm of the probability density of the sample's readings, given those before, as the particles have it.
     used : (T,)
@@ -98,10 +96,10 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
     resampling
         ``"systematic"``, ``"stratified"``, ``"residual"`` or ``"multinomial"``.
     threshold
-        Particles are chosen anew when fewer than this share of N is effective.
+        Particles are resampled when fewer than this share of N is effective.
     kernel
         Width of the normal density that then spreads copies, relative to the cloud (Liu and West 2001); mean and
-        covariance are kept. None leaves copies where they are, and chance in the mean.
+        covariance are kept. None leaves copies where they are, and Monte-Carlo error in the mean.
     outliers
         Noise that is not normal, by kind of channel: degrees of freedom of Student's density, or a `Mixture`, such as
         ``{"acceleration": 4.0}`` or ``{"acceleration": Mixture(share=0.02, scale=50)}``.
@@ -154,17 +152,16 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         torque: bool | None = None,
     ) -> None:
         super().__init__()
-        if collapse not in ("raise", "recover"):
-            raise EstimatorError(f"collapse is {collapse!r}, expected 'raise' or 'recover'")
+        one_of("collapse", collapse, ("raise", "recover"))
         self.robot = robot
         self._front = ExtendedKalmanFilter(robot, noise, biases=biases, damping=damping, rate=rate, q=q, torque=torque)
         self.noise = self._front.noise
         self._outliers = _by_kind(outliers or {})
         self._settings = {
-            "particles": _whole("particles", particles),
-            "seed": _whole("seed", seed) % 2**64,
+            "particles": whole("particles", particles),
+            "seed": whole("seed", seed) % 2**64,
             "proposal": proposal,
-            "iterations": _whole("iterations", iterations),
+            "iterations": whole("iterations", iterations),
             "proposal_tail": proposal_tail,
             "resampling": resampling,
             "threshold": threshold,
@@ -174,7 +171,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
             "recover": collapse == "recover",
             "quantiles": list(quantiles),
         }
-        self._core(self._front._live_kinds, self.noise)  # settings are checked at once
+        self._core(self._front.live_kinds, self.noise)  # settings are checked at once
 
     @overload
     def run(self, log: Log, *, covariance: bool = False) -> ParticleEstimate: ...
@@ -227,7 +224,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
             if core is None:
                 core, kinds = self._prepared(piece)
             try:
-                result = core.run(self._front._arrays(piece, kinds, before), False)
+                result = core.run(self._front.arrays(piece, kinds, before), False)
             except NumericalError as error:
                 raise NumericalError(f"{piece.source}: {error}") from None
             before = piece[-1:]
@@ -239,7 +236,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         return self._live.effective
 
     def _start(self) -> _core.ParticleFilter:
-        return self._core(self._front._live_kinds, self.noise)
+        return self._core(self._front.live_kinds, self.noise)
 
     def _recorded(
         self, log: Log | Sequence[Log], *, smooth: bool, covariance: bool
@@ -248,17 +245,17 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
 
     def _job(self, log: Log) -> Job[ParticleEstimate]:
         core, kinds = self._prepared(log)
-        return Job(log, core, self._front._arrays(log, kinds), partial(self._estimate, log, kinds))
+        return Job(log, core, self._front.arrays(log, kinds), partial(self._estimate, log, kinds))
 
     def _prepared(self, log: Log) -> tuple[_core.ParticleFilter, tuple[str, ...]]:
-        kinds = self._front._kinds(log)
+        kinds = self._front.kinds(log)
         return self._core(kinds, self.noise.for_log(log)), kinds
 
     def _core(self, kinds: tuple[str, ...], noise: Noise) -> _core.ParticleFilter:
-        self._front._refuse_late("a particle filter")
-        settings = self._front._settings(kinds, noise)
-        widths = [self._front._width(kind) for kind in kinds]
-        outliers = [self._outliers.get(kind) for kind, width in zip(kinds, widths, strict=True) for _ in range(width)]
+        self._front.refuse_late("a particle filter")
+        settings = self._front.settings(kinds, noise)
+        each = zip(kinds, widths(self.robot, kinds), strict=True)
+        outliers = [self._outliers.get(kind) for kind, width in each for _ in range(width)]
         return _core.ParticleFilter(
             self.robot.core,
             **settings,
@@ -267,7 +264,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         )
 
     def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> ParticleEstimate:
-        channels = self._front._columns(log, kinds)
+        channels = self._front.columns(log, kinds)
         return ParticleEstimate(t=log.t, names=self.robot.names, channels=channels, **result)
 
 
@@ -300,12 +297,6 @@ class MarginalizedParticleFilter(ParticleFilter):
     ) -> None:
         self._marginalised = "accelerations" if accelerations else "biases"  # what settings are checked for
         super().__init__(robot, noise, **settings)
-
-
-def _whole(name: str, value: Any) -> int:
-    if not isinstance(value, int | np.integer) or value < 0:
-        raise EstimatorError(f"{name} is {value!r}, expected a whole number of at least 0")
-    return int(value)
 
 
 def _by_kind(outliers: Mapping[str, float | Mixture]) -> dict[str, float | tuple[float, float]]:

@@ -3,33 +3,28 @@
 from __future__ import annotations
 
 import itertools
-import os
-import uuid
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from enum import IntFlag
 from pathlib import Path
-from types import TracebackType
-from typing import IO, TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.csv
-import pyarrow.parquet as pq
 
-from linkside.errors import EstimatorError, LogError, OutputError
+from linkside.arrays import FloatArray
+from linkside.errors import EstimatorError, LogError
 from linkside.files.tables import numbers, open_table
+from linkside.findings import Finding
+
+from .times import counterparts
+from .writer import EstimateWriter
 
 if TYPE_CHECKING:
     import pandas  # type: ignore[import-untyped]
     import polars
-
-FloatArray: TypeAlias = npt.NDArray[np.float64]
-
-# Rows a group of a Parquet file. A writer regroups what it is given, so that the file does not depend on it.
-_GROUP = 131_072
 
 
 class Status(IntFlag):
@@ -50,7 +45,9 @@ class Status(IntFlag):
     UNWRAPPED = 32
     """An encoder wrapped, and its jump was taken out."""
     CONTRADICTED = 64
-    """The readings have contradicted the model for a while: the estimate may be far off."""
+    """Readings contradict the model: the row and its standard deviations are not to be believed; see ``findings``."""
+    FAULTY = 128
+    """One channel contradicts the model and all other channels; see ``findings``."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -77,6 +74,10 @@ class Estimate:
         Standard deviations, where the method has a covariance [rad, m].
     covariance : (T, k, k), optional
         Covariance of the method's state. It is kept in memory only: files have the standard deviations.
+    nis : (T,), optional
+        Normalised innovation squared, where the method has innovations; its mean should be the number of readings used.
+    findings : tuple of Finding
+        Contradictions between readings and model, from the recording's start on; not in files.
     """
 
     t: FloatArray
@@ -91,6 +92,8 @@ class Estimate:
     q_std: FloatArray | None = None
     tool_std: FloatArray | None = None
     covariance: FloatArray | None = None
+    nis: FloatArray | None = None
+    findings: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:
         """Check shapes, once."""
@@ -101,7 +104,7 @@ class Estimate:
             array = getattr(self, name)
             if array is not None and array.shape != shape:
                 raise EstimatorError(f"{name} of an estimate has shape {array.shape}, expected {shape}")
-        for name in ("t", "status", "covariance"):
+        for name in ("t", "status", "covariance", "nis"):
             array = getattr(self, name)
             if array is not None and (len(array) != rows or array.ndim != (3 if name == "covariance" else 1)):
                 raise EstimatorError(f"{name} of an estimate has shape {array.shape} for {rows} rows")
@@ -191,7 +194,7 @@ class Estimate:
         """
         source = "the truth" if isinstance(truth, Estimate) else str(truth)
         truth = truth if isinstance(truth, Estimate) else Estimate.read(truth)
-        rows = _counterparts(self.t, truth.t, source)
+        rows = counterparts(self.t, truth.t, source)
         ours, theirs = self.columns(), truth.columns()
         signals = [f"{s}_{joint}" for s in ("q", "dq", "ddq", "theta", "dtheta") for joint in self.names]
         errors = {s: ours[s] - theirs[s][rows] for s in signals if s in ours and s in theirs}
@@ -219,7 +222,7 @@ class Estimate:
         return f"Estimate({len(self)} rows, {len(self.names)} joints, {groups}; status: {status or 'none'})"
 
     def _form(self) -> tuple[tuple[str, ...], list[str]]:
-        arrays = (f.name for f in fields(self) if f.name not in ("names", "channels"))
+        arrays = (f.name for f in fields(self) if f.name not in ("names", "channels", "findings"))
         there = [name for name in arrays if getattr(self, name) is not None]
         return self.names, there
 
@@ -266,161 +269,15 @@ class EstimateError:
         return cls(rms, largest, _rms(distance), float(distance.max()), _rms(centred), float(centred.max()))
 
 
-class EstimateWriter:
-    """Writes estimates, piece by piece, into one Parquet or CSV file in bounded memory.
-
-    The file is whole or not there: it appears under its name, in place of an older one, when the ``with``
-    block ends without an exception. What is in it does not depend on how it was cut into pieces.
-
-    Parameters
-    ----------
-    path
-        A file that ends in ``.parquet`` or ``.csv``. That it can be written is checked at once.
-
-    Raises
-    ------
-    OutputError
-        When it cannot be written: one line with the file.
-    """
-
-    def __init__(self, path: str | Path) -> None:
-        """Check that the file can be written; writing starts with the ``with`` block."""
-        check_writable(path)
-        self._path = Path(path)
-        self._part: Path | None = None
-        self._file: IO[bytes] | None = None
-        self._sink: pq.ParquetWriter | pa.csv.CSVWriter | None = None
-        self._schema: pa.Schema | None = None
-        self._held: list[pa.Table] = []
-        self._rows = 0
-
-    def __enter__(self) -> EstimateWriter:
-        """Open a temporary file next to the one to be."""
-        with _writing(self._path):
-            self._part, self._file = _open_part(self._path)
-        return self
-
-    def write(self, estimate: Estimate) -> None:
-        """Add rows; every estimate has the joints and columns of the first."""
-        if self._file is None:
-            raise OutputError(f"{self._path}: rows are written inside the `with` block of a writer")
-        table = estimate.to_arrow()
-        if self._sink is None:
-            with _writing(self._path):
-                self._sink = _sink(self._path, self._file, table.schema)
-            self._schema = table.schema
-        if table.schema != self._schema:
-            raise EstimatorError(f"{self._path}: {estimate!r} has other columns than the rows before")
-        self._held.append(table)
-        self._rows += len(table)
-        if self._rows >= _GROUP:
-            self._flush(_GROUP)
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Make the file visible, or remove every trace of it."""
-        try:
-            if kind is None:
-                self._publish()
-        finally:
-            self._discard()
-
-    def _flush(self, group: int) -> None:
-        """Write whole groups, and hold the rest back."""
-        rows = pa.concat_tables(self._held)
-        whole = self._rows - self._rows % group
-        assert self._sink is not None  # it exists from the first rows on
-        with _writing(self._path):
-            for start in range(0, whole, group):
-                self._sink.write_table(rows.slice(start, group).combine_chunks())
-        self._held, self._rows = [rows.slice(whole)], self._rows - whole
-
-    def _publish(self) -> None:
-        if self._sink is None or self._file is None or self._part is None:
-            raise OutputError(f"{self._path}: no estimate was written")
-        if self._rows:
-            self._flush(self._rows)
-        with _writing(self._path):
-            self._sink.close()
-            self._file.flush()
-            os.fsync(self._file.fileno())  # or a power cut could leave the name on an empty file
-            self._file.close()
-            os.replace(self._part, os.path.realpath(self._path))
-
-    def _discard(self) -> None:
-        if self._sink is not None:  # before its file: it would complain when collected
-            with suppress(OSError, pa.ArrowException):
-                self._sink.close()
-        if self._file is not None:
-            self._file.close()
-        if self._part is not None:
-            self._part.unlink(missing_ok=True)
-        self._file, self._sink, self._held = None, None, []
-
-
-def write_text(path: str | Path, text: str) -> None:
-    """Write a small file whole or not at all; `OutputError` when that cannot be."""
-    path = Path(path)
-    with _writing(path):
-        part, file = _open_part(path)
-        with file:
-            file.write(text.encode())
-        os.replace(part, os.path.realpath(path))
-
-
-def check_writable(path: str | Path, suffixes: tuple[str, ...] = (".parquet", ".csv")) -> None:
-    """Raise `OutputError` when a file could not be written to ``path``; nothing there is changed."""
-    path = Path(path)
-    if path.suffix.lower() not in suffixes:
-        raise OutputError(f"{path}: a file that ends in {' or '.join(suffixes)} is expected")
-    with _writing(path):
-        if path.exists() and not path.is_file():
-            raise OutputError(f"{path}: this is not a file, and is in the way")
-        if path.exists() and not os.access(path, os.W_OK):
-            raise OutputError(f"{path}: this file must not be written")
-        folder = Path(os.path.realpath(path)).parent
-        if not folder.is_dir():
-            raise OutputError(f"{path}: there is no directory {folder}")
-        part, file = _open_part(path)  # only an attempt tells of full disks and read-only file systems
-        file.close()
-        part.unlink()
-
-
-def _open_part(path: Path) -> tuple[Path, IO[bytes]]:
-    """Create a file beside ``path``, on the same file system, with the permissions of any new file."""
-    target = Path(os.path.realpath(path))
-    part = target.with_name(f".{uuid.uuid4().hex}.part")
-    return part, part.open("xb")
-
-
-def _sink(path: Path, file: IO[bytes], schema: pa.Schema) -> pq.ParquetWriter | pa.csv.CSVWriter:
-    if path.suffix.lower() == ".csv":
-        return pa.csv.CSVWriter(file, schema)
-    # A dictionary of floats that hardly repeat only costs time.
-    return pq.ParquetWriter(file, schema, compression="zstd", use_dictionary=False)
-
-
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OutputError:
-        raise
-    except (OSError, ValueError, pa.ArrowException) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
-        raise OutputError(" ".join(f"{path}: cannot be written: {reason}".splitlines())) from error
-
-
 def _groups(names: tuple[str, ...]) -> dict[str, list[str]]:
     """Columns of a file by field of `Estimate`, in order."""
     groups = {s: [f"{s}_{joint}" for joint in names] for s in ("q", "dq", "ddq", "theta", "dtheta", "q_std")}
-    groups |= {"t": ["t"], "status": ["status"]}
+    groups |= {"t": ["t"], "status": ["status"], "nis": ["nis"]}
     groups |= {
         "tool_position": [f"tool_{axis}" for axis in "xyz"],
         "tool_std": [f"tool_std_{axis}" for axis in "xyz"],
     }
-    order = ("t", "q", "dq", "ddq", "theta", "dtheta", "tool_position", "q_std", "tool_std", "status")
+    order = ("t", "q", "dq", "ddq", "theta", "dtheta", "tool_position", "q_std", "tool_std", "nis", "status")
     return {group: groups[group] for group in order}
 
 
@@ -450,20 +307,9 @@ def _complete(arrays: dict[str, FloatArray], joints: int, source: str) -> dict[s
         raise LogError(f"{source}: column 'status' has a value that is no status")
     missing = {name: np.full((rows, joints), np.nan) for name in ("dq", "theta", "dtheta") if name not in arrays}
     flat = {"t": t, "status": status.reshape(-1).astype(np.uint8)}
+    if "nis" in arrays:
+        flat["nis"] = arrays.pop("nis").reshape(-1)
     return arrays | missing | flat
-
-
-def _counterparts(t: FloatArray, truth: FloatArray, source: str) -> npt.NDArray[np.intp]:
-    """Rows of the truth at the times of an estimate."""
-    if len(t) == 0 or len(truth) == 0:
-        raise EstimatorError(f"there is nothing to compare: {len(t)} rows against {len(truth)} in {source}")
-    tolerance = 0.01 * float(np.median(np.diff(truth))) if len(truth) > 1 else 1e-9
-    rows = np.clip(np.searchsorted(truth, t - tolerance), 0, len(truth) - 1)
-    apart = ~(np.abs(truth[rows] - t) <= tolerance)
-    if apart.any():
-        row = int(np.argmax(apart))
-        raise EstimatorError(f"times differ: row {row} (t = {t[row]:.9g}) has no counterpart in {source}")
-    return rows
 
 
 def _rms(error: FloatArray) -> float:

@@ -11,20 +11,22 @@ import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.csv
 
+from linkside.arrays import FloatArray
+from linkside.channels import CHANNELS, joint_columns
 from linkside.errors import EstimatorError, LogError
 from linkside.files.tables import column_names, failure, numbers, open_table, reading, to_arrow
+from linkside.recording.checks.finding import Finding
+from linkside.recording.checks.inspector import Inspector, able
 
-FloatArray: TypeAlias = npt.NDArray[np.float64]
-
-JOINT_SIGNALS = ("theta", "dtheta", "tau", "q", "ddq", "torque", "qref", "dqref", "ddqref")
-"""Signals with one column a joint, ``<signal>_<joint>``."""
+UNMEASURED = ("tau", "ddq", "qref", "dqref", "ddqref")
+"""Signals with one column a joint, ``<signal>_<joint>``, beside the channels that filters correct with."""
 
 LARGEST_STEP = 1.5
 """A step of time longer than this many periods is a gap: at least one sample is not there."""
@@ -96,8 +98,8 @@ class Log:
         Accelerometers: specific force in the sensor's axes [m/s²].
     rate : (T, g)
         Gyroscopes: angular velocity in the sensor's axes [rad/s].
-    q, ddq : (T, n)
-        Link positions [rad] and accelerations [rad/s²], where sensors measure them.
+    q, dq, ddq : (T, n)
+        Link positions [rad], velocities [rad/s] and accelerations [rad/s²], where sensors measure them.
     torque : (T, n)
         Joint torque sensors: what the transmission gives the link [N m].
     qref, dqref, ddqref : (T, n)
@@ -106,6 +108,8 @@ class Log:
         Where it came from, for messages.
     period : float
         Median step of ``t`` at the beginning of the recording [s].
+    findings : tuple of Finding
+        What the checks found suspicious, or put right, while it was read.
     """
 
     t: FloatArray
@@ -115,6 +119,7 @@ class Log:
     acceleration: FloatArray | None
     rate: FloatArray | None
     q: FloatArray | None
+    dq: FloatArray | None
     ddq: FloatArray | None
     torque: FloatArray | None
     qref: FloatArray | None
@@ -123,9 +128,10 @@ class Log:
     source: str
     period: float
     _layout: _Layout
+    findings: tuple[Finding, ...] = ()
 
     @classmethod
-    def read(cls, path: str | Path, robot: RobotColumns, *, allow_gaps: bool = False) -> Log:
+    def read(cls, path: str | Path, robot: RobotColumns, *, allow_gaps: bool = False, check: bool = True) -> Log:
         """Read a Parquet or CSV file (``.parquet``, ``.csv``, ``.csv.gz``); only the columns needed.
 
         Parameters
@@ -136,6 +142,10 @@ class Log:
             Whose columns to look for.
         allow_gaps
             Keep steps of time longer than 1.5 periods instead of refusing them.
+        check
+            Look at the readings before they are believed: units, signs, jumps, stuck channels and more, as
+            `linkside.recording.checks.CHECKS` lists them. What is impossible is refused, what is certain put right, and
+            what is suspicious warned of with a `RecordingWarning`.
 
         Raises
         ------
@@ -144,10 +154,12 @@ class Log:
         """
         file = open_table(path)
         layout = _Layout.of(robot, file.names, file.source)
-        return _whole(file.read(layout.present), layout, file.source, allow_gaps)
+        return _whole(file.read(layout.present), layout, file.source, allow_gaps, _inspector(robot, file.source, check))
 
     @classmethod
-    def from_table(cls, table: Any, robot: RobotColumns, source: str = "table", *, allow_gaps: bool = False) -> Log:
+    def from_table(
+        cls, table: Any, robot: RobotColumns, source: str = "table", *, allow_gaps: bool = False, check: bool = True
+    ) -> Log:
         """Take a recording from a pandas or Polars data frame, an Arrow table, or a dict of arrays.
 
         Memory is borrowed where its order allows, so leave the table alone while the log is in use. Raises
@@ -156,16 +168,18 @@ class Log:
         with reading(source):
             layout = _Layout.of(robot, column_names(table, source), source)
             selected = to_arrow(table, layout.present, source)
-        return _whole(selected, layout, source, allow_gaps)
+        return _whole(selected, layout, source, allow_gaps, _inspector(robot, source, check))
 
     @staticmethod
-    def stream(path: str | Path, robot: RobotColumns, rows: int = 65_536, *, allow_gaps: bool = False) -> LogStream:
+    def stream(
+        path: str | Path, robot: RobotColumns, rows: int = 65_536, *, allow_gaps: bool = False, check: bool = True
+    ) -> LogStream:
         """Read a file piece by piece, in bounded memory: an iterable of logs of ``rows`` rows each.
 
         The file, its columns and its period are checked at once, each piece as it is read, and time across
         the borders of pieces. Together the pieces equal ``Log.read`` bit for bit.
         """
-        return LogStream(path, robot, rows, allow_gaps=allow_gaps)
+        return LogStream(path, robot, rows, allow_gaps=allow_gaps, check=check)
 
     def require(self, *signals: str, purpose: str = "this estimator") -> None:
         """Insist on the columns of some signals: ``log.require("tau", "acceleration")``.
@@ -234,25 +248,30 @@ class LogStream:
         Median step of ``t`` at the beginning [s].
     """
 
-    def __init__(self, path: str | Path, robot: RobotColumns, rows: int, *, allow_gaps: bool) -> None:
+    def __init__(
+        self, path: str | Path, robot: RobotColumns, rows: int, *, allow_gaps: bool, check: bool = True
+    ) -> None:
         """Open a file and check its columns; `Log.stream` is the way in."""
         if rows < 1:
             raise EstimatorError(f"a stream's pieces have at least one row, not {rows}")
         self._file = open_table(path)
-        self._rows, self._allow_gaps = rows, allow_gaps
+        self._rows, self._allow_gaps, self._robot, self._checked = rows, allow_gaps, robot, check
         self.source, self.count = self._file.source, self._file.count
         self._layout = _Layout.of(robot, self._file.names, self.source)
         (time,) = self._layout.wanted["t"]
         head = next(self._file.batches([time], _HEAD), pa.table({time: pa.array([], pa.float64())}))
-        self.period = _period(numbers(head, time, self.source), self.source)
+        period = _period(numbers(head, time, self.source), self.source)
+        self._seconds = 1.0 if (i := _inspector(robot, self.source, check)) is None else i.seconds(period, time)
+        self.period = self._seconds * period
 
     def __iter__(self) -> Iterator[Log]:
         """Read from the beginning, each piece checked before it is handed out."""
         check = _Check(self.source, self._layout, self.period, self._allow_gaps)
+        inspector = _inspector(self._robot, self.source, self._checked)
         for piece in self._file.batches(self._layout.present, self._rows):
-            log = _assemble(piece, self._layout, self.source, self.period)
+            log = _assemble(piece, self._layout, self.source, self.period, self._seconds)
             check(log)
-            yield log
+            yield log if inspector is None else inspector(log)
         check.finish()
 
 
@@ -274,8 +293,10 @@ class _Layout:
     @classmethod
     def of(cls, robot: RobotColumns, found: list[str], source: str) -> _Layout:
         """Find a robot's signals among a log's columns; time and motor positions must be there."""
-        ours = {"t": ("t",)} | {s: tuple(f"{s}_{joint}" for joint in robot.names) for s in JOINT_SIGNALS}
-        ours |= {"acceleration": tuple(robot.acceleration_channels), "rate": tuple(robot.gyroscope_channels)}
+        measured = {channel.signal: channel.columns(robot) for channel in CHANNELS.values()}
+        others = {signal: joint_columns(signal, robot.names) for signal in UNMEASURED}
+        inertial = {signal: measured.pop(signal) for signal in ("acceleration", "rate")}
+        ours = {"t": ("t",)} | measured | others | inertial
         renamed = robot.columns.names
         wanted = {signal: tuple(renamed.get(c, c) for c in columns) for signal, columns in ours.items()}
         ratio = np.asarray(robot.gear_ratio, float) if robot.columns.motor_side else None
@@ -380,14 +401,20 @@ class _Check:
         return failure(self._source, f"column {column!r} {what} at row {self._rows + row}{when}")
 
 
-def _whole(table: pa.Table, layout: _Layout, source: str, allow_gaps: bool) -> Log:
+def _whole(table: pa.Table, layout: _Layout, source: str, allow_gaps: bool, inspector: Inspector | None) -> Log:
     (time,) = layout.wanted["t"]
     period = _period(numbers(table, time, source)[:_HEAD], source)
-    log = _assemble(table, layout, source, period)
-    check = _Check(source, layout, period, allow_gaps)
+    seconds = 1.0 if inspector is None else inspector.seconds(period, time)
+    log = _assemble(table, layout, source, seconds * period, seconds)
+    check = _Check(source, layout, seconds * period, allow_gaps)
     check(log)
     check.finish()
-    return log
+    return log if inspector is None else inspector(log)
+
+
+def _inspector(robot: RobotColumns, source: str, check: bool) -> Inspector | None:
+    """What looks at a recording before it is believed; None where that is not wanted, or the robot is but names."""
+    return Inspector(robot, source) if check and able(robot) else None
 
 
 def _period(head: FloatArray, source: str) -> float:
@@ -398,10 +425,10 @@ def _period(head: FloatArray, source: str) -> float:
         return float(np.median(np.diff(head)))
 
 
-def _assemble(table: pa.Table, layout: _Layout, source: str, period: float) -> Log:
+def _assemble(table: pa.Table, layout: _Layout, source: str, period: float, seconds: float = 1.0) -> Log:
     """Arrange columns as arrays of time × channel, on the link side."""
     arrays: dict[str, Any] = {s: _gather(table, columns, source) for s, columns in layout.wanted.items()}
-    arrays["t"] = arrays["t"].reshape(-1)
+    arrays["t"] = arrays["t"].reshape(-1) if seconds == 1 else seconds * arrays["t"].reshape(-1)
     if layout.shaft_ratio is not None:
         for signal, reflect in (("theta", np.divide), ("dtheta", np.divide), ("tau", np.multiply)):
             if arrays[signal] is not None:

@@ -15,21 +15,21 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from linkside import _core
+from linkside.arguments import one_of, sized, whole
+from linkside.arrays import FloatArray
+from linkside.channels import CHANNELS, joint_columns
 from linkside.control.controllers import Controller, State, law_of
 from linkside.errors import EstimatorError, OutputError
 from linkside.kalman.elastic_joint import ElasticJointFilter
-from linkside.kalman.filtering import sized
-from linkside.kalman.noise import sensor_noise
 from linkside.observers.acceleration import AccelerationObserver
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
-FloatArray: TypeAlias = npt.NDArray[np.float64]
 Truth: TypeAlias = dict[str, FloatArray]
 Told: TypeAlias = bool | tuple[_core.ElasticJointFilter, list[int]] | _core.AccelerationObserver
 Feedback: TypeAlias = Literal["truth", "sensors"] | ElasticJointFilter | AccelerationObserver
 
-KINDS = ("theta", "acceleration", "dtheta", "rate", "q", "torque")
+SIGNALS = {channel.signal: channel for channel in CHANNELS.values()}
 """What sensors measure, in the core's order."""
 
 
@@ -136,9 +136,9 @@ def simulate(
         the estimate of an `ElasticJointFilter` or `AccelerationObserver`, of a robot with other parameters if need
         be; it starts anew, at the simulation's rate.
     sensors
-        A `Sensor` of each kind: ``theta``, ``dtheta``, ``acceleration``, ``rate``, ``q``, ``torque``. A kind not given
-        is as robot.yaml has it, or exact; link positions, and joint torques (what the transmission gives the link),
-        are in the log only if given.
+        A `Sensor` of each kind: ``theta``, ``dtheta``, ``acceleration``, ``rate``, ``q``, ``torque``, ``dq``. A kind
+        not given is as robot.yaml has it, or exact; link positions and velocities, and joint torques (what the
+        transmission gives the link), are in the log only if given.
     integrator
         ``"rk4"``, the fourth-order method of Runge and Kutta in fixed steps, as fast as can be where nothing is stiff;
         or ``"adaptive"``, RODAS (Hairer and Wanner, Solving Ordinary Differential Equations II, 1996, section VI.4),
@@ -163,27 +163,27 @@ def simulate(
         The motion is no longer finite, or no adaptive step is short enough for the tolerance; names the time, and then
         the joint.
     """
+    robot.require_masses("a simulation")
     models = _models(sensors or {}, robot)
     start = {"q": q, "dq": dq, "theta": theta, "dtheta": dtheta, "tau": tau}
     settings = {
         "count": _count(duration, rate),
         "period": 1.0 / rate,
         **_stepping(integrator, substeps, rtol, atol),
-        "keep_every": _whole("keep_every", keep_every),
-        "seed": _whole("seed", seed, least=0),
+        "keep_every": whole("keep_every", keep_every, least=1),
+        "seed": whole("seed", seed),
         **{name: None if value is None else sized(name, value, robot.n).tolist() for name, value in start.items()},
     }
-    channels = [dataclasses.asdict(channel) for kind in KINDS for channel in models[kind]]
+    channels = [dataclasses.asdict(channel) for kind in SIGNALS for channel in models[kind]]
     told = _told(feedback, robot, 1.0 / rate)
     result = _core.simulate(robot.core, settings, channels, told, law_of(controller, robot))
-    return _assemble(robot, result, left_out={"q", "torque"} - set(sensors or {}))
+    return _assemble(robot, result, left_out={c.signal for c in CHANNELS.values() if c.extra} - set(sensors or {}))
 
 
 def _stepping(integrator: str, substeps: int, rtol: float | None, atol: float | None) -> dict[str, Any]:
     """Check how time is stepped, as the core takes it."""
-    if integrator not in ("rk4", "adaptive"):
-        raise EstimatorError(f"integrator is {integrator!r}, expected 'rk4' or 'adaptive'")
-    count = _whole("substeps", substeps)
+    one_of("integrator", integrator, ("rk4", "adaptive"))
+    count = whole("substeps", substeps, least=1)
     if integrator == "adaptive":
         if count > 1:
             raise EstimatorError(f"substeps is {count}, but the adaptive integrator takes its steps from rtol and atol")
@@ -195,9 +195,9 @@ def _stepping(integrator: str, substeps: int, rtol: float | None, atol: float | 
 
 
 def _assemble(robot: Robot, result: Truth, *, left_out: set[str]) -> Simulation:
-    widths = [_width(robot, kind) for kind in KINDS]
+    widths = [SIGNALS[kind].width(robot) for kind in SIGNALS]
     readings = np.split(result.pop("readings"), np.cumsum(widths)[:-1], axis=1)
-    signals = dict(zip(KINDS, readings, strict=True)) | {"tau": result.pop("tau")}
+    signals = dict(zip(SIGNALS, readings, strict=True)) | {"tau": result.pop("tau")}
     for kind in left_out:
         del signals[kind]
     bias, scale = robot.acceleration_errors
@@ -211,40 +211,32 @@ def _assemble(robot: Robot, result: Truth, *, left_out: set[str]) -> Simulation:
         }
     table = {"t": result["t"]}
     for signal, values in signals.items():
-        table |= dict(zip(_columns(robot, signal), values.T, strict=True))
+        channel = SIGNALS.get(signal)
+        columns = joint_columns(signal, robot.names) if channel is None else channel.columns(robot)
+        table |= dict(zip(columns, values.T, strict=True))
     table = {robot.columns.name_in_log(name): np.ascontiguousarray(values) for name, values in table.items()}
     told = State(*np.split(result.pop("told"), 4, axis=1))
     return Simulation(robot, Log.from_table(table, robot, "simulation"), result, told, table)
 
 
-def _columns(robot: Robot, signal: str) -> tuple[str, ...]:
-    if signal in ("acceleration", "rate"):
-        return robot.acceleration_channels if signal == "acceleration" else robot.gyroscope_channels
-    return tuple(f"{signal}_{name}" for name in robot.names)
-
-
-def _width(robot: Robot, kind: str) -> int:
-    return len(_columns(robot, kind))
-
-
 def _models(sensors: Mapping[str, Sensor], robot: Robot) -> dict[str, list[Sensor]]:
     """One model a channel, by kind."""
-    if unknown := set(sensors) - set(KINDS):
-        raise EstimatorError(f"sensors: {min(unknown)!r} is not one of {', '.join(map(repr, KINDS))}")
-    accelerometers = [
-        Sensor(noise=s.noise_std, delay=s.delay, corner_frequency=s.corner_frequency or np.inf)
-        for s in robot.accelerometers
-        for _ in s.axes
-    ]
-    models = {
+    if unknown := set(sensors) - set(SIGNALS):
+        raise EstimatorError(f"sensors: {min(unknown)!r} is not one of {', '.join(map(repr, SIGNALS))}")
+    accelerometers, gyroscopes = (
+        [
+            Sensor(noise=s.noise_std, delay=s.delay, corner_frequency=s.corner_frequency or np.inf)
+            for s in sensors_of_a_kind
+            for _ in s.axes
+        ]
+        for sensors_of_a_kind in (robot.accelerometers, robot.gyroscopes)
+    )
+    models = {signal: [Sensor()] * channel.width(robot) for signal, channel in SIGNALS.items()} | {
         "theta": [Sensor(resolution=robot.config.encoder.resolution)] * robot.n,
         "acceleration": accelerometers,
-        "dtheta": [Sensor()] * robot.n,
-        "rate": [Sensor(noise=noise) for noise in sensor_noise(robot.gyroscopes)],
-        "q": [Sensor()] * robot.n,
-        "torque": [Sensor()] * robot.n,
+        "rate": gyroscopes,
     }
-    return models | {kind: [model] * _width(robot, kind) for kind, model in sensors.items()}
+    return models | {kind: [model] * SIGNALS[kind].width(robot) for kind, model in sensors.items()}
 
 
 def _told(feedback: Feedback, robot: Robot, period: float) -> Told:
@@ -257,10 +249,10 @@ def _told(feedback: Feedback, robot: Robot, period: float) -> Told:
                 f"feedback is {feedback!r}, expected 'truth', 'sensors', an ElasticJointFilter or AccelerationObserver"
             )
         return feedback == "truth"
-    core, kinds = feedback.fresh()
+    core, kinds = feedback.fresh(period)
     _same_robot(feedback.robot, robot, "names", "acceleration_channels", "gyroscope_channels")
-    names = [kind for kind in KINDS for _ in range(_width(robot, kind))]
-    wanted = {"theta" if kind == "motor" else kind for kind in kinds}
+    names = [kind for kind in SIGNALS for _ in range(SIGNALS[kind].width(robot))]
+    wanted = {CHANNELS[kind].signal for kind in kinds}
     return core, [index for index, kind in enumerate(names) if kind in wanted]
 
 
@@ -276,9 +268,3 @@ def _count(duration: float, rate: float) -> int:
         if not 0 < value < np.inf:
             raise EstimatorError(f"{name} is {value!r}, expected a finite number greater than 0")
     return round(duration * rate) + 1
-
-
-def _whole(name: str, value: int, least: int = 1) -> int:
-    if not isinstance(value, int) or value < least:
-        raise EstimatorError(f"{name} is {value!r}, expected a whole number of at least {least}")
-    return value

@@ -10,32 +10,28 @@ import numpy as np
 import numpy.typing as npt
 import scipy.optimize
 
-from linkside.consistency.compare import long_run_variance
+from linkside.arguments import per_joint
+from linkside.arrays import FloatArray
+from linkside.channels import CHANNELS, widths
 from linkside.errors import EstimatorError, LogError, NumericalError
 from linkside.kalman.filtering import KalmanEstimate
 from linkside.kalman.jerk_driven import ExtendedKalmanFilter
-from linkside.kalman.noise import Noise, jerk_scale, per_joint
+from linkside.kalman.noise import Noise, jerk_scale
 from linkside.recording.log import Log
+from linkside.recording.motion import LEAST_MOTION, moving
 from linkside.robot import Robot
+from linkside.statistics import long_run_variance
 
-FloatArray = npt.NDArray[np.float64]
 Progress = Callable[[int, float], None]
 
-LEAST_MOTION = 1e-3
-"""A joint whose motor stays within this tells nothing of its transmission [rad]."""
 
 SPAN = (1 / 3, 1e3)
 """How far from its start a value may go: an error that one recording did not excite is there all the same."""
 
 PER_JOINT = ("jerk", "transmission", "position_walk", "velocity_walk")
-CHANNELS = {
-    "transmission": "motor",
+DESCRIBED = {channel.noise: kind for kind, channel in CHANNELS.items()} | {
     "torsion": "motor",
     "motor_velocity": "motor",
-    "acceleration": "acceleration",
-    "rate": "rate",
-    "link": "q",
-    "joint_torque": "torque",
 }
 """Kind of the channels whose readings a value of `Noise` describes; the others describe states."""
 
@@ -167,13 +163,8 @@ def _refuse(logs: Sequence[Log], free: Sequence[str], span: tuple[float, float],
     if settings.get("gate") is not None:
         raise EstimatorError("gate: a likelihood must not choose its readings; tune without")
     for log in logs:
-        if not _moving(log).any():
+        if not moving(log).any():
             raise LogError(f"{log.source}: no motor moves by more than {LEAST_MOTION} rad: nothing to tune noise with")
-
-
-def _moving(log: Log) -> npt.NDArray[np.bool_]:
-    known = np.where(np.isnan(log.theta), log.theta[:1], log.theta)
-    return np.asarray(np.ptp(known, axis=0) > LEAST_MOTION)
 
 
 @dataclass
@@ -196,8 +187,8 @@ class _Search:
     def __post_init__(self) -> None:
         """Lay out the vector."""
         self.base = self._with_arrays()
-        moving = np.any([_moving(log) for log in self.logs], axis=0)
-        self.entries = [(name, joint) for name in self.free for joint in self._joints(name, moving)]
+        joints = np.any([moving(log) for log in self.logs], axis=0)
+        self.entries = [(name, joint) for name in self.free for joint in self._joints(name, joints)]
         values = [getattr(self.base, name) for name, _ in self.entries]
         pairs = zip(values, self.entries, strict=True)
         self.start = np.array([value if joint is None else value[joint] for value, (_, joint) in pairs])
@@ -279,7 +270,7 @@ class _Search:
         by_kind = self._long_run_variances(x)
         factors = np.ones(len(x))
         for index, (name, joint) in enumerate(self.entries):
-            variances = by_kind.get(CHANNELS.get(name, ""))
+            variances = by_kind.get(DESCRIBED.get(name, ""))
             if variances is not None:
                 factors[index] = np.sqrt(max(1.0, float(np.mean(variances) if joint is None else variances[joint])))
         return factors
@@ -288,18 +279,14 @@ class _Search:
         """Of each channel's normalised innovations by kind, the mean over the logs that have it."""
         found: dict[str, list[FloatArray]] = {}
         for log, estimate in zip(self.logs, self.run(x, innovations=True), strict=True):
-            kinds = ExtendedKalmanFilter(self.robot, **self.settings)._kinds(log)
+            kinds = ExtendedKalmanFilter(self.robot, **self.settings).kinds(log)
             assert estimate.innovation is not None
             assert estimate.innovation_std is not None
             normalised = estimate.innovation / estimate.innovation_std
-            ends = np.cumsum([self._width(kind) for kind in kinds])
+            ends = np.cumsum(widths(self.robot, kinds))
             for kind, part in zip(kinds, np.split(normalised, ends[:-1], axis=1), strict=True):
                 found.setdefault(kind, []).append(np.array([long_run_variance(channel) for channel in part.T]))
         return {kind: np.mean(variances, axis=0) for kind, variances in found.items() if variances[0].size}
-
-    def _width(self, kind: str) -> int:
-        sensors = {"acceleration": self.robot.acceleration_channels, "rate": self.robot.gyroscope_channels}
-        return len(sensors.get(kind, self.robot.names))
 
     def result(self, x: FloatArray, factors: FloatArray, span: tuple[float, float]) -> Tuning:
         """Put together what was found."""

@@ -11,23 +11,21 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError, LogError, NumericalError
 from linkside.kalman.jerk_driven import RauchTungStriebelSmoother
-from linkside.observability.analysis import Sight
+from linkside.observability.result import Observability
 from linkside.observers.acceleration import AccelerationObserver
 from linkside.observers.tuning_file import DRIVE, START, ObserverTuning
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
+from linkside.recording.motion import LEAST_MOTION
 from linkside.robot import Robot
-
-from .noise_likelihood import LEAST_MOTION
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FloatArray = npt.NDArray[np.float64]
 Progress = Callable[[int, float], None]
 
 OBJECTIVES = ("position", "velocity", "torsion", "noise")
@@ -91,9 +89,9 @@ class Front:
 
     def figure(self) -> Figure:
         """Draw the front: each error over noise, the recommended point and the start marked."""
-        from linkside.figures.plots import front_figure
+        from .front_figure import front_figure
 
-        return front_figure(self)
+        return front_figure(self.ratios, self.recommended)
 
 
 def tune_observer(
@@ -205,7 +203,7 @@ class _Search:
         starts = [(key, d.name, START if key == "poles" else getattr(d, key)) for key in self.free for d in drives]
         self.entries = [(key, name, start) for key, name, start in starts if start]
         postures = np.ascontiguousarray(np.nan_to_num(np.concatenate([log.theta for log in self.logs]))[::50])
-        deviation = np.sqrt(np.median(Sight.of(self.robot, postures).joints ** 2, axis=0))
+        deviation = np.sqrt(np.median(Observability.of(self.robot, postures).joints ** 2, axis=0))
         self.acceleration_std = dict(zip(np.array(self.robot.names)[self.robot.elastic], deviation, strict=True))
         self.at_start = self.errors(self.tuning(np.zeros(len(self.entries))))
 

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import linprog
 
-from linkside.cli import progress
-
-FloatArray = npt.NDArray[np.float64]
+from linkside.arrays import FloatArray, Progress
 
 GAP = 1e-3
 """How near the optimum the search has to come, relative to it."""
@@ -18,7 +15,9 @@ _REACH = 1e4
 _LEAST = 64
 
 
-def widest(left: FloatArray, right: FloatArray, gap: float = GAP) -> tuple[FloatArray, float]:
+def widest(
+    left: FloatArray, right: FloatArray, gap: float = GAP, progress: Progress | None = None
+) -> tuple[FloatArray, float]:
     """Maximise t over X with ``t I <= S_i X R_i + (S_i X R_i)ᵀ <= I`` for all i.
 
     Kelley's method: that a matrix is above ``t I`` is a linear inequality ``uᵀ Q u >= t`` for each unit vector u, and
@@ -33,6 +32,8 @@ def widest(left: FloatArray, right: FloatArray, gap: float = GAP) -> tuple[Float
         R.
     gap
         See `GAP`.
+    progress
+        Called as ``progress(round, most rounds)`` after each.
 
     Returns
     -------
@@ -48,23 +49,23 @@ def widest(left: FloatArray, right: FloatArray, gap: float = GAP) -> tuple[Float
     reached, limit = -np.inf, np.inf
     rows = np.empty((0, size + 2))
     trials = [best]
-    with progress.bar(_ROUNDS) as advance:
-        for _ in range(_ROUNDS):
-            for trial in trials:
-                values, vectors = _eigen(left, right, trial)
-                ratio = float(values[:, 0].min() / values[:, -1].max())
-                if values[:, -1].max() > 0 and ratio > reached:
-                    best, reached = trial / values[:, -1].max(), ratio
-                rows = np.vstack([rows, _cuts(left, right, values, vectors, most=max(size, _LEAST))])
-            solution = _program(rows, size)
-            limit = min(limit, float(solution[-1]))
-            advance("cutting planes", 1)
-            if limit - reached <= gap * abs(limit):
-                break
-            slack = rows[:, -1] - rows[:, :-1] @ solution
-            rows = rows[np.argsort(slack, kind="stable")[: 4 * max(size, _LEAST)]]
-            trial = solution[:-1].reshape(n, width)
-            trials = [trial, 0.5 * (trial + best)]
+    for done in range(_ROUNDS):
+        for trial in trials:
+            values, vectors = _eigen(left, right, trial)
+            ratio = float(values[:, 0].min() / values[:, -1].max())
+            if values[:, -1].max() > 0 and ratio > reached:
+                best, reached = trial / values[:, -1].max(), ratio
+            rows = np.vstack([rows, _cuts(left, right, values, vectors, most=max(size, _LEAST))])
+        solution = _program(rows, size)
+        limit = min(limit, float(solution[-1]))
+        if progress is not None:
+            progress(done + 1, _ROUNDS)
+        if limit - reached <= gap * abs(limit):
+            break
+        slack = rows[:, -1] - rows[:, :-1] @ solution
+        rows = rows[np.argsort(slack, kind="stable")[: 4 * max(size, _LEAST)]]
+        trial = solution[:-1].reshape(n, width)
+        trials = [trial, 0.5 * (trial + best)]
     return best, limit
 
 

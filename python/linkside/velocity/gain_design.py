@@ -12,18 +12,17 @@ from typing import Literal, TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import minimize
 from scipy.stats import qmc
 
-from linkside.cli import progress
+from linkside.arrays import FloatArray, Progress
 from linkside.errors import EstimatorError
-from linkside.observability.analysis import joint_limits
 from linkside.robot import Robot
+from linkside.robot.workspace import joint_limits
 
-from .observers import HybridGain, rigid_inertia
+from .inertia import rigid_inertia
+from .observers import HybridGain
 
-FloatArray = npt.NDArray[np.float64]
 Side = Literal["motors", "links"]
 
 SAMPLES = 4096
@@ -122,7 +121,13 @@ class GainDesign:
 
 
 def design_gain(
-    robot: Robot, speed: float, margin: float, *, side: Side = "motors", samples: int = SAMPLES
+    robot: Robot,
+    speed: float,
+    margin: float,
+    *,
+    side: Side = "motors",
+    samples: int = SAMPLES,
+    progress: Progress | None = None,
 ) -> GainDesign:
     """Find the gain that makes the reduced-order observer converge for speeds up to ``speed``.
 
@@ -136,6 +141,8 @@ def design_gain(
         As of `ReducedOrderObserver`: whether motors count.
     samples
         Postures to look at, a power of two; the survey is kept with the robot.
+    progress
+        Called as ``progress(postures, samples)`` while postures are looked at.
 
     Raises
     ------
@@ -145,7 +152,7 @@ def design_gain(
     for name, value in (("speed", speed), ("margin", margin)):
         if not (np.isfinite(value) and value > 0):
             raise EstimatorError(f"{name} is {value}, expected a positive number")
-    s = survey(robot, side, samples)
+    s = survey(robot, side, samples, progress)
     gain, posture = _gain(robot, side, s, speed, margin)
     least, greatest, coriolis = float(s.least.min()), float(s.greatest.max()), float(s.coriolis.max())
     return GainDesign(
@@ -164,26 +171,26 @@ def design_gain(
     )
 
 
-def survey(robot: Robot, side: Side = "motors", samples: int = SAMPLES) -> Survey:
+def survey(robot: Robot, side: Side = "motors", samples: int = SAMPLES, progress: Progress | None = None) -> Survey:
     """Look at postures drawn within the joint limits, and at the extremes that refining finds from the worst ones."""
     kept = _SURVEYS.setdefault(robot, {})
     if (side, samples) not in kept:
-        kept[side, samples] = _survey(robot, side, samples)
+        kept[side, samples] = _survey(robot, side, samples, progress)
     return kept[side, samples]
 
 
 _SURVEYS: WeakKeyDictionary[Robot, dict[tuple[Side, int], Survey]] = WeakKeyDictionary()
 
 
-def _survey(robot: Robot, side: Side, samples: int) -> Survey:
+def _survey(robot: Robot, side: Side, samples: int, progress: Progress | None) -> Survey:
     limits = joint_limits(robot)
     unit = qmc.Sobol(robot.n, seed=0).random(samples)
     q = limits[0] + unit * (limits[1] - limits[0])
-    with progress.bar(samples) as advance:
-        parts = []
-        for start in range(0, samples, _CHUNK):
-            parts.append(_at(robot, side, q[start : start + _CHUNK]))
-            advance("postures", len(parts[-1][0]))
+    parts = []
+    for start in range(0, samples, _CHUNK):
+        parts.append(_at(robot, side, q[start : start + _CHUNK]))
+        if progress is not None:
+            progress(min(start + _CHUNK, samples), samples)
     coriolis, least, greatest = (np.concatenate(part) for part in zip(*parts, strict=True))
     if not (least > 1e-12 * greatest).all():
         worst = int(np.argmin(least / greatest))

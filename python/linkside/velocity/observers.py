@@ -11,18 +11,19 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside import _core
+from linkside.arguments import one_of, per_joint
+from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError, NumericalError
-from linkside.observability.analysis import prismatic
-from linkside.observers.acceleration import longest_dropout, refuse_dropouts, refuse_uneven
 from linkside.recording.batch import Copies, Job, run_each
+from linkside.recording.continuity import longest_dropout, refuse_dropouts, refuse_uneven
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.requirements import refuse_unsupported
+from linkside.robot.workspace import prismatic
 
 from .gain_map import GainMap
-
-FloatArray = npt.NDArray[np.float64]
-Signal = FloatArray | Sequence[float]
+from .inertia import rigid_inertia
 
 GAIN = 100.0
 """Gain of a velocity observer that is given none [1/s]."""
@@ -134,14 +135,14 @@ class ReducedOrderObserver(Copies):
         period: float | None = None,
         start: Literal["auto", "rest"] = "auto",
     ) -> None:
-        if start not in ("auto", "rest"):
-            raise EstimatorError(f"start is {start!r}, expected 'auto' or 'rest'")
-        if side not in ("motors", "links"):
-            raise EstimatorError(f"side is {side!r}, expected 'motors' or 'links'")
+        one_of("start", start, ("auto", "rest"))
+        one_of("side", side, ("motors", "links"))
+        robot.require_masses("a velocity observer")
+        refuse_unsupported(robot, "a velocity observer")
         self.robot = robot
         self.side = side
         self.gain = gain
-        self._wrap = _turns(robot) if wrap is None else _each(robot, "wrap", wrap)
+        self._wrap = _turns(robot) if wrap is None else per_joint("wrap", wrap, robot.n).tolist()
         rate = robot.config.rate_hz
         self._period = period if period is not None or rate is None else 1 / rate
         self._rest = start == "rest"
@@ -218,7 +219,7 @@ class ReducedOrderObserver(Copies):
             core = core or self._designed(piece.period)
             q, tau = self._arrays(piece, seen, first)
             try:
-                result = core.run(q, tau)
+                result: dict[str, Any] = core.run(q, tau)
             except (NumericalError, EstimatorError) as error:
                 raise type(error)(f"{piece.source}: {error}") from None
             seen, first = piece[-longest_dropout(piece) :], first + len(piece)
@@ -237,7 +238,9 @@ class ReducedOrderObserver(Copies):
         return _core.VelocityObserver(
             self.robot.core,
             period=period,
-            gains=[] if isinstance(self.gain, HybridGain | GainMap) else _each(self.robot, "gain", self.gain),
+            gains=[]
+            if isinstance(self.gain, HybridGain | GainMap)
+            else per_joint("gain", self.gain, self.robot.n).tolist(),
             levels=self.gain.settings() if isinstance(self.gain, HybridGain) else None,
             map=self.gain.settings() if isinstance(self.gain, GainMap) else None,
             spring=self._spring(),
@@ -297,33 +300,18 @@ class NicosiaTomeiObserver(ReducedOrderObserver):
     ) -> None:
         if isinstance(gain, GainMap):
             raise EstimatorError("a gain map has no spring beside it: expected a ReducedOrderObserver")
-        least = (gain.gains or (0.0,))[0] if isinstance(gain, HybridGain) else _each(robot, "gain", gain)
+        least = (gain.gains or (0.0,))[0] if isinstance(gain, HybridGain) else per_joint("gain", gain, robot.n).tolist()
         self._least_gain = np.asarray(least)
-        self._position_gain = None if position_gain is None else _each(robot, "position_gain", position_gain)
+        self._position_gain = (
+            None if position_gain is None else per_joint("position_gain", position_gain, robot.n).tolist()
+        )
         super().__init__(robot, gain, side=side, wrap=wrap, period=period, start=start)
 
     def _spring(self) -> list[float]:
         if self._position_gain is not None:
-            return self._position_gain
+            return list(self._position_gain)
         inertia = np.diag(rigid_inertia(self.robot, np.zeros(self.robot.n), self.side))
         return list((self._least_gain / 4) ** 2 * inertia)
-
-
-def rigid_inertia(robot: Robot, q: FloatArray, side: Literal["motors", "links"] = "motors") -> FloatArray:
-    """Inertia with rigid joints at positions (n,) or (T, n): M, and with ``"motors"`` B + S + Sᵀ [kg m²]."""
-    mass: FloatArray = robot.mass_matrix(q)
-    if side == "links":
-        return mass
-    motors = np.diag([drive.motor_inertia or 0.0 for drive in robot.drives])
-    return np.asarray(mass + motors + robot.coupling + robot.coupling.T)
-
-
-def _each(robot: Robot, name: str, value: float | Sequence[float] | FloatArray) -> list[float]:
-    """One number a joint."""
-    array = np.asarray(value, dtype=np.float64)
-    if array.ndim > 1 or array.size not in (1, robot.n):
-        raise EstimatorError(f"{name}: expected one number or {robot.n}, got an array of shape {array.shape}")
-    return [float(x) for x in np.broadcast_to(array.ravel(), robot.n)]
 
 
 def _turns(robot: Robot) -> list[float]:

@@ -13,14 +13,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
+from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.requirements import refuse_unsupported
 
-from .observers import rigid_inertia
-
-FloatArray = npt.NDArray[np.float64]
+from .inertia import rigid_inertia
 
 NOISE_TO_STD = 1.4826
 """Standard deviation of a normal variable whose median absolute value is one."""
@@ -79,6 +79,7 @@ def momentum_residual(
     EstimatorError
         An estimate of other rows than the log, or a setting out of its range.
     """
+    refuse_unsupported(robot, "the momentum residual")
     if len(estimate) != len(log) or len(log) < 2:
         raise EstimatorError(
             f"the estimate has {len(estimate)} rows, the log {len(log)}, expected as many and at least 2"

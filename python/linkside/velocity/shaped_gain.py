@@ -11,21 +11,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from linkside.arrays import FloatArray, Progress
 from linkside.errors import EstimatorError
-from linkside.observability.analysis import prismatic
 from linkside.robot import Robot
+from linkside.robot.workspace import prismatic
 
 from .cutting_planes import widest
 from .gain_design import Side, Survey, survey
 from .gain_map import GainMap
-from .observers import rigid_inertia
-
-FloatArray: TypeAlias = npt.NDArray[np.float64]
+from .inertia import rigid_inertia
 
 SAMPLES = 256
 """Postures that are looked at."""
@@ -84,7 +82,12 @@ class ShapedGain:
 
 
 def reduce_deformation(
-    robot: Robot, harmonics: int = 2, *, side: Side = "motors", samples: int = SAMPLES
+    robot: Robot,
+    harmonics: int = 2,
+    *,
+    side: Side = "motors",
+    samples: int = SAMPLES,
+    progress: Progress | None = None,
 ) -> ShapedGain:
     """Find the map that keeps the eigenvalues of Q closest together: maximise t with ``t I <= Q <= I``.
 
@@ -98,6 +101,8 @@ def reduce_deformation(
         As of `ReducedOrderObserver`: whether motors count.
     samples
         Postures to look at, a power of two.
+    progress
+        Called as ``progress(round, most rounds)`` after each round of cutting planes.
 
     Raises
     ------
@@ -110,7 +115,7 @@ def reduce_deformation(
     """
     seen, waves, basis, inertia = _postures(robot, harmonics, side, samples)
     mean = np.linalg.inv(inertia.mean(axis=0))
-    coefficients, limit = widest(inertia @ mean, basis)
+    coefficients, limit = widest(inertia @ mean, basis, progress=progress)
     return _shaped(seen, inertia, waves, mean @ coefficients, limit)
 
 

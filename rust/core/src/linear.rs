@@ -1,6 +1,7 @@
 //! Small dense products on rows padded to a multiple of [`LANES`], accumulated in registers.
 
 use crate::scalar::Scalar;
+use crate::simd::{self, Kernel};
 
 /// Columns that one vector register holds, and to a multiple of which rows are padded.
 pub(crate) const LANES: usize = 4;
@@ -23,15 +24,32 @@ fn accumulate(sum: &mut Lane, a: f64, b: &Lane) {
 }
 
 /// `out[i] = Σⱼ left[i][j] · right[j]`: `left` has rows of `inner` numbers, `right` at least `inner` rows of `stride`.
-#[inline(always)]
 pub(crate) fn product(left: &[f64], inner: usize, right: &[f64], stride: usize, out: &mut [f64]) {
-    let rows = left.len() / inner;
-    let whole = rows / ROWS * ROWS;
-    for i in (0..whole).step_by(ROWS) {
-        product_rows::<ROWS>(&left[i * inner..], inner, right, stride, &mut out[i * stride..]);
-    }
-    for i in whole..rows {
-        product_rows::<1>(&left[i * inner..], inner, right, stride, &mut out[i * stride..]);
+    simd::phase(Product { left, inner, right, stride, out });
+}
+
+struct Product<'a> {
+    left: &'a [f64],
+    inner: usize,
+    right: &'a [f64],
+    stride: usize,
+    out: &'a mut [f64],
+}
+
+impl Kernel for Product<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { left, inner, right, stride, out } = self;
+        let rows = left.len() / inner;
+        let whole = rows / ROWS * ROWS;
+        for i in (0..whole).step_by(ROWS) {
+            product_rows::<ROWS>(&left[i * inner..], inner, right, stride, &mut out[i * stride..]);
+        }
+        for i in whole..rows {
+            product_rows::<1>(&left[i * inner..], inner, right, stride, &mut out[i * stride..]);
+        }
     }
 }
 
@@ -75,21 +93,38 @@ fn product_block<const R: usize, const W: usize>(
 /// `p −= Σᵢ aᵢ bᵢᵀ + bᵢ aᵢᵀ` on and above the diagonal, the lower triangle then copied from the upper.
 ///
 /// `p` has `n` rows of `stride`, `a` and `b` one row of `stride` for each i.
-#[inline(always)]
 pub(crate) fn subtract_outer(p: &mut [f64], n: usize, stride: usize, a: &[f64], b: &[f64]) {
-    let step = stride / LANES;
-    for r in 0..step {
-        let rows = LANES.min(n - r * LANES);
-        let mut c = r;
-        while c + 2 <= step {
-            outer_block::<2>(p, step, (lanes(a), lanes(b)), r, c, rows);
-            c += 2;
+    simd::phase(SubtractOuter { p, n, stride, a, b });
+}
+
+struct SubtractOuter<'a> {
+    p: &'a mut [f64],
+    n: usize,
+    stride: usize,
+    a: &'a [f64],
+    b: &'a [f64],
+}
+
+impl Kernel for SubtractOuter<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { p, n, stride, a, b } = self;
+        let step = stride / LANES;
+        for r in 0..step {
+            let rows = LANES.min(n - r * LANES);
+            let mut c = r;
+            while c + 2 <= step {
+                outer_block::<2>(p, step, (lanes(a), lanes(b)), r, c, rows);
+                c += 2;
+            }
+            if c < step {
+                outer_block::<1>(p, step, (lanes(a), lanes(b)), r, c, rows);
+            }
         }
-        if c < step {
-            outer_block::<1>(p, step, (lanes(a), lanes(b)), r, c, rows);
-        }
+        mirror(p, n, stride);
     }
-    mirror(p, n, stride);
 }
 
 /// `rows` rows from lane `r` on by W lanes from lane `c` on.
@@ -157,14 +192,6 @@ pub(crate) fn add_scaled(y: &mut [f64], factor: f64, x: &[f64]) {
     }
 }
 
-/// `y −= p·u + q·v`.
-#[inline(always)]
-pub(crate) fn subtract_pair(y: &mut [f64], p: f64, u: &[f64], q: f64, v: &[f64]) {
-    for ((y, u), v) in y.iter_mut().zip(u).zip(v) {
-        *y -= p * u + q * v;
-    }
-}
-
 /// L and D of A = L D Lᵀ over A's lower triangle and diagonal, row-major n × n. Without square roots, for any scalar.
 #[inline(always)]
 pub(crate) fn factorise<T: Scalar>(a: &mut [T], n: usize) {
@@ -201,6 +228,26 @@ pub(crate) fn root<T: Scalar>(a: &mut [T], n: usize) {
             a[i * n + j] = a[i * n + j] * pivot;
         }
         a[j * n + j] = pivot;
+    }
+}
+
+/// L of A = L Lᵀ over A's lower triangle, zero above the diagonal, for n rows of `stride`.
+///
+/// A may be singular: a pivot that is lost to rounding leaves a column of zeros.
+#[inline(always)]
+pub(crate) fn cholesky(a: &mut [f64], n: usize, stride: usize) {
+    for i in 0..n {
+        let (done, own) = a.split_at_mut(i * stride);
+        let own = &mut own[..stride];
+        for (j, row) in done.chunks_exact(stride).enumerate() {
+            let pivot = row[j];
+            let rest = own[j] - dot(&own[..j], &row[..j]);
+            own[j] = if pivot > 0.0 { rest / pivot } else { 0.0 };
+        }
+        let whole = own[i];
+        let pivot = whole - dot(&own[..i], &own[..i]);
+        own[i] = if pivot > whole * (n as f64) * f64::EPSILON { pivot.sqrt() } else { 0.0 };
+        own[i + 1..].fill(0.0);
     }
 }
 

@@ -3,13 +3,13 @@
 use crate::array::{Signal, rows, shaped};
 use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
-use crate::kalman::{Matrix, check_step, into_dict};
+use crate::kalman::{Inside, Matrix, check_step, inside, into_dict, named};
 use crate::robot::Robot;
 use crate::state::State;
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
     Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterOutput, FilterSettings,
-    Further, Inputs, KalmanRecording, KalmanSample, Keep, Model,
+    Gaussian, Inputs, KalmanRecording, KalmanSample, Keep, Model,
 };
 use numpy::{PyReadonlyArray1, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -25,15 +25,39 @@ struct Noise {
     torque: Vec<f64>,
     disturbance_walk: Vec<f64>,
     reading: Vec<f64>,
+    torque_walk: Vec<f64>,
     bias_walk: Vec<f64>,
+    bias_time: Vec<f64>,
     initial: Vec<f64>,
     initial_bias: Vec<f64>,
 }
 
 impl From<Noise> for ElasticNoise {
     fn from(n: Noise) -> Self {
-        let Noise { link, motor, torque, disturbance_walk, reading, bias_walk, initial, initial_bias } = n;
-        Self { link, motor, torque, disturbance_walk, reading, bias_walk, initial, initial_bias }
+        let Noise {
+            link,
+            motor,
+            torque,
+            disturbance_walk,
+            torque_walk,
+            reading,
+            bias_walk,
+            bias_time,
+            initial,
+            initial_bias,
+        } = n;
+        Self {
+            link,
+            motor,
+            torque,
+            disturbance_walk,
+            torque_walk,
+            reading,
+            bias_walk,
+            bias_time,
+            initial,
+            initial_bias,
+        }
     }
 }
 
@@ -54,16 +78,11 @@ type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'py>);
 impl ElasticJointFilter {
     #[new]
     #[pyo3(signature = (
-        robot, *, accelerations, motor_velocities, rates, links, torques, disturbances, biased, first_order, held, noise,
-        gate, iterations
+        robot, *, kinds, disturbances, biased, first_order, held, noise, gate, iterations, late=None
     ))]
     fn new(
         robot: &Robot,
-        accelerations: bool,
-        motor_velocities: bool,
-        rates: bool,
-        links: bool,
-        torques: bool,
+        kinds: Vec<String>,
         disturbances: bool,
         biased: Vec<bool>,
         first_order: bool,
@@ -71,17 +90,17 @@ impl ElasticJointFilter {
         noise: Noise,
         gate: Option<f64>,
         iterations: usize,
+        late: Option<Vec<Inside>>,
     ) -> PyResult<Self> {
         let settings = ElasticSettings {
-            further: Further { motor_velocities, rates, links, torques },
-            accelerations,
+            kinds: named(&kinds)?,
             disturbances,
             biased,
             held,
             discretization: if first_order { Discretization::FirstOrder } else { Discretization::Exact },
         };
         let build = || {
-            let model = ElasticModel::new(Arc::clone(&robot.0), &settings, noise.into())?;
+            let model = ElasticModel::new(Arc::clone(&robot.0), &settings, noise.into())?.with_late(&inside(late))?;
             ExtendedKalmanFilter::new(model, FilterSettings { gate, iterations })
         };
         let filter = build().map_err(IntoPyErr::into_py_err)?;
@@ -95,6 +114,12 @@ impl ElasticJointFilter {
         self.filter.model().states()
     }
 
+    /// Number of states, but for those of late sensors.
+    #[getter]
+    fn own_states(&self) -> usize {
+        self.filter.model().own_states()
+    }
+
     /// A copy with the same belief.
     fn copy(&self) -> Self {
         self.clone()
@@ -102,6 +127,14 @@ impl ElasticJointFilter {
 
     fn reset(&mut self) {
         self.filter.reset();
+    }
+
+    /// From now on a first sample finds this mean and covariance of the state; nothing: the robot at rest.
+    #[pyo3(signature = (mean, covariance))]
+    fn set_start(&mut self, mean: Signal<'_>, covariance: Matrix<'_>) -> PyResult<()> {
+        let states = self.filter.model().states();
+        let start = Gaussian::new(mean.sized("mean", states)?, rows("covariance", &covariance, states)?);
+        start.and_then(|start| self.filter.set_start(Some(start))).map_err(IntoPyErr::into_py_err)
     }
 
     /// Takes one sample: one reading a channel, NaN where missing, and the motor torques.
@@ -118,7 +151,8 @@ impl ElasticJointFilter {
         self.filter.step(KalmanSample { dt, readings, inputs }).map_err(IntoPyErr::into_py_err)?;
         self.t = t;
         self.filter.report_into(&mut self.row);
-        Ok(State::of_row(t, self.filter.model().robot().len(), &self.row).with_belief(self.filter.belief()))
+        let state = State::of_row(t, self.filter.model().robot().len(), &self.row, 0);
+        Ok(state.with_belief(&self.filter.belief().mean, &self.filter.covariance()))
     }
 
     /// Covariance of the state after the last sample.

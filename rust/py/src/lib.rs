@@ -12,6 +12,7 @@ mod particle;
 mod robot;
 mod simulate;
 mod state;
+mod tolerance;
 mod velocity;
 
 use pyo3::prelude::*;

@@ -3,11 +3,11 @@
 use crate::array::{Signal, shaped};
 use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
-use crate::kalman::{Arrays, Live, Noise, Signals, check_step, into_dict, recording};
+use crate::kalman::{Arrays, Live, Noise, Signals, check_step, into_dict, named, recording};
 use crate::robot::Robot;
 use crate::state::State;
 use linkside_core::error::{DesignError, RunError};
-use linkside_core::estimate::kalman::{Further, JerkDriven, JerkModel, KalmanSample, Keep, Model};
+use linkside_core::estimate::kalman::{JerkDriven, JerkModel, KalmanSample, Keep, Model};
 use linkside_core::estimate::particle::{
     self, Collapse, Density, Marginalised, ParticleOutput, ParticleSettings, Proposal, Resampling,
 };
@@ -99,13 +99,10 @@ pub(crate) struct ParticleFilter {
 #[pymethods]
 impl ParticleFilter {
     #[new]
-    #[pyo3(signature = (robot, *, motor_velocities, rates, links, torques, biased, noise, damping, marginalised, settings))]
+    #[pyo3(signature = (robot, *, kinds, biased, noise, damping, marginalised, settings))]
     fn new(
         robot: &Robot,
-        motor_velocities: bool,
-        rates: bool,
-        links: bool,
-        torques: bool,
+        kinds: Vec<String>,
         biased: Vec<bool>,
         noise: Noise,
         damping: bool,
@@ -119,10 +116,9 @@ impl ParticleFilter {
             "accelerations" => Marginalised::Accelerations,
             other => return unknown("marginalised", other),
         };
-        let levels = settings.quantiles.len();
+        let (levels, kinds) = (settings.quantiles.len(), named(&kinds)?);
         let build = || -> Result<_, DesignError> {
-            let model =
-                JerkModel::new(Arc::clone(&robot.0), Further { motor_velocities, rates, links, torques }, &biased)?;
+            let model = JerkModel::new(Arc::clone(&robot.0), &kinds, &biased)?;
             let model = JerkDriven::new(model, noise.into(), damping)?;
             particle::ParticleFilter::new(model, settings, marginalised)
         };
@@ -169,7 +165,7 @@ impl ParticleFilter {
         live.t = t;
         filter.report_into(&mut live.row);
         let summary = filter.summary();
-        let state = State::of_row(t, filter.model().robot().len(), &live.row);
+        let state = State::of_row(t, filter.model().robot().len(), &live.row, 0);
         Ok(state.with_particles(&summary.mean, summary.effective))
     }
 

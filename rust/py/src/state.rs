@@ -1,6 +1,6 @@
 //! What a step gives back.
 
-use linkside_core::estimate::kalman::{FilterOutput, Gaussian};
+use linkside_core::estimate::kalman::{FilterOutput, Symmetric};
 use linkside_core::estimate::{observer, velocity};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
@@ -60,26 +60,26 @@ impl State {
         }
     }
 
-    /// The first row of a filter's estimate, for a robot of `n` joints.
-    pub(crate) fn of_row(t: f64, n: usize, row: &FilterOutput) -> Self {
+    /// Row `i` of a filter's estimate, for a robot of `n` joints.
+    pub(crate) fn of_row(t: f64, n: usize, rows: &FilterOutput, i: usize) -> Self {
         let mut joints = Vec::with_capacity(6 * n);
-        for part in [&row.q, &row.dq, &row.ddq, &row.theta, &row.dtheta, &row.q_std] {
-            joints.extend_from_slice(&part[..n]);
+        for part in [&rows.q, &rows.dq, &rows.ddq, &rows.theta, &rows.dtheta, &rows.q_std] {
+            joints.extend_from_slice(&part[i * n..][..n]);
         }
-        let three = |values: &[f64]| values.first_chunk().copied();
+        let three = |values: &[f64]| values.chunks_exact(3).nth(i).and_then(|row| row.first_chunk().copied());
         Self {
-            tool: three(&row.tool),
-            tool_std: three(&row.tool_std),
-            nis: Some(row.nis[0]),
-            log_likelihood: Some(row.log_likelihood[0]),
-            used: Some(row.used[0]),
-            ..Self::bare(t, row.status[0], n, joints)
+            tool: three(&rows.tool),
+            tool_std: three(&rows.tool_std),
+            nis: Some(rows.nis[i]),
+            log_likelihood: Some(rows.log_likelihood[i]),
+            used: Some(rows.used[i]),
+            ..Self::bare(t, rows.status[i], n, joints)
         }
     }
 
     /// With the whole state and its covariance.
-    pub(crate) fn with_belief(self, belief: &Gaussian) -> Self {
-        Self { mean: belief.mean.as_slice().into(), covariance: belief.covariance.padded().into(), ..self }
+    pub(crate) fn with_belief(self, mean: &[f64], covariance: &Symmetric) -> Self {
+        Self { mean: mean.into(), covariance: covariance.padded().into(), ..self }
     }
 
     /// With the whole state and its covariance, row-major.

@@ -17,6 +17,8 @@ impl Status {
     pub const PREDICTED: u8 = 16;
     /// An encoder wrapped, and its jump was taken out.
     pub const UNWRAPPED: u8 = 32;
-    /// The readings have contradicted the model for a while.
+    /// Readings contradict the model: the row, and its standard deviations, are not to be believed.
     pub const CONTRADICTED: u8 = 64;
+    /// One channel contradicts the model and all others.
+    pub const FAULTY: u8 = 128;
 }

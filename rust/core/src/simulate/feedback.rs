@@ -1,20 +1,20 @@
 //! How a controller comes to know the robot's state.
 
 use super::sensors::Motion;
+use crate::check::expect_length;
 use crate::control::State;
 use crate::dynamics::ElasticLayout;
 use crate::error::{DesignError, RunError};
 use crate::estimate::kalman::{ElasticModel, ExtendedKalmanFilter, Inputs, KalmanSample};
 use crate::estimate::observer::{AccelerationObserver, Sample};
 use crate::robot::Robot;
-use crate::simd;
 
 /// What is known at a sample.
 #[derive(Clone, Copy, Debug)]
 pub struct Known<'a> {
     /// The truth.
     pub truth: Motion<'a>,
-    /// Readings of all sensors, in the order of [`Kind::ALL`](super::Kind::ALL).
+    /// Readings of all sensors, in the order of [`Kind::ALL`](crate::estimate::measurement::Kind::ALL).
     pub readings: &'a [f64],
     /// Motor torques until now (n) [N m].
     pub tau: &'a [f64],
@@ -36,7 +36,6 @@ pub trait Feedback {
 pub struct TrueState;
 
 impl Feedback for TrueState {
-    #[inline(always)]
     fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError> {
         out.q.copy_from_slice(known.truth.q);
         out.dq.copy_from_slice(known.truth.dq);
@@ -54,7 +53,6 @@ pub struct SensorFeedback {
 }
 
 impl Feedback for SensorFeedback {
-    #[inline(always)]
     fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError> {
         let State { q, dq, theta, dtheta } = out;
         for (from, motor, link) in [(0, theta, q), (self.velocities, dtheta, dq)] {
@@ -93,38 +91,20 @@ impl FilterFeedback {
     /// Not as many as the filter has channels.
     pub fn new(filter: ExtendedKalmanFilter<ElasticModel>, channels: Vec<usize>) -> Result<Self, DesignError> {
         use crate::estimate::kalman::Model;
-        let (found, expected) = (channels.len(), filter.model().channels());
-        if found != expected {
-            return Err(DesignError::Length { what: "channels of the filter", found, expected });
-        }
+        let found = channels.len();
+        expect_length("channels of the filter", found, filter.model().channels())?;
         let layout = ElasticLayout::new(filter.model().robot(), false)?;
         Ok(Self { filter, layout, readings: vec![0.0; found], channels })
     }
 }
 
-/// A sample of the filter, compiled once for every level of instructions.
-struct Step<'a> {
-    feedback: &'a mut FilterFeedback,
-    known: Known<'a>,
-}
-
-impl simd::Kernel for Step<'_> {
-    type Output = Result<(), DesignError>;
-
-    #[inline(always)]
-    fn run(self) -> Self::Output {
-        let Self { feedback: FilterFeedback { filter, channels, readings, .. }, known } = self;
-        for (reading, &channel) in readings.iter_mut().zip(channels.iter()) {
+impl Feedback for FilterFeedback {
+    fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError> {
+        for (reading, &channel) in self.readings.iter_mut().zip(&self.channels) {
             *reading = known.readings[channel];
         }
         let inputs = Inputs { tau: known.tau, ..Inputs::default() };
-        usable(filter.step(KalmanSample { dt: known.dt, readings, inputs }))
-    }
-}
-
-impl Feedback for FilterFeedback {
-    fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError> {
-        simd::dispatch(simd::level(), Step { feedback: self, known })?;
+        usable(self.filter.step(KalmanSample { dt: known.dt, readings: &self.readings, inputs }))?;
         let (n, mean) = (self.layout.joints, &self.filter.belief().mean);
         out.q.copy_from_slice(&mean[..n]);
         out.dq.copy_from_slice(&mean[n..2 * n]);
@@ -152,16 +132,13 @@ impl ObserverFeedback {
             ("joints of the observer", observer.joints(), robot.len()),
             ("accelerations of the observer", observer.channels(), robot.acceleration_channels()),
         ] {
-            if found != expected {
-                return Err(DesignError::Length { what, found, expected });
-            }
+            expect_length(what, found, expected)?;
         }
         Ok(Self { observer })
     }
 }
 
 impl Feedback for ObserverFeedback {
-    #[inline(always)]
     fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError> {
         let Self { observer } = self;
         let (theta, others) = known.readings.split_at(observer.joints());

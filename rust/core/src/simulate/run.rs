@@ -7,11 +7,12 @@ use super::plant::Plant;
 use super::recording::Recording;
 use super::sensors::{Motion, Suite};
 use super::start::Start;
+use crate::check::expect;
 use crate::control::{Controller, State};
 use crate::error::{DesignError, SimulationError};
 use crate::interrupt::Watch;
 use crate::robot::Robot;
-use crate::simd;
+use crate::simd::{self, Kernel};
 
 /// How the robot moves between samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,15 +41,11 @@ const MOST_SUBSTEPS: usize = 1_000_000;
 
 impl Plan {
     fn check(&self) -> Result<(), DesignError> {
-        let (what, expected) = ("period", "a finite number greater than 0");
-        if !(self.period > 0.0 && self.period.is_finite()) {
-            return Err(DesignError::Range { what, value: self.period, expected });
-        }
+        let positive = self.period > 0.0 && self.period.is_finite();
+        expect(positive, "period", self.period, "a finite number greater than 0")?;
         let substeps = if let Stepping::Fixed(substeps) = self.stepping { substeps } else { 1 };
         for (what, value) in [("samples", self.count), ("substeps", substeps), ("keep_every", self.keep_every)] {
-            if value == 0 {
-                return Err(DesignError::Range { what, value: 0.0, expected: "at least 1" });
-            }
+            expect(value > 0, what, 0.0, "at least 1")?;
         }
         if substeps > MOST_SUBSTEPS {
             let (what, expected) = ("substeps", "at most 1000000");
@@ -84,7 +81,12 @@ pub fn simulate(
             return Err(SimulationError::Step { step, limit, substeps: (plan.period / limit).ceil() });
         }
     }
-    simd::dispatch(simd::level(), Run { robot, plan, world, suite, feedback, controller })
+    let mut run = Run { robot, plan, world, suite, feedback, controller };
+    let watch = Watch::current();
+    for sample in 0..plan.count {
+        run.sample(sample, &watch)?;
+    }
+    Ok(run.world.out)
 }
 
 /// A [`Stepping`] with its room.
@@ -149,7 +151,6 @@ impl World {
     }
 
     /// Moves from one sample to the next.
-    #[inline(always)]
     fn advance(&mut self, robot: &Robot, t: f64, dt: f64, watch: &Watch) -> Result<(), SimulationError> {
         let Self { x, tau, plant, mover, .. } = self;
         match mover {
@@ -190,6 +191,39 @@ impl World {
     }
 }
 
+/// [`World::look`], to be compiled for each instruction set.
+struct Look<'a> {
+    world: &'a mut World,
+    robot: &'a Robot,
+}
+
+impl Kernel for Look<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.world.look(self.robot);
+    }
+}
+
+/// All sensors of a sample.
+struct Read<'a> {
+    suite: &'a mut Suite,
+    robot: &'a Robot,
+    world: &'a World,
+    sample: usize,
+}
+
+impl Kernel for Read<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { suite, robot, world, sample } = self;
+        suite.read(robot, &world.plant, &world.x, sample);
+    }
+}
+
 struct Run<'a> {
     robot: &'a Robot,
     plan: Plan,
@@ -199,29 +233,15 @@ struct Run<'a> {
     controller: &'a mut dyn Controller,
 }
 
-impl simd::Kernel for Run<'_> {
-    type Output = Result<Recording, SimulationError>;
-
-    #[inline(always)]
-    fn run(mut self) -> Self::Output {
-        let watch = Watch::current();
-        for sample in 0..self.plan.count {
-            self.sample(sample, &watch)?;
-        }
-        Ok(self.world.out)
-    }
-}
-
 impl Run<'_> {
-    #[inline(always)]
     fn sample(&mut self, sample: usize, watch: &Watch) -> Result<(), SimulationError> {
         let Self { robot, plan, world, suite, feedback, controller } = self;
         let (dt, t) = (plan.period, sample as f64 * plan.period);
-        world.look(robot);
+        simd::phase(Look { world, robot });
         if !world.plant.dynamics.ddq.iter().chain(&world.x).all(|value| value.is_finite()) {
             return Err(SimulationError::NotFinite { time: t });
         }
-        suite.read(robot, world.motion(), &world.plant.dynamics, sample);
+        simd::phase(Read { suite, robot, world, sample });
         let mut told = core::mem::take(&mut world.told);
         let known = Known { truth: world.motion(), readings: &suite.readings, tau: &world.tau, dt };
         feedback.state_into(known, &mut told)?;

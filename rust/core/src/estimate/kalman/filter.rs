@@ -1,15 +1,19 @@
 //! The extended Kalman filter: one step, and whole recordings.
 
+use super::consider::Consider;
 use super::correction::Correction;
-use super::gaussian::Gaussian;
-use super::model::Model;
+use super::gaussian::{Gaussian, Symmetric};
+use super::monitor::{Finding, Monitor};
 use super::output::{FilterOutput, Keep, Tool};
+use super::phases::{Judge, Linearise, Phases, Predict, Report, Update};
 use super::recording::{KalmanRecording, KalmanSample};
 use super::smoother::{History, Smoother};
+use crate::check::{expect, expect_length};
 use crate::error::{DesignError, RunError};
+use crate::estimate::Status;
 use crate::interrupt::Watch;
+use crate::linear;
 use crate::parallel;
-use crate::simd::{self, Kernel};
 
 /// A sample's measurement is linearised no more often than this.
 pub const MOST_ITERATIONS: usize = 100;
@@ -34,48 +38,76 @@ pub struct ExtendedKalmanFilter<M> {
     pub(super) belief: Gaussian,
     prior: Gaussian,
     pub(super) correction: Correction,
+    pub(super) consider: Option<Consider>,
+    monitor: Option<Monitor>,
     pub(super) tool: Tool,
     memory: Vec<f64>,
     /// Samples taken, for messages.
     taken: usize,
     started: bool,
+    /// The belief at the first sample; none: at rest.
+    start: Option<Gaussian>,
 }
 
-impl<M: Model> ExtendedKalmanFilter<M> {
+impl<M: Phases> ExtendedKalmanFilter<M> {
     /// A filter that starts from rest at its first sample.
     ///
     /// # Errors
     /// A gate or a number of iterations out of range.
     pub fn new(model: M, settings: FilterSettings) -> Result<Self, DesignError> {
-        if let Some(value) = settings.gate.filter(|g| g.is_nan() || *g <= 0.0) {
-            return Err(DesignError::Range {
-                what: "gate",
-                value,
-                expected: "a positive number of standard deviations",
-            });
-        }
-        if !(1..=MOST_ITERATIONS).contains(&settings.iterations) {
-            let (what, value, expected) = ("iterations", settings.iterations as f64, "1 to 100");
-            return Err(DesignError::Range { what, value, expected });
-        }
+        let gate = settings.gate.unwrap_or(f64::INFINITY);
+        expect(gate > 0.0, "gate", gate, "a positive number of standard deviations")?;
+        let iterations = settings.iterations;
+        expect((1..=MOST_ITERATIONS).contains(&iterations), "iterations", iterations as f64, "1 to 100")?;
         let belief = Gaussian::independent(&vec![0.0; model.states()]);
         Ok(Self {
             prior: belief.clone(),
             correction: Correction::new(&model, belief.covariance.stride),
+            consider: Consider::new(&model),
+            monitor: Some(Monitor::new(&model)),
             tool: Tool::new(model.robot()),
             memory: Vec::with_capacity(model.memory()),
             taken: 0,
             started: false,
+            start: None,
             belief,
             model,
             settings,
         })
     }
 
-    /// Forgets the state: the next sample starts anew, from rest.
+    /// From now on a first sample finds this belief; none: the robot at rest.
+    ///
+    /// # Errors
+    /// A belief of another number of states.
+    pub fn set_start(&mut self, start: Option<Gaussian>) -> Result<(), DesignError> {
+        if let Some(start) = &start {
+            expect_length("start", start.mean.len(), self.model.own_states())?;
+        }
+        self.start = start;
+        Ok(())
+    }
+
+    /// Forgets the state: the next sample starts anew.
     pub fn reset(&mut self) {
         self.taken = 0;
         self.started = false;
+        if let Some(consider) = &mut self.consider {
+            consider.reset();
+        }
+        if let Some(monitor) = &mut self.monitor {
+            monitor.reset();
+        }
+    }
+
+    /// Whether innovations are judged as they come; they are unless this says no.
+    pub fn watch(&mut self, watch: bool) {
+        self.monitor = watch.then(|| Monitor::new(&self.model));
+    }
+
+    /// Contradictions between readings and model since the start.
+    pub fn findings(&self) -> &[Finding] {
+        self.monitor.as_ref().map_or(&[], |monitor| &monitor.findings)
     }
 
     /// Whether it has taken a sample.
@@ -93,6 +125,25 @@ impl<M: Model> ExtendedKalmanFilter<M> {
         &self.belief
     }
 
+    /// Covariance of the state after the last sample, with what the parameters' tolerances add to it.
+    pub fn covariance(&self) -> Symmetric {
+        let mut covariance = self.belief.covariance.clone();
+        if let Some(mut consider) = self.consider.clone() {
+            let states = self.belief.mean.len();
+            consider.sum_up(states);
+            for (row, more) in covariance.data.chunks_exact_mut(covariance.stride).zip(consider.total.chunks(states)) {
+                linear::add_scaled(row, 1.0, more);
+            }
+        }
+        covariance
+    }
+
+    /// What the readings so far say of the parameters: their errors, in the measure of their tolerances, and the
+    /// standard deviations of these.
+    pub fn parameters(&self) -> (Vec<f64>, Vec<f64>) {
+        self.consider.as_ref().map(Consider::parameters).unwrap_or_default()
+    }
+
     /// See [`Status`](crate::estimate::Status).
     pub fn status(&self) -> u8 {
         self.correction.status
@@ -103,7 +154,6 @@ impl<M: Model> ExtendedKalmanFilter<M> {
     /// # Errors
     /// A sample that cannot be used, or a first one from which the model cannot [start](Model::start): the state stays as it
     /// was. [`RunError::NotFinite`]: readings so absurd that nothing is left; the next sample starts anew.
-    #[inline(always)]
     pub fn step(&mut self, sample: KalmanSample<'_>) -> Result<(), RunError> {
         sample.check(&self.model)?;
         self.advance(&sample)?;
@@ -129,40 +179,56 @@ impl<M: Model> ExtendedKalmanFilter<M> {
     }
 
     /// To the sample's time; afterwards the belief is what was predicted.
-    #[inline(always)]
     fn advance(&mut self, sample: &KalmanSample<'_>) -> Result<(), DesignError> {
         if self.started {
-            self.model.predict(sample, &mut self.belief);
+            M::predict_phase(Predict { model: &mut self.model, sample, belief: &mut self.belief });
+            if let Some(consider) = &mut self.consider {
+                self.model.carry(&mut consider.columns, consider.stride, sample.dt);
+            }
         } else {
-            self.model.start(sample, &mut self.belief)?;
+            match &self.start {
+                Some(start) => {
+                    self.belief = start.clone();
+                    self.model.resume(sample, &mut self.belief);
+                }
+                None => self.model.start(sample, &mut self.belief)?,
+            }
             self.started = true;
         }
         Ok(())
     }
 
     /// Uses the sample's readings.
-    #[inline(always)]
     fn correct(&mut self, sample: &KalmanSample<'_>) {
         self.correction.gated.fill(false);
         if self.settings.iterations > 1 {
             self.prior.copy_from(&self.belief);
         }
         self.linearise();
-        self.correction.update(&self.model, &mut self.belief, sample.readings, self.settings.gate);
+        self.update(sample.readings, self.settings.gate);
         for _ in 1..self.settings.iterations {
             self.linearise();
             self.belief.copy_from(&self.prior);
-            self.correction.update(&self.model, &mut self.belief, sample.readings, None);
+            self.update(sample.readings, None);
+        }
+        let Self { model, correction, consider, monitor, .. } = self;
+        M::judge_phase(Judge { model, correction, consider: consider.as_mut(), monitor: monitor.as_mut(), sample });
+        if self.model.bridged() {
+            self.correction.status |= Status::BRIDGED;
         }
     }
 
+    fn update(&mut self, readings: &[f64], gate: Option<f64>) {
+        let Self { model, correction, belief, .. } = self;
+        M::update_phase(Update { model: &*model, correction, belief, readings, gate });
+    }
+
     /// At the present mean.
-    #[inline(always)]
     fn linearise(&mut self) {
         let reference = &mut self.correction.reference;
         let d = reference.len();
         reference.copy_from_slice(&self.belief.mean[..d]);
-        self.model.linearise(reference);
+        M::linearise_phase(Linearise { model: &mut self.model, reference });
     }
 
     /// Filters a recording, `count` rows; goes on from where it was, so that it may come in pieces.
@@ -171,7 +237,7 @@ impl<M: Model> ExtendedKalmanFilter<M> {
     /// As [`step`](Self::step), wrong lengths, or a sample after which the estimate is not finite.
     pub fn run(&mut self, recording: KalmanRecording<'_>, keep: Keep) -> Result<FilterOutput, RunError> {
         self.model.check(&recording)?;
-        simd::dispatch(simd::level(), Run { filter: self, recording, keep, history: None })
+        self.run_with(recording, keep, None)
     }
 
     /// Runs each of `recordings` from a fresh start, on all cores; through the smoother where `smooth`.
@@ -202,8 +268,7 @@ impl<M: Model> ExtendedKalmanFilter<M> {
     }
 
     /// As [`run`](Self::run), remembering what a smoother needs.
-    #[inline(always)]
-    fn run_with(
+    pub(super) fn run_with(
         &mut self,
         recording: KalmanRecording<'_>,
         keep: Keep,
@@ -219,14 +284,14 @@ impl<M: Model> ExtendedKalmanFilter<M> {
             let sample = recording.sample(i, &self.model);
             self.advance(&sample)?;
             if let Some(history) = &mut history {
-                history.push_prediction(sample.dt, &self.belief);
+                history.push_prediction(sample.dt, &self.belief, self.consider.as_ref());
             }
             if keep.innovations {
                 self.report_innovations(i, &sample, &mut out);
             }
             self.correct(&sample);
             if let Some(history) = &mut history {
-                history.push_update(&self.model, &self.correction);
+                history.push_update(&self.model, &self.correction, self.consider.as_ref());
             }
             if !self.is_finite() {
                 return Err(RunError::NotFinite { sample: self.taken });
@@ -237,6 +302,7 @@ impl<M: Model> ExtendedKalmanFilter<M> {
             }
             out.write_fit(i, &self.correction);
         }
+        out.findings.extend_from_slice(self.findings());
         Ok(out)
     }
 
@@ -247,32 +313,16 @@ impl<M: Model> ExtendedKalmanFilter<M> {
         self.correction.compare(&self.model, &self.belief, sample.readings, innovation, std);
     }
 
-    #[inline(always)]
     fn report(&mut self, i: usize, out: &mut FilterOutput, whole: bool) {
-        let Gaussian { mean, covariance } = &self.belief;
-        self.memory.clear();
-        self.model.remember(&mut self.memory);
-        self.model.report(&self.memory, mean, i, out);
-        out.write_links(i, self.model.robot(), mean, |r, c| covariance.at(r, c), &mut self.tool);
-        if whole {
-            out.write_state(i, mean, &covariance.data, covariance.stride);
-        }
-    }
-}
-
-/// A filter's run, to be compiled for each instruction set.
-pub(super) struct Run<'a, 'b, M> {
-    pub(super) filter: &'a mut ExtendedKalmanFilter<M>,
-    pub(super) recording: KalmanRecording<'b>,
-    pub(super) keep: Keep,
-    pub(super) history: Option<&'a mut History>,
-}
-
-impl<M: Model> Kernel for Run<'_, '_, M> {
-    type Output = Result<FilterOutput, RunError>;
-
-    #[inline(always)]
-    fn run(self) -> Self::Output {
-        self.filter.run_with(self.recording, self.keep, self.history)
+        let Self { model, belief: Gaussian { mean, covariance }, memory, tool, .. } = self;
+        memory.clear();
+        model.remember(memory);
+        let rows = if whole { mean.len() } else { model.robot().len() };
+        let more = self.consider.as_mut().map(|consider| {
+            consider.sum_up(rows);
+            (&consider.total[..rows * rows], rows)
+        });
+        let (covariance, stride) = (&covariance.data, covariance.stride);
+        M::report_phase(Report { model, memory, mean, covariance, stride, more, tool, i, out, whole });
     }
 }

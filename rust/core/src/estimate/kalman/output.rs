@@ -2,10 +2,12 @@
 
 use super::correction::Correction;
 use super::model::Model;
+use super::monitor::Finding;
 use crate::dynamics::Kinematics;
 use crate::error::DesignError;
 use crate::memory::filled;
 use crate::robot::Robot;
+use crate::simd::{self, Kernel};
 
 /// What to keep of each sample beyond the estimate.
 #[derive(Clone, Copy, Debug, Default)]
@@ -47,6 +49,8 @@ pub struct FilterOutput {
     pub state: Vec<f64>,
     /// Its covariance (states × states), when kept.
     pub covariance: Vec<f64>,
+    /// Contradictions found since the recording's start.
+    pub findings: Vec<Finding>,
     /// Reading less prediction (channels), when kept.
     pub innovation: Vec<f64>,
     /// Its standard deviation (channels), when kept.
@@ -79,6 +83,7 @@ impl FilterOutput {
             log_likelihood: rows(1)?,
             state: rows(states)?,
             covariance: rows(states * states)?,
+            findings: Vec::new(),
             innovation: rows(innovations)?,
             innovation_std: rows(innovations)?,
         })
@@ -132,6 +137,12 @@ impl FilterOutput {
         }
     }
 
+    /// Adds to the covariance of sample `i`.
+    #[inline(always)]
+    pub(super) fn add_covariance(&mut self, i: usize, more: &[f64]) {
+        crate::linear::add_scaled(&mut self.covariance[i * more.len()..][..more.len()], 1.0, more);
+    }
+
     /// This stretch and the one after it.
     ///
     /// # Errors
@@ -144,6 +155,7 @@ impl FilterOutput {
         }
         self.status.append(&mut later.status);
         self.used.append(&mut later.used);
+        self.findings = later.findings;
         Ok(self)
     }
 
@@ -181,8 +193,12 @@ impl Tool {
     }
 
     /// Position at `q`, the derivative beside; none of a robot without a tool.
-    #[inline(always)]
     fn set(&mut self, robot: &Robot, q: &[f64]) -> Option<[f64; 3]> {
+        simd::phase(SetTool { tool: self, robot, q })
+    }
+
+    #[inline(always)]
+    fn set_here(&mut self, robot: &Robot, q: &[f64]) -> Option<[f64; 3]> {
         let frame = robot.tool.as_ref()?;
         let Self { kinematics, jacobian } = self;
         kinematics.set_position(&robot.tree, q);
@@ -193,5 +209,20 @@ impl Tool {
             }
         });
         Some(kinematics.position(frame).0)
+    }
+}
+
+struct SetTool<'a> {
+    tool: &'a mut Tool,
+    robot: &'a Robot,
+    q: &'a [f64],
+}
+
+impl Kernel for SetTool<'_> {
+    type Output = Option<[f64; 3]>;
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        self.tool.set_here(self.robot, self.q)
     }
 }

@@ -1,6 +1,7 @@
 //! What a filter is given: one sample, or a whole recording.
 
 use super::model::Model;
+use crate::check::{expect, expect_length, refuse_infinite};
 use crate::error::DesignError;
 
 /// One sample; NaN where a reading is missing.
@@ -51,9 +52,7 @@ impl KalmanSample<'_> {
     /// A step of time that is not positive and finite, an infinite reading, wrong lengths.
     pub(crate) fn check(&self, model: &impl Model) -> Result<(), DesignError> {
         let Self { dt, readings, inputs } = *self;
-        if !(dt > 0.0 && dt.is_finite()) {
-            return Err(DesignError::Range { what: "dt", value: dt, expected: "a positive, finite time" });
-        }
+        expect(dt > 0.0 && dt.is_finite(), "dt", dt, "a positive, finite time")?;
         model.check(&KalmanRecording { dt: &[dt], readings, inputs })?;
         let Inputs { dtheta, jerk, tau } = inputs;
         [("readings", readings), ("dtheta", dtheta), ("jerk", jerk), ("tau", tau)]
@@ -94,37 +93,5 @@ impl<'a> KalmanRecording<'a> {
         let count = self.dt.len();
         expect_length("readings", self.readings.len(), count * channels)?;
         needed.iter().try_for_each(|(what, values)| expect_length(what, values.len(), count * joints))
-    }
-}
-
-/// # Errors
-/// A value that is infinite; NaN is one that is missing.
-pub(crate) fn refuse_infinite(what: &'static str, values: &[f64]) -> Result<(), DesignError> {
-    match values.iter().position(|x| x.is_infinite()) {
-        Some(index) => Err(DesignError::Infinite { what, index, value: values[index] }),
-        None => Ok(()),
-    }
-}
-
-pub(super) fn expect_length(what: &'static str, found: usize, expected: usize) -> Result<(), DesignError> {
-    if found == expected { Ok(()) } else { Err(DesignError::Length { what, found, expected }) }
-}
-
-/// # Errors
-/// Another number of standard deviations than `expected`, or one that is negative or not finite.
-pub(super) fn check_deviations(what: &'static str, values: &[f64], expected: usize) -> Result<(), DesignError> {
-    expect_length(what, values.len(), expected)?;
-    match values.iter().find(|v| !(v.is_finite() && **v >= 0.0)) {
-        Some(&value) => Err(DesignError::Range { what, value, expected: "a standard deviation of at least 0" }),
-        None => Ok(()),
-    }
-}
-
-/// # Errors
-/// A reading without noise.
-pub(super) fn check_readings(values: &[f64]) -> Result<(), DesignError> {
-    match values.iter().find(|v| **v == 0.0) {
-        Some(&value) => Err(DesignError::Range { what: "reading", value, expected: "greater than 0" }),
-        None => Ok(()),
     }
 }

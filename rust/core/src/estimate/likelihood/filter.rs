@@ -1,12 +1,19 @@
 //! The filter, over a scalar: what is kept is each reading's innovation.
+//!
+//! Its update differs from that of [`kalman`](crate::estimate::kalman), which defers the covariance to the end of a sample:
+//! here each reading changes it at once, so that a filter inside a sensor can take its next value between two readings,
+//! and no derivative number is computed for padding or for a gain that only a smoother needs. A test holds both equal.
 
 use super::evaluation::{Evaluation, Reading};
 use super::moments::Moment;
 use super::recording::LikelihoodRecording;
-use crate::estimate::kalman::{Channel, JerkModel, Noise};
+use crate::estimate::bias::bias_step;
+use crate::estimate::jerk_noise;
+use crate::estimate::kalman::{JerkModel, Noise};
+use crate::estimate::measurement::Channel;
 use crate::interrupt::Watch;
 use crate::scalar::Scalar;
-use crate::simd::Kernel;
+use crate::simd::{self, Kernel};
 
 /// A reading less its prediction by all readings before it.
 #[derive(Clone, Copy, Debug)]
@@ -26,8 +33,6 @@ pub(super) struct Filter<T> {
     /// The state that is each channel's filter, and α.
     memories: Vec<Option<(usize, T)>>,
     noise: Noise,
-    /// Whether acceleration steps where an interval begins.
-    held: bool,
     moments: Vec<Moment>,
     next: usize,
     mean: Vec<T>,
@@ -39,13 +44,7 @@ pub(super) struct Filter<T> {
 }
 
 impl<T: Scalar> Filter<T> {
-    pub(super) fn new(
-        model: &JerkModel,
-        noise: Noise,
-        evaluation: Evaluation<T>,
-        moments: Vec<Moment>,
-        held: bool,
-    ) -> Self {
+    pub(super) fn new(model: &JerkModel, noise: Noise, evaluation: Evaluation<T>, moments: Vec<Moment>) -> Self {
         let n = model.joints();
         let mut states = model.states();
         let mut memory = |channel: &Channel| match *channel {
@@ -60,7 +59,6 @@ impl<T: Scalar> Filter<T> {
             evaluation,
             biases: model.biases.clone(),
             noise,
-            held,
             moments,
             next: 0,
             mean: vec![T::default(); states],
@@ -71,14 +69,13 @@ impl<T: Scalar> Filter<T> {
         }
     }
 
-    /// In how many calls of [`Advance`] with `count` moments each the recording is done.
+    /// In how many calls of [`advance`](Self::advance) with `count` moments each the recording is done.
     pub(super) fn stretches(&self, count: usize) -> usize {
         self.moments.len().div_ceil(count)
     }
 
     /// Innovations of the next `count` moments.
-    #[inline(always)]
-    fn advance(&mut self, recording: &LikelihoodRecording, count: usize) {
+    pub(super) fn advance(&mut self, recording: &LikelihoodRecording, count: usize) {
         self.innovations.clear();
         let watch = Watch::current();
         for i in self.next..(self.next + count).min(self.moments.len()) {
@@ -89,7 +86,8 @@ impl<T: Scalar> Filter<T> {
             if i == 0 {
                 self.start(recording);
             } else {
-                self.predict(recording, self.moments[i - 1], moment);
+                let from = self.moments[i - 1];
+                simd::phase(Predict { filter: self, recording, from, to: moment });
             }
             self.correct(recording, moment);
         }
@@ -153,41 +151,47 @@ impl<T: Scalar> Filter<T> {
     #[inline(always)]
     fn add_noise(&mut self, dt: T) {
         let (n, states) = (self.reference.len() / 3, self.mean.len());
-        let spread = if self.held { held_spread(dt) } else { continuous_spread(dt) };
+        let white_jerk = jerk_noise::covariance(dt);
         for j in 0..n {
             let density = self.evaluation.parameters().joints[j].jerk_noise * self.noise.jerk[j];
-            let variance = density * density * dt;
+            let variance = density * density;
             for a in 0..3 {
                 for b in 0..3 {
-                    self.covariance[(a * n + j) * states + b * n + j] += spread[a][b] * variance;
+                    self.covariance[(a * n + j) * states + b * n + j] += white_jerk[a][b] * variance;
                 }
             }
         }
         for (i, walk) in self.noise.link_walk.iter().enumerate() {
             self.covariance[i * states + i] += dt * (walk * walk);
         }
-        for (bias, walk) in self.biases.iter().zip(&self.noise.bias_walk) {
-            if let Some(b) = *bias {
-                self.covariance[b * states + b] += dt * (walk * walk);
+        for c in 0..self.biases.len() {
+            let Some(b) = self.biases[c] else { continue };
+            let step = bias_step(self.noise.bias_walk[c], self.noise.bias_time[c], dt);
+            self.mean[b] = step.decay * self.mean[b];
+            for k in 0..states {
+                self.covariance[b * states + k] = step.decay * self.covariance[b * states + k];
             }
+            for k in 0..states {
+                self.covariance[k * states + b] = step.decay * self.covariance[k * states + b];
+            }
+            self.covariance[b * states + b] += step.variance;
         }
     }
 
     /// One reading after the other, all linearised where the moment was predicted.
-    #[inline(always)]
     fn correct(&mut self, recording: &LikelihoodRecording, moment: Moment) {
         let d = self.reference.len();
         self.reference.copy_from_slice(&self.mean[..d]);
-        self.evaluation.evaluate(recording, moment, &self.reference);
+        simd::phase(Evaluate { evaluation: &mut self.evaluation, recording, moment, state: &self.reference });
         for i in 0..self.evaluation.readings.len() {
-            self.use_reading(i, moment.row);
+            simd::phase(UseReading { filter: self, i, row: moment.row });
         }
     }
 
     #[inline(always)]
     fn use_reading(&mut self, i: usize, row: usize) {
         let reading = self.evaluation.readings[i];
-        let predicted = self.project(i, &reading);
+        let predicted = self.project(&reading);
         let (predicted, spread) = match self.memories[reading.channel] {
             Some((state, alpha)) => self.remember(state, alpha, predicted),
             None => predicted,
@@ -209,9 +213,9 @@ impl<T: Scalar> Filter<T> {
 
     /// A prediction h(x) without bias at the present mean, and its variance h P hᵀ; leaves P hᵀ in the gain.
     #[inline(always)]
-    fn project(&mut self, i: usize, reading: &Reading<T>) -> (T, T) {
+    fn project(&mut self, reading: &Reading<T>) -> (T, T) {
         let (d, states) = (self.reference.len(), self.mean.len());
-        let h = &self.evaluation.jacobian[i * d..][..d];
+        let h = &self.evaluation.jacobian[reading.channel * d..][..d];
         let (mut predicted, mut spread) = (reading.prediction, T::default());
         self.gain.fill(T::default());
         for (k, (slope, column)) in h.iter().zip(self.covariance.chunks_exact(states)).enumerate() {
@@ -270,34 +274,52 @@ impl<T: Scalar> Filter<T> {
     }
 }
 
-/// Covariance of position, velocity and acceleration, per variance of the latter, after white jerk over `dt` [s].
-#[inline(always)]
-fn continuous_spread<T: Scalar>(dt: T) -> [[T; 3]; 3] {
-    let square = dt * dt;
-    let (p, a) = (square * square * (1.0 / 20.0), T::constant(1.0));
-    let (pv, pa, v, va) = (square * dt * (1.0 / 8.0), square * (1.0 / 6.0), square * (1.0 / 3.0), dt * 0.5);
-    [[p, pv, pa], [pv, v, va], [pa, va, a]]
+/// [`Filter::predict`], to be compiled for each instruction set.
+struct Predict<'a, T> {
+    filter: &'a mut Filter<T>,
+    recording: &'a LikelihoodRecording,
+    from: Moment,
+    to: Moment,
 }
 
-/// The same where acceleration steps at the interval's start, Axelsson, Karlsson and Norrlöf 2012, eq. (10).
-#[inline(always)]
-fn held_spread<T: Scalar>(dt: T) -> [[T; 3]; 3] {
-    let parts = [dt * dt * 0.5, dt, T::constant(1.0)];
-    parts.map(|a| parts.map(|b| a * b))
-}
-
-/// A filter's next stretch, to be compiled for each instruction set.
-pub(super) struct Advance<'a, T> {
-    pub(super) filter: &'a mut Filter<T>,
-    pub(super) recording: &'a LikelihoodRecording,
-    pub(super) count: usize,
-}
-
-impl<T: Scalar> Kernel for Advance<'_, T> {
+impl<T: Scalar> Kernel for Predict<'_, T> {
     type Output = ();
 
     #[inline(always)]
     fn run(self) {
-        self.filter.advance(self.recording, self.count);
+        self.filter.predict(self.recording, self.from, self.to);
+    }
+}
+
+/// [`Evaluation::evaluate`], likewise.
+struct Evaluate<'a, T> {
+    evaluation: &'a mut Evaluation<T>,
+    recording: &'a LikelihoodRecording,
+    moment: Moment,
+    state: &'a [T],
+}
+
+impl<T: Scalar> Kernel for Evaluate<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.evaluation.evaluate(self.recording, self.moment, self.state);
+    }
+}
+
+/// [`Filter::use_reading`], likewise.
+struct UseReading<'a, T> {
+    filter: &'a mut Filter<T>,
+    i: usize,
+    row: usize,
+}
+
+impl<T: Scalar> Kernel for UseReading<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.filter.use_reading(self.i, self.row);
     }
 }

@@ -9,6 +9,7 @@ use super::recording::{Recording, Sample, Trajectory};
 use super::rest::link_position_at_rest;
 use super::sampled::{Sampled, State};
 use super::settings::{AccelerationSource, Form, Settings, Start, check};
+use crate::check::{expect_length, refuse_infinite};
 use crate::dynamics::Kinematics;
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
@@ -119,9 +120,7 @@ impl AccelerationObserver {
     pub fn start(&mut self, theta: &[f64], q: &[f64], dtheta: &[f64], dq: &[f64]) -> Result<(), DesignError> {
         let expected = self.robot.len();
         for (what, given) in [("theta", theta), ("q", q), ("dtheta", dtheta), ("dq", dq)] {
-            if given.len() != expected {
-                return Err(DesignError::Length { what, found: given.len(), expected });
-            }
+            expect_length(what, given.len(), expected)?;
         }
         for j in 0..expected {
             self.state[j] = match self.models[j] {
@@ -145,7 +144,6 @@ impl AccelerationObserver {
     /// A sample that cannot be used, of wrong lengths or with an infinite reading; a first one without every motor position,
     /// or without a static equilibrium; a motor position that has been missing for more than [`LONGEST`]. The state then
     /// stays as it was. [`RunError::NotFinite`]: readings so absurd that nothing is left; the next sample starts anew.
-    #[inline(always)]
     pub fn step(&mut self, sample: Sample<'_>) -> Result<(), RunError> {
         self.check(sample)?;
         self.take(sample)?;
@@ -161,12 +159,8 @@ impl AccelerationObserver {
         let Sample { theta, tau, acceleration } = sample;
         let (n, m) = (self.joints(), self.channels());
         for (what, values, expected) in [("theta", theta, n), ("tau", tau, n), ("acceleration", acceleration, m)] {
-            if values.len() != expected {
-                return Err(DesignError::Length { what, found: values.len(), expected });
-            }
-            if let Some(index) = values.iter().position(|x| x.is_infinite()) {
-                return Err(DesignError::Infinite { what, index, value: values[index] });
-            }
+            expect_length(what, values.len(), expected)?;
+            refuse_infinite(what, values)?;
         }
         let late = |(correction, theta): (&Correction, &f64)| theta.is_nan() && correction.is_at_limit();
         match self.corrections.iter().zip(theta).position(late) {
@@ -175,14 +169,17 @@ impl AccelerationObserver {
         }
     }
 
-    #[inline(always)]
     fn is_finite(&self) -> bool {
         self.q.iter().chain(&self.dq).all(|x| x.is_finite())
     }
 
     /// [`step`](Self::step) with a sample that has been checked.
-    #[inline(always)]
     fn take(&mut self, sample: Sample<'_>) -> Result<(), DesignError> {
+        simd::phase(Step { observer: self, sample })
+    }
+
+    #[inline(always)]
+    fn take_here(&mut self, sample: Sample<'_>) -> Result<(), DesignError> {
         self.status = 0;
         if self.started {
             self.predict();
@@ -307,10 +304,7 @@ impl AccelerationObserver {
     /// # Errors
     /// A wrong length.
     pub fn hold(&mut self, tau: &[f64]) -> Result<(), DesignError> {
-        let expected = self.robot.len();
-        if tau.len() != expected {
-            return Err(DesignError::Length { what: "tau", found: tau.len(), expected });
-        }
+        expect_length("tau", tau.len(), self.robot.len())?;
         self.hold_torque(tau);
         Ok(())
     }
@@ -411,17 +405,10 @@ impl AccelerationObserver {
     /// # Errors
     /// As [`step`](Self::step), wrong lengths, or a sample after which the estimate is not finite.
     pub fn run(&mut self, recording: Recording<'_>) -> Result<Trajectory, RunError> {
-        simd::dispatch(simd::level(), Run { observer: self, recording })
-    }
-
-    #[inline(always)]
-    fn run_here(&mut self, recording: Recording<'_>) -> Result<Trajectory, RunError> {
         let Recording { count, theta, tau, acceleration } = recording;
         let (n, m) = (self.joints(), self.channels());
         for (what, given, width) in [("theta", theta, n), ("tau", tau, n), ("acceleration", acceleration, m)] {
-            if given.len() != count * width {
-                return Err(DesignError::Length { what, found: given.len(), expected: count * width }.into());
-            }
+            expect_length(what, given.len(), count * width)?;
         }
         let mut out = Trajectory::with_capacity(count, n, self.robot.tool.is_some())?;
         let watch = Watch::current();
@@ -453,7 +440,6 @@ impl AccelerationObserver {
         parallel::map(jobs, |&(observer, recording)| observer.clone().run(recording))
     }
 
-    #[inline(always)]
     fn append(&self, out: &mut Trajectory) {
         out.q.extend_from_slice(&self.q);
         out.dq.extend_from_slice(&self.dq);
@@ -470,17 +456,17 @@ impl AccelerationObserver {
     }
 }
 
-/// An observer's run, to be compiled for each instruction set.
-struct Run<'a, 'b> {
+/// An observer's step, to be compiled for each instruction set.
+struct Step<'a, 'b> {
     observer: &'a mut AccelerationObserver,
-    recording: Recording<'b>,
+    sample: Sample<'b>,
 }
 
-impl Kernel for Run<'_, '_> {
-    type Output = Result<Trajectory, RunError>;
+impl Kernel for Step<'_, '_> {
+    type Output = Result<(), DesignError>;
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        self.observer.run_here(self.recording)
+        self.observer.take_here(self.sample)
     }
 }

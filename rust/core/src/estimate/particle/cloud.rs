@@ -1,10 +1,11 @@
 //! Where the particles are kept: blocks of fixed size, a row of numbers for each entry of the state.
 
 use super::accelerations::{Densities, covariance_entries};
-use super::evaluation::Sensed;
+
 use super::settings::Marginalised;
 use crate::error::DesignError;
 use crate::estimate::kalman::JerkModel;
+use crate::estimate::measurement::AlongIncrements;
 use crate::memory::{filled, room};
 use crate::parallel;
 use crate::scalar::Lanes;
@@ -76,7 +77,7 @@ pub(super) struct Sums {
 /// Room for [`WIDE`] particles on their way.
 #[derive(Clone, Debug)]
 pub(super) struct Scratch {
-    pub(super) sensed: Sensed<Wide>,
+    pub(super) sensed: AlongIncrements<Wide>,
     /// q, q̇, q̈ and biases before the noise, and after it.
     pub(super) before: Vec<Wide>,
     pub(super) after: Vec<Wide>,
@@ -95,7 +96,7 @@ impl Scratch {
         let room = |size| vec![Wide::default(); size];
         let states = model.states();
         Self {
-            sensed: Sensed::new(model),
+            sensed: AlongIncrements::new(&model.robot, model.channels()),
             before: room(states),
             after: room(states),
             normal: room(states + 1),

@@ -4,7 +4,7 @@ use super::cloud::{BLOCK, Cloud};
 use super::filter::ParticleFilter;
 use super::sums::dot;
 use crate::error::DesignError;
-use crate::estimate::kalman::{FilterOutput, Gaussian, JerkModel, Keep, Model};
+use crate::estimate::kalman::{FilterOutput, Gaussian, JerkDriven, JerkModel, Keep, Linearise, Model, Phases};
 use crate::memory::filled;
 use crate::scalar::ln;
 
@@ -185,7 +185,7 @@ impl FilterOutput {
     pub(super) fn write_cloud(&mut self, i: usize, filter: &mut ParticleFilter) {
         let n = filter.model.robot().len();
         let ParticleFilter { model, summary, tool, memory, .. } = filter;
-        model.linearise(&summary.mean[..3 * n]);
+        JerkDriven::linearise_phase(Linearise { model, reference: &summary.mean[..3 * n] });
         memory.clear();
         model.remember(memory);
         model.report(memory, &summary.mean, i, self);

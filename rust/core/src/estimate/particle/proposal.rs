@@ -2,15 +2,15 @@
 
 use super::cloud::{Block, Scratch, WIDE, Wide};
 use super::density::{Noise, log_gamma};
-use super::evaluation::Reach;
-use super::random::{Purpose, Stream};
 use super::settings::Proposal;
 use super::shared::Shared;
 use super::sums::Weigh;
 use crate::estimate::kalman::JerkModel;
+use crate::estimate::measurement::Reach;
 use crate::linear;
+use crate::random::{Purpose, Stream};
 use crate::scalar::{Lanes, Scalar, ln};
-use crate::simd::Kernel;
+use crate::simd::{self, Kernel};
 
 /// What all particles share at a sample.
 #[derive(Clone, Debug)]
@@ -121,7 +121,7 @@ impl Scratch {
             Proposal::Linearised { iterations, tail } => self.propose(model, sample, shared, items, iterations, tail),
         };
         self.apply_noise(sample);
-        self.sensed.predict(model, &self.after, &sample.dtheta);
+        self.sensed.predict(&model.robot, &model.channels, &self.after, &sample.dtheta);
         change += self.weigh_and_learn(sample);
         change + self.within_limits(sample)
     }
@@ -213,7 +213,7 @@ impl Scratch {
         for iteration in 0..iterations {
             self.noise.copy_from_slice(&self.mode);
             self.apply_noise(sample);
-            self.sensed.linearise(model, &self.after, &sample.dtheta, reach(sample.dt));
+            self.sensed.linearise(&model.robot, &model.channels, &self.after, &sample.dtheta, reach(sample.dt));
             self.gather_information(sample, iteration > 0);
             linear::factorise(&mut self.factor, n);
             linear::solve(&self.factor, n, &mut self.mode, 1);
@@ -336,13 +336,30 @@ pub(super) fn reach(dt: f64) -> Reach {
 }
 
 /// Standard normal numbers, two a draw.
-#[inline(always)]
 pub(super) fn draw(stream: &Stream, items: [u32; WIDE], from: u32, out: &mut [Wide]) {
-    for (k, pair) in out.chunks_mut(2).enumerate() {
-        let [first, second] = stream.normals(items, from + k as u32);
-        pair[0] = first;
-        if let [_, last] = pair {
-            *last = second;
+    simd::phase(Draw { stream, items, from, out });
+}
+
+struct Draw<'a> {
+    stream: &'a Stream,
+    items: [u32; WIDE],
+    from: u32,
+    out: &'a mut [Wide],
+}
+
+impl Kernel for Draw<'_> {
+    type Output = ();
+    const LANES: bool = true;
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { stream, items, from, out } = self;
+        for (k, pair) in out.chunks_mut(2).enumerate() {
+            let [first, second] = stream.normals(items, from + k as u32);
+            pair[0] = first;
+            if let [_, last] = pair {
+                *last = second;
+            }
         }
     }
 }

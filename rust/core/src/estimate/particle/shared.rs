@@ -107,7 +107,7 @@ impl Kernel for Probe<'_> {
             *entry = Lanes(core::array::from_fn(|l| cloud.at(l * count / WIDE, d)));
         }
         scratch.coast(n, sample);
-        scratch.sensed.linearise(model, &scratch.before, &sample.dtheta, reach(sample.dt));
+        scratch.sensed.linearise(&model.robot, &model.channels, &scratch.before, &sample.dtheta, reach(sample.dt));
         let mut agree = true;
         for l in 0..WIDE {
             let (mut missed, mut turned, mut whole) = (0.0, 0.0, 1.0);

@@ -159,7 +159,7 @@ impl ParticleFilter {
             let model = self.model.jerk_model();
             model.predict(&mut back.predicted, self.model.noise(), next.dt, next.inputs.jerk);
             back.look_back();
-            model.retreat(&mut back.lambda, &mut back.big, next.dt);
+            model.retreat(&mut back.lambda, &mut back.big, self.model.noise(), next.dt);
             back.smooth();
             let motors = &history.motors[i * self.memory.len()..][..self.memory.len()];
             out.report_belief(i, self, motors, &back.smoothed, keep);

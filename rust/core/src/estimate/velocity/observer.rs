@@ -5,11 +5,14 @@ use super::map::Mapped;
 use super::rigid::RigidDynamics;
 use super::schedule::Logic;
 use super::settings::{Gains, Settings};
+use crate::check::{expect_length, refuse_infinite};
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
 use crate::estimate::observer::{LONGEST, Start};
 use crate::linear::add_scaled;
 use crate::robot::Robot;
+use crate::scalar::exp_m1;
+use crate::simd::{self, Kernel};
 use std::sync::Arc;
 
 /// Velocity observer of one robot with rigid joints.
@@ -108,9 +111,7 @@ impl VelocityObserver {
     pub fn start(&mut self, dq: &[f64], lag: &[f64]) -> Result<(), DesignError> {
         let expected = self.joints();
         for (what, given) in [("dq", dq), ("lag", lag)] {
-            if given.len() != expected {
-                return Err(DesignError::Length { what, found: given.len(), expected });
-            }
+            expect_length(what, given.len(), expected)?;
         }
         self.given = true;
         self.velocity.copy_from_slice(dq);
@@ -151,14 +152,9 @@ impl VelocityObserver {
     }
 
     fn check(&self, q: &[f64], torque: &[f64]) -> Result<(), DesignError> {
-        let expected = self.joints();
         for (what, values) in [("q", q), ("tau", torque)] {
-            if values.len() != expected {
-                return Err(DesignError::Length { what, found: values.len(), expected });
-            }
-            if let Some(index) = values.iter().position(|x| x.is_infinite()) {
-                return Err(DesignError::Infinite { what, index, value: values[index] });
-            }
+            expect_length(what, values.len(), self.joints())?;
+            refuse_infinite(what, values)?;
         }
         let longest = (LONGEST / self.settings.period).round().max(1.0);
         let late = |(q, encoder): (&f64, &Encoder)| q.is_nan() && f64::from(encoder.missing()) >= longest;
@@ -169,8 +165,12 @@ impl VelocityObserver {
     }
 
     /// [`step`](Self::step) with a sample that has been checked.
-    #[inline(always)]
     pub(super) fn take(&mut self, q: &[f64], torque: &[f64]) -> Result<(), RunError> {
+        simd::phase(Step { observer: self, q, torque })
+    }
+
+    #[inline(always)]
+    fn take_here(&mut self, q: &[f64], torque: &[f64]) -> Result<(), RunError> {
         self.status = 0;
         let regular = if self.samples == 0 { self.begin(q)? } else { self.advance(q) };
         if !regular {
@@ -304,7 +304,7 @@ impl VelocityObserver {
     fn weigh(&mut self) {
         let period = self.settings.period;
         for (weight, gain) in self.weights.iter_mut().zip(&self.gains) {
-            *weight = -(-gain * period).exp_m1() / period;
+            *weight = -exp_m1(-gain * period) / period;
         }
     }
 
@@ -376,8 +376,24 @@ impl VelocityObserver {
     }
 }
 
+/// An observer's step, to be compiled for each instruction set.
+struct Step<'a> {
+    observer: &'a mut VelocityObserver,
+    q: &'a [f64],
+    torque: &'a [f64],
+}
+
+impl Kernel for Step<'_> {
+    type Output = Result<(), RunError>;
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        self.observer.take_here(self.q, self.torque)
+    }
+}
+
 /// Largest λ(M⁻¹K_P) at which the error is stable, sampled with a gain of `gain` [1/s²]: Jury's condition on its two equations.
 fn stiffest_stable(gain: f64, period: f64) -> f64 {
-    let taken = -(-gain * period).exp_m1();
+    let taken = -exp_m1(-gain * period);
     gain / (period * taken) * (4.0 - 2.0 * taken) / (1.0 - taken / 3.0)
 }

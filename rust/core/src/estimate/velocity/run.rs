@@ -5,7 +5,6 @@ use crate::error::{DesignError, RunError};
 use crate::interrupt::Watch;
 use crate::memory::room;
 use crate::parallel;
-use crate::simd::{Kernel, dispatch, level};
 
 /// A recording: `count` samples of positions and torques, row-major.
 #[derive(Clone, Copy, Debug)]
@@ -54,7 +53,21 @@ impl VelocityObserver {
     /// # Errors
     /// As [`step`](Self::step), and when the estimate is no longer finite; names the sample.
     pub fn run(&mut self, recording: Recording<'_>) -> Result<Trajectory, RunError> {
-        dispatch(level(), Run { observer: self, recording })
+        let n = self.joints();
+        let tool = self.has_tool();
+        let mut out = Trajectory::with_capacity(recording.count, n, tool)?;
+        let watch = Watch::current();
+        for (q, torque) in recording.q.chunks_exact(n).zip(recording.torque.chunks_exact(n)) {
+            if watch.stops() {
+                return Err(RunError::Interrupted { sample: self.samples() });
+            }
+            self.take(q, torque)?;
+            if !self.is_finite() {
+                return Err(RunError::NotFinite { sample: self.samples() - 1 });
+            }
+            self.report(&mut out, tool);
+        }
+        Ok(out)
     }
 
     /// Runs each recording from a copy of its observer, on all cores.
@@ -62,7 +75,6 @@ impl VelocityObserver {
         parallel::map(jobs, |&(observer, recording)| observer.clone().run(recording))
     }
 
-    #[inline(always)]
     fn report(&self, out: &mut Trajectory, tool: bool) {
         out.q.extend_from_slice(self.q());
         out.dq.extend_from_slice(self.dq());
@@ -72,34 +84,5 @@ impl VelocityObserver {
         }
         out.level.push(u8::try_from(self.level()).unwrap_or(u8::MAX));
         out.status.push(self.status());
-    }
-}
-
-struct Run<'a> {
-    observer: &'a mut VelocityObserver,
-    recording: Recording<'a>,
-}
-
-impl Kernel for Run<'_> {
-    type Output = Result<Trajectory, RunError>;
-
-    #[inline(always)]
-    fn run(self) -> Self::Output {
-        let Self { observer, recording } = self;
-        let n = observer.joints();
-        let tool = observer.has_tool();
-        let mut out = Trajectory::with_capacity(recording.count, n, tool)?;
-        let watch = Watch::current();
-        for (q, torque) in recording.q.chunks_exact(n).zip(recording.torque.chunks_exact(n)) {
-            if watch.stops() {
-                return Err(RunError::Interrupted { sample: observer.samples() });
-            }
-            observer.take(q, torque)?;
-            if !observer.is_finite() {
-                return Err(RunError::NotFinite { sample: observer.samples() - 1 });
-            }
-            observer.report(&mut out, tool);
-        }
-        Ok(out)
     }
 }

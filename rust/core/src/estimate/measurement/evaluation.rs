@@ -1,0 +1,67 @@
+//! All channels of the acceleration-driven model in one state, with their Jacobian.
+
+use super::motion::PlainMotion;
+use super::view::OfDrives;
+use super::{Channel, Driven, Jacobian, LinkMotion, read_all};
+use crate::robot::Robot;
+use crate::scalar::Scalar;
+use crate::simd::{self, Kernel};
+
+/// Predictions of all channels at one state, with their derivatives in (q, q̇, q̈).
+#[derive(Clone, Debug)]
+pub struct Evaluation<T> {
+    /// h (channels), without bias.
+    pub prediction: Vec<T>,
+    /// ∂h/∂(q, q̇, q̈), channels × 3n, row-major.
+    pub jacobian: Vec<T>,
+    pub(crate) motion: LinkMotion<T>,
+    plain: PlainMotion<T>,
+}
+
+impl<T: Scalar> Evaluation<T> {
+    /// Room for `channels` of `robot`.
+    pub fn new(robot: &Robot, channels: usize) -> Self {
+        Self {
+            prediction: vec![T::default(); channels],
+            jacobian: vec![T::default(); channels * 3 * robot.len()],
+            motion: LinkMotion::new(robot),
+            plain: PlainMotion::new(robot),
+        }
+    }
+
+    /// Evaluates `channels` at `state` = (q, q̇, q̈); `dtheta` (n) is each motor's velocity for the damping torque, NaN to
+    /// leave it out. Rows of motor velocities stay zero: they are the rate of the motor positions'.
+    #[inline]
+    pub fn evaluate(&mut self, robot: &Robot, channels: &[Channel], state: &[T], dtheta: &[f64]) {
+        simd::phase(Evaluate { evaluation: self, robot, channels, state, dtheta });
+    }
+
+    /// Predictions alone, as [`evaluate`](Self::evaluate) but for rounding.
+    #[inline(always)]
+    pub fn predict(&mut self, robot: &Robot, channels: &[Channel], state: &[T], dtheta: &[f64]) {
+        self.plain.predict(robot, channels, state, dtheta, &mut self.prediction);
+    }
+}
+
+/// [`Evaluation::evaluate`], to be compiled for each instruction set.
+struct Evaluate<'a, T> {
+    evaluation: &'a mut Evaluation<T>,
+    robot: &'a Robot,
+    channels: &'a [Channel],
+    state: &'a [T],
+    dtheta: &'a [f64],
+}
+
+impl<T: Scalar> Kernel for Evaluate<'_, T> {
+    type Output = ();
+    const LANES: bool = T::LANES;
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { evaluation: Evaluation { prediction, jacobian, motion, .. }, robot, channels, state, dtheta } = self;
+        motion.set(robot, state);
+        jacobian.fill(T::default());
+        let view = Driven { links: motion, state, dtheta, springs: &OfDrives };
+        read_all(robot, channels, &view, &mut Jacobian { prediction, rows: jacobian, joints: robot.len() });
+    }
+}
