@@ -235,7 +235,7 @@ import dataclasses
 long = dataclasses.replace(log, t=np.arange(100_000) * log.period, **{
     f.name: tiled(getattr(log, f.name)) for f in dataclasses.fields(log)
     if isinstance(getattr(log, f.name), np.ndarray) and f.name != "t"})
-pd = JointPD(kp=np.ones(n) * 100, kd=np.ones(n) * 10, times=[0.0, 1.0], theta=np.zeros((2, n)), tau=np.zeros((2, n)))
+pd = JointPD(kp=np.ones(n) * 100, kd=np.ones(n) * 10, times=[0.0, 1.0], theta=np.zeros((2, n)))
 work = {
     "ekf": lambda: ExtendedKalmanFilter(robot, Noise(jerk=15.0)).run([long] * 10),
     "batch": lambda: AccelerationObserver(robot).run([long] * 40),
@@ -312,7 +312,7 @@ robot = Robot.load(demo.ROBOT)
 log = Log.read(demo.LOG, robot)
 rows = 30000
 long = dataclasses.replace(log, t=np.arange(rows) * log.period, **{
-    f.name: np.tile(getattr(log, f.name), (10, 1))[:rows] for f in dataclasses.fields(log)
+    f.name: np.tile(getattr(log, f.name), (15, 1))[:rows] for f in dataclasses.fields(log)
     if isinstance(getattr(log, f.name), np.ndarray) and f.name != "t"})
 used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + (80 << 20),) * 2)

@@ -132,7 +132,7 @@ impl ElasticJointFilter {
     /// From now on a first sample finds this mean and covariance of the state; nothing: the robot at rest.
     #[pyo3(signature = (mean, covariance))]
     fn set_start(&mut self, mean: Signal<'_>, covariance: Matrix<'_>) -> PyResult<()> {
-        let states = self.filter.model().states();
+        let states = self.filter.model().own_states();
         let start = Gaussian::new(mean.sized("mean", states)?, rows("covariance", &covariance, states)?);
         start.and_then(|start| self.filter.set_start(Some(start))).map_err(IntoPyErr::into_py_err)
     }
