@@ -226,7 +226,7 @@ def held_run(rate=100.0):
         slide(), lambda t, state: M * GRAVITY + 40 * rng.standard_normal(1), 1.0, rate, integrator="adaptive"
     )
     sure = ElasticNoise(link_acceleration=1e-4, motor_acceleration=1e-4, transmission=1e-2, acceleration=50.0)
-    return run, {"noise": sure, "disturbances": False, "biases": ()}
+    return run, {"noise": sure, "disturbances": False, "biases": (), "start": "rest"}
 
 
 def test_held_torques_are_not_interpolated():

@@ -93,10 +93,12 @@ def test_standard_deviations_are_those_of_the_parameters_effect(robot: Robot, lo
         torque = true.inverse_dynamics(q, dq, ddq)
         theta = q + torque / np.array([d.stiffness for d in true.drives])
         data = replace(log[:300], t=t, theta=theta, acceleration=None, dtheta=None)
-        errors.append(q - ExtendedKalmanFilter(nominal, noise, damping=False, tolerances=False).run(data).q)
+        errors.append(
+            q - ExtendedKalmanFilter(nominal, noise, start="rest", damping=False, tolerances=False).run(data).q
+        )
     slope = (errors[0] - errors[1]) / share
-    total = ExtendedKalmanFilter(nominal, noise, damping=False).run(data)
-    plain = ExtendedKalmanFilter(nominal, noise, damping=False, tolerances=False).run(data)
+    total = ExtendedKalmanFilter(nominal, noise, start="rest", damping=False).run(data)
+    plain = ExtendedKalmanFilter(nominal, noise, start="rest", damping=False, tolerances=False).run(data)
     effect = np.sqrt(total.q_std**2 - plain.q_std**2) / share
     np.testing.assert_allclose(effect[50:], np.abs(slope)[50:], rtol=0.02, atol=0.03 * np.abs(slope).max())
 

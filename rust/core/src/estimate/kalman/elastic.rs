@@ -148,7 +148,7 @@ impl ElasticProcess {
                 transition.noise.set_density(state, walk.hypot(wander));
                 if gone && *age == 0.0 {
                     outage[j] = (belief.mean[state], belief.covariance.at(state, state));
-                } else if !gone && *age > 0.0 {
+                } else if !gone && *age > 0.0 && noise.torque_walk[j] > 0.0 {
                     transition.replaced.push((state, outage[j].1 + walk * walk * (*age + dt)));
                 }
             } else {
