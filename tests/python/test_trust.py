@@ -1,17 +1,20 @@
 """Tolerances that count in standard deviations, and readings that contradict the model."""
 
 from dataclasses import replace
+from itertools import groupby
 from typing import Any
 
 import numpy as np
 import pytest
 
-from linkside import Estimate, ExtendedKalmanFilter, Log, Noise, RauchTungStriebelSmoother, Robot
+from linkside import Estimate, ExtendedKalmanFilter, Log, Noise, RauchTungStriebelSmoother, Robot, demo
 from linkside.cli.commands import main
+from linkside.control.controllers import JointPD
 from linkside.findings import largest_nis
 from linkside.recording.estimate import Status
+from linkside.simulation import Sensor, simulate
 
-from .robots import DATA
+from .robots import ARM, DATA, spring
 
 ROWS = 1200
 SQUARE = DATA / "arm2_square"
@@ -128,6 +131,115 @@ def test_a_fault_is_named_within_50_ms(
         assert first.kind == fault
     if fault == "stuck":
         assert first.kind in ("stuck", "saturated")  # at an end of what it ever read these look the same
+
+
+@pytest.mark.parametrize("channel", [0, 1, 2])
+def test_a_sensor_that_repeats_itself_is_stuck_at_once(robot: Robot, log: Log, channel: int) -> None:
+    """Readings with noise do not come eight times to the last bit, whatever the robot does."""
+    estimate = ExtendedKalmanFilter(robot).run(spoiled(log, "acceleration", channel, "stuck", 600)[:700])
+    assert estimate.findings[0].channel == log.columns("acceleration")[channel]
+    assert np.flatnonzero(estimate.status & Status.FAULTY)[0] < 610
+
+
+def test_a_coarse_accelerometer_at_rest_is_not_stuck() -> None:
+    """A digit of its readings is larger than its noise: at rest they repeat for good reason."""
+    sensors = [{"name": "acc", "link": "hand", "xyz": [0.02, 0.05, 0.1], "noise_std": 0.15}]
+    robot = Robot.from_urdf(ARM, [spring("shoulder"), spring("elbow")], accelerometers=sensors)
+    coarse = {"acceleration": Sensor(noise=0.02, resolution=0.4)}
+    run = moved(robot, 1.0, 1000.0, rest=1.0, sensors=coarse)
+    longest = max(len(list(group)) for _, group in groupby(run.log.acceleration[:, 0]))
+    assert longest > 100
+    found = ExtendedKalmanFilter(robot).run(run.log).findings
+    assert not [f for f in found if f.kind in ("stuck", "saturated", "dead")]
+
+
+def test_a_wrong_model_is_first_of_all_nobodys_fault() -> None:
+    """Springs, masses and payload of this recording are off; each of its sensors is as it should be."""
+    folder = DATA / "arm2_square_mismatch"
+    robot = Robot.load(folder / "robot.yaml")
+    log = Log.read(folder / "log.parquet", robot)
+    estimate = ExtendedKalmanFilter(robot).run(log)
+    assert estimate.findings[0].channel is None
+    assert not any(f.channel in log.columns("theta") for f in estimate.findings)
+
+
+def test_a_start_at_rest_contains_what_the_springs_hold() -> None:
+    """The first row's standard deviation is the tolerance of the spring times its torsion."""
+    sensors = [{"name": "acc", "link": "hand", "noise_std": 0.05}]
+    tiny = dict.fromkeys(("mass_scale", "damping"), 1e-9)
+    robot = Robot.from_urdf(ARM, [spring("shoulder"), spring("elbow")], accelerometers=sensors, tolerances=tiny)
+    q = np.array([0.9, 0.6])
+    torsion = robot.gravity_torque(q) / 1e4
+    rows = {"t": 1e-3 * np.arange(20)} | {
+        f"theta_{n}": np.full(20, q[i] + torsion[i]) for i, n in enumerate(robot.names)
+    }
+    still = robot.specific_force(q, 0 * q, 0 * q)
+    rows |= {name: np.full(20, value) for name, value in zip(robot.acceleration_channels, still, strict=True)}
+    estimate = ExtendedKalmanFilter(robot, Noise(transmission=1e-6)).run(Log.from_table(rows, robot))
+    np.testing.assert_allclose(estimate.q_std[0], 0.2 * np.abs(torsion), rtol=0.1)
+    np.testing.assert_allclose(estimate.q_std[-1], 0.2 * np.abs(torsion), rtol=0.2)
+
+
+def test_motor_velocities_from_steps_of_an_encoder_are_as_uncertain_as_they_are() -> None:
+    """Without motor velocities the damping torque is that of motor positions, coarse and with gaps."""
+    sensors = [{"name": "acc", "link": "hand", "xyz": [0.02, 0.05, 0.1], "noise_std": 0.05}]
+    joints = [spring("shoulder", damping=20.0), spring("elbow", damping=20.0)]
+    robot = Robot.from_urdf(ARM, joints, accelerometers=sensors, encoder={"resolution": 1e-4}, tool={"link": "hand"})
+    run = moved(robot, 4.0, 1000.0)
+    theta = run.log.theta.copy()
+    theta[1:][np.random.default_rng(1).random(theta[1:].shape) < 0.1] = np.nan
+    log = replace(run.log, theta=theta, dtheta=None)
+    estimate = ExtendedKalmanFilter(robot, tolerances=False).run(log)
+    ratio = np.abs(estimate.q - run.truth["q"]) / estimate.q_std
+    assert (ratio > 4).any(axis=1).mean() < 0.01
+    assert estimate.findings == ()
+
+
+def moved(robot: Robot, duration: float, rate: float, *, rest: float = 0.0, **settings: Any) -> Any:
+    """A robot that goes from one random posture to the next for so long, and rests."""
+    rng = np.random.default_rng(0)
+    times = np.arange(0.2, duration, 0.4)
+    theta = 0.15 * rng.normal(size=(len(times), robot.n))
+    theta[0] = 0.0
+    start = np.zeros(robot.n)
+    inertia = np.diag(robot.mass_matrix(start))
+    tau = robot.gravity_torque(start)
+    control = JointPD(kp=100 * inertia, kd=14 * inertia, times=times, theta=list(theta), tau=tau)
+    return simulate(robot, control, duration + rest, rate, substeps=2, q=start, seed=1, **settings)
+
+
+@pytest.mark.parametrize("duration", [20.0, pytest.param(400.0, marks=pytest.mark.slow)])
+def test_errors_and_their_standard_deviations_stay_in_proportion(robot: Robot, duration: float) -> None:
+    """With all biases: they wander no further than they may, and the estimate does not follow them away."""
+    run = moved(robot, duration, 2000.0)
+    ekf = ExtendedKalmanFilter(robot, Noise(jerk=500.0), tolerances=False)
+    pieces = list(ekf.run_pieces(run.log[i : i + 20_000] for i in range(0, len(run.log), 20_000)))
+    q, std = (np.concatenate([getattr(p, name) for p in pieces]) for name in ("q", "q_std"))
+    errors = q - run.truth["q"]
+    late = slice(-20_000, None)
+    assert 0.2 < np.sqrt(np.mean((errors[late] / std[late]) ** 2)) < 1.5
+    assert (np.abs(errors[late].mean(axis=0)) < 0.3 * std[-1]).all()
+    assert pieces[-1].findings == ()
+
+
+@pytest.mark.parametrize("estimator", [ExtendedKalmanFilter, RauchTungStriebelSmoother])
+@pytest.mark.parametrize("every", [4, 20, 40])
+@pytest.mark.filterwarnings("ignore::linkside.errors.RecordingWarning")
+def test_errors_and_their_standard_deviations_are_in_proportion_at_any_rate(estimator: Any, every: int) -> None:
+    """One row in so many, the others cut out or there without readings: constant offsets are no filter's to see."""
+    robot = Robot.load(demo.ROBOT)
+    whole, truth = Log.read(demo.LOG, robot), Estimate.read(demo.TRUTH).q[:, :3]
+    rows = np.arange(len(whole)) % every == 0
+    columns = dict(zip(whole.columns("theta"), whole.theta.T, strict=True))
+    columns |= dict(zip(whole.columns("acceleration"), whole.acceleration.T, strict=True))
+    cut = {"t": whole.t[rows]} | {name: values[rows] for name, values in columns.items()}
+    bare = {"t": whole.t} | {name: np.where(rows, values, np.nan) for name, values in columns.items()}
+    for data, seen in ((cut, slice(None)), (bare, rows)):
+        estimate = estimator(robot, tolerances=False).run(Log.from_table(data, robot))
+        error = estimate.q[seen, :3] - truth[rows]
+        error -= error.mean(axis=0)
+        assert 0.3 < np.sqrt(np.mean((error / estimate.q_std[seen, :3]) ** 2)) < 2
+        assert not (estimate.status & Status.CONTRADICTED).any()
 
 
 def test_pieces_and_steps_judge_as_the_run_does(robot: Robot, log: Log) -> None:

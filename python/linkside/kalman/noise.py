@@ -26,6 +26,9 @@ JERK_TIME = 0.02
 SHORTEST = 5
 """Readings that a cubic is put through at least."""
 
+JUMP = 9
+"""Windows that a reading is in."""
+
 LINK_WALKS = ("position_walk", "velocity_walk")
 """What lets links wander, in the order of the core."""
 
@@ -202,7 +205,14 @@ def _jerk_scale(t: FloatArray, theta: FloatArray) -> float:
     jerk = 6 * np.linalg.solve(normal, right)[:, 3, 0] / span[:, 0] ** 3
     # Over a window longer than that, jerk that lasts is as much as more of it that does not.
     lasting = max(JERK_TIME, (count - 1) * period / 2)
-    return max(LEAST_JERK, float(np.sqrt(np.mean(jerk**2) * lasting)))
+    return max(LEAST_JERK, float(np.sqrt(np.mean(_without_jump(jerk**2)) * lasting)))
+
+
+def _without_jump(squares: FloatArray) -> FloatArray:
+    """Leave out the windows of one reading where nearly all jerk is in them: it jumped; no motion is so short."""
+    largest = np.sort(squares)[::-1]
+    few = len(largest) < 10 * JUMP or largest[:JUMP].sum() < 0.9 * largest.sum()
+    return largest if few else largest[JUMP:]
 
 
 def sensor_noise(sensors: Any) -> FloatArray:

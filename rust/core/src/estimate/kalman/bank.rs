@@ -9,7 +9,8 @@ use crate::linear;
 /// 21, 1976), for an onset that moves on from window to window.
 ///
 /// The state takes a fault up, so that it soon shows in other channels than its own: its signature is carried along with
-/// the filter, s = H Σ⁻ + e_c with Σ as in the consider filter. Without a fault (Σ s r)²/Σ s² is χ² with one degree.
+/// the filter, s = H Σ⁻ + e_c with Σ as in the consider filter. Without a fault (Σ s r)²/Σ s² is χ² with one degree. Where
+/// innovations stayed correlated before, by a model that is not quite right, their sums vary by more, and that counts.
 #[derive(Clone, Debug)]
 pub(super) struct Bank {
     /// Samples of a window.
@@ -26,6 +27,8 @@ pub(super) struct Bank {
     parameters: usize,
     shared: Vec<f64>,
     gain: Vec<f64>,
+    /// Variance of the noise of each channel that lasted before the window, in multiples of the filter's; at least 1.
+    noise: Vec<f64>,
 }
 
 impl Bank {
@@ -44,6 +47,7 @@ impl Bank {
             parameters: parameters.next_multiple_of(linear::LANES),
             shared: vec![0.0; stride * parameters.next_multiple_of(linear::LANES)],
             gain: vec![0.0; parameters.next_multiple_of(linear::LANES)],
+            noise: vec![1.0; model.channels()],
         }
     }
 
@@ -67,6 +71,9 @@ impl Bank {
         if self.age == self.length {
             self.restart();
         }
+        if let (0, Some(consider)) = (self.age, consider) {
+            self.noise.iter_mut().enumerate().for_each(|(i, noise)| *noise = consider.peak(i));
+        }
         self.age += 1;
         let (p, d) = (self.stride, model.dense());
         model.carry_noise_free(&mut self.columns, p, dt);
@@ -85,7 +92,7 @@ impl Bank {
             for (k, column) in gain.iter().zip(self.columns.chunks_exact_mut(p)) {
                 linear::add_scaled(column, -k, &self.own);
             }
-            let precision = 1.0 / innovation.variance;
+            let precision = 1.0 / (innovation.variance * self.noise[i]);
             for (c, s) in self.own.iter().take(self.channels).enumerate() {
                 self.score[c] += s * innovation.value * precision;
                 self.information[c] += s * s * precision;

@@ -8,12 +8,15 @@ use super::correction::Correction;
 use super::gaussian::Symmetric;
 use super::model::Model;
 use super::uncertain::Tolerance;
+use crate::estimate::measurement::Channel;
 use crate::linear;
 
 /// Samples of one sum from which the noise that lasts is told.
 const BLOCK: u32 = 32;
 /// Blocks that such noise is averaged over.
 const BLOCKS: f64 = 8.0;
+/// Part of the excess of such noise that is left a block later: a wrong model shows where the robot moves, not always.
+const FADING: f64 = 1.0 - 1.0 / 64.0;
 /// One sample of so many teaches the parameters: neighbours hardly differ, and the filter keeps its speed.
 const THIN: u32 = 4;
 
@@ -41,6 +44,8 @@ pub(super) struct Consider {
     moment: Symmetric,
     /// Variance of the noise of each channel's innovations as it lasts, in multiples of the filter's.
     lasting: Vec<f64>,
+    /// The most that it lately was; at least 1.
+    peak: Vec<f64>,
     teaches: Vec<bool>,
     sums: Vec<f64>,
     taken: u32,
@@ -68,6 +73,7 @@ impl Consider {
             spread: Symmetric::zeros(stride),
             moment: Symmetric::zeros(stride),
             lasting: vec![0.0; m],
+            peak: vec![1.0; m],
             teaches: (0..m).map(|i| model.teaches(i)).collect(),
             sums: vec![0.0; m],
             taken: 0,
@@ -90,9 +96,22 @@ impl Consider {
             self.spread.put(i, i, *variance);
         }
         self.lasting.fill(1.0);
+        self.peak.fill(1.0);
         self.sums.fill(0.0);
         self.taken = 0;
         self.moment.data.copy_from_slice(&self.spread.data);
+    }
+
+    /// Σ where a filter starts at rest: links are where the motors' readings and the predicted torsion put them, so that an error of
+    /// the torsion is one of the link, the other way round.
+    pub(super) fn start(&mut self, model: &mut impl Model) {
+        let p = self.stride;
+        model.signatures(p, &mut self.signatures);
+        for (channel, signature) in model.channel_kinds().iter().zip(self.signatures.chunks_exact(p)) {
+            if let Channel::Motor(joint) = *channel {
+                linear::add_scaled(&mut self.columns[joint * p..][..p], -1.0, signature);
+            }
+        }
     }
 
     /// Σ through the update that `correction` has done, one channel after the other, and what it says of the parameters.
@@ -153,6 +172,9 @@ impl Consider {
             for (lasting, sum) in self.lasting.iter_mut().zip(&mut self.sums) {
                 *lasting += (*sum * *sum / f64::from(BLOCK) - *lasting) / BLOCKS;
                 *sum = 0.0;
+            }
+            for (peak, lasting) in self.peak.iter_mut().zip(&self.lasting) {
+                *peak = lasting.max(1.0 + (*peak - 1.0) * FADING);
             }
         }
         if learn {
@@ -215,6 +237,11 @@ impl Consider {
             *g = linear::dot(row, signature);
         }
         linear::dot(gain, signature)
+    }
+
+    /// The most that the noise of channel `i`'s innovations lately lasted, in multiples of the filter's; at least 1.
+    pub(super) fn peak(&self, i: usize) -> f64 {
+        self.peak[i]
     }
 
     /// By how much the parameters widen the standard deviation of channel `i`'s innovation.

@@ -67,6 +67,8 @@ pub struct JerkMeasurement {
     reference: Vec<f64>,
     /// Motor velocities for the damping torque.
     dtheta: Vec<f64>,
+    /// Their variances where they come of motor positions; else that is in the motors' noise.
+    dtheta_variance: Vec<f64>,
     slope: Slope,
     jerk: Vec<f64>,
     dt: f64,
@@ -81,6 +83,7 @@ impl JerkMeasurement {
             motors: model.channels.contains(&Channel::MotorVelocity(0)).then(|| Motors::new(&model.robot)),
             reference: vec![0.0; 3 * n],
             dtheta: vec![f64::NAN; n],
+            dtheta_variance: vec![0.0; n],
             slope: Slope::new(n),
             jerk: vec![0.0; n],
             dt: 0.0,
@@ -89,6 +92,19 @@ impl JerkMeasurement {
             noise,
             damping,
         }
+    }
+}
+
+impl JerkMeasurement {
+    /// What a motor velocity that comes of positions adds to the variance of the predicted torsion, by its damping.
+    #[inline(always)]
+    fn velocity_variance(&self, joint: usize, torsion: f64) -> f64 {
+        let (drive, variance) = (&self.model.robot.drives[joint], self.dtheta_variance[joint]);
+        if variance == 0.0 || !drive.elastic {
+            return 0.0;
+        }
+        let lag = drive.damping * drive.compliance(torsion);
+        lag * lag * variance
     }
 }
 
@@ -118,7 +134,7 @@ impl Measurement for JerkMeasurement {
         if self.damping {
             self.dtheta.copy_from_slice(sample.inputs.dtheta);
             self.slope.push(sample.dt, &sample.readings[..self.jerk.len()]);
-            self.slope.fill(&mut self.dtheta);
+            self.slope.fill(&mut self.dtheta, &mut self.dtheta_variance);
         }
     }
 
@@ -175,7 +191,10 @@ impl Measurement for JerkMeasurement {
         let square = |x: f64| x * x;
         let own = square(self.noise.reading[i]);
         match self.model.channels[i] {
-            Channel::Motor(j) => own + square(self.noise.torsion * (self.evaluation.prediction[i] - self.reference[j])),
+            Channel::Motor(j) => {
+                let torsion = self.evaluation.prediction[i] - self.reference[j];
+                own + square(self.noise.torsion * torsion) + self.velocity_variance(j, torsion)
+            }
             Channel::MotorVelocity(j) => {
                 let n = self.model.joints();
                 let by_ddq = &self.evaluation.jacobian[j * 3 * n + 2 * n..][..n];

@@ -191,7 +191,13 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
                     self.belief = start.clone();
                     self.model.resume(sample, &mut self.belief);
                 }
-                None => self.model.start(sample, &mut self.belief)?,
+                None => {
+                    self.model.start(sample, &mut self.belief)?;
+                    self.linearise();
+                    if let Some(consider) = &mut self.consider {
+                        consider.start(&mut self.model);
+                    }
+                }
             }
             self.started = true;
         }

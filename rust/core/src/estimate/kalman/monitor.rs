@@ -21,6 +21,9 @@ const WINDOWS: [usize; 3] = [1, 8, 64];
 const BANKS: [u32; 2] = [32, 256];
 /// So many times fewer degrees of freedom than readings, as neighbours are correlated.
 const CORRELATED: f64 = 4.0;
+/// Part of a sample's contradiction that the channel must explain that is named: where many channels contradict, it is the
+/// model.
+const MOST_OF: f64 = 0.5;
 /// Samples without an alarm after which a finding is over.
 const CALM: u64 = 256;
 /// Findings that are kept.
@@ -180,7 +183,7 @@ impl Monitor {
         }
         if nis > DEVIATIONS * DEVIATIONS {
             let (channel, size, deviations) = self.isolate(correction);
-            if deviations > DEVIATIONS {
+            if deviations > DEVIATIONS && deviations * deviations > MOST_OF * nis {
                 return Some((channel, size, deviations, 0));
             }
         }

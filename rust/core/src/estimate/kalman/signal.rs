@@ -23,6 +23,12 @@ pub enum Fault {
 pub(super) const RUN: u32 = 8;
 /// Standard deviations of a reading by which its prediction moves on while it is stuck.
 const MOVED: f64 = 6.0;
+/// Changes of a reading after which its scatter is known.
+const KNOWN: u32 = 32;
+/// Steps of a reading, in its scatter, below which it does not come [`RUN`] times by chance: once in 10⁹.
+const FINE: f64 = 0.2;
+/// Part of the noise that a channel should have below which its scatter is not noise.
+const QUIET: f64 = 0.3;
 
 /// One channel's readings so far.
 #[derive(Clone, Copy, Debug)]
@@ -36,19 +42,40 @@ pub(super) struct Signal {
     /// Σ y ŷ and Σ ŷ² of the latest readings.
     product: f64,
     power: f64,
+    /// Reading less prediction before, changes so far, mean square of what it changes by, least change of the reading,
+    /// and longest run before this one.
+    off: f64,
+    changes: u32,
+    scatter: f64,
+    step: f64,
+    longest: u32,
 }
 
 impl Signal {
-    pub(super) const NEW: Self =
-        Self { last: f64::NAN, run: 0, from: 0.0, moved: 0.0, largest: 0.0, product: 0.0, power: 0.0 };
+    pub(super) const NEW: Self = Self {
+        last: f64::NAN,
+        run: 0,
+        from: 0.0,
+        moved: 0.0,
+        largest: 0.0,
+        product: 0.0,
+        power: 0.0,
+        off: 0.0,
+        changes: 0,
+        scatter: 0.0,
+        step: f64::INFINITY,
+        longest: 0,
+    };
 
     #[inline(always)]
     pub(super) fn take(&mut self, reading: f64, predicted: f64) {
         if reading == self.last {
             self.run += 1;
         } else {
+            self.change(reading, predicted);
             (self.run, self.from) = (1, predicted);
         }
+        self.off = reading - predicted;
         self.moved = (predicted - self.from).abs();
         self.last = reading;
         self.largest = self.largest.max(reading.abs());
@@ -56,10 +83,27 @@ impl Signal {
         self.power = 0.9 * self.power + predicted * predicted;
     }
 
-    /// Whether readings of this noise stay where they are while the prediction moves on.
+    /// Takes note of how readings change from one to the next.
+    #[inline(always)]
+    fn change(&mut self, reading: f64, predicted: f64) {
+        self.longest = self.longest.max(self.run);
+        if !self.last.is_nan() {
+            self.changes += 1;
+            self.step = self.step.min((reading - self.last).abs());
+            let change = reading - predicted - self.off;
+            self.scatter += (change * change - self.scatter) / f64::from(self.changes.min(KNOWN));
+        }
+    }
+
+    /// Whether readings of this noise stay where they are while the prediction moves on, or while they used to scatter.
     #[inline(always)]
     pub(super) fn is_stuck(&self, variance: f64) -> bool {
-        self.run >= RUN && self.moved * self.moved > MOVED * MOVED * variance
+        let scatter = 0.5 * self.scatter;
+        let noisy = self.changes >= KNOWN
+            && scatter > QUIET * QUIET * variance
+            && self.step * self.step < FINE * FINE * scatter
+            && self.run > 2 * self.longest;
+        self.run >= RUN && (noisy || self.moved * self.moved > MOVED * MOVED * variance)
     }
 
     /// What the readings look like `elapsed` samples after a jump of `size`; infinite where that is not known any more.

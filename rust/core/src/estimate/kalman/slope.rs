@@ -2,6 +2,8 @@
 
 /// Samples that a slope is fitted to.
 const SAMPLES: usize = 8;
+/// Samples over which their scatter about it is averaged.
+const LASTING: f64 = 16.0;
 
 /// The latest positions of some motors, and the slope of a parabola through them at the last one.
 ///
@@ -13,17 +15,29 @@ pub(super) struct Slope {
     ages: [f64; SAMPLES],
     positions: Vec<f64>,
     count: usize,
+    /// Mean squares of what is left of positions (motors), and samples that they are of.
+    scatters: Vec<f64>,
+    taken: f64,
     /// Time since the latest positions, while samples without any pass.
     pending: f64,
 }
 
 impl Slope {
     pub(super) fn new(motors: usize) -> Self {
-        Self { motors, ages: [0.0; SAMPLES], positions: vec![0.0; SAMPLES * motors], count: 0, pending: 0.0 }
+        Self {
+            motors,
+            ages: [0.0; SAMPLES],
+            positions: vec![0.0; SAMPLES * motors],
+            count: 0,
+            scatters: vec![0.0; motors],
+            taken: 0.0,
+            pending: 0.0,
+        }
     }
 
     pub(super) fn reset(&mut self) {
-        (self.count, self.pending) = (0, 0.0);
+        (self.count, self.taken, self.pending) = (0, 0.0, 0.0);
+        self.scatters.fill(0.0);
     }
 
     /// Takes positions that came `dt` after the last ones.
@@ -41,47 +55,63 @@ impl Slope {
         }
         self.pending = 0.0;
         self.count = (self.count + 1).min(SAMPLES);
-    }
-
-    /// Writes the slope of each motor whose entry is NaN; it stays NaN while there are too few positions, or one is missing.
-    #[inline(always)]
-    pub(super) fn fill(&self, velocities: &mut [f64]) {
-        if self.count < 4 || !velocities.iter().any(|v| v.is_nan()) {
-            return;
-        }
-        let weights = self.weights();
-        for (j, velocity) in velocities.iter_mut().enumerate().filter(|(_, v)| v.is_nan()) {
-            *velocity = (0..self.count).map(|i| weights[i] * self.positions[i * self.motors + j]).sum();
+        if self.count > 3 {
+            self.taken += 1.0;
         }
     }
 
-    /// Least squares on 1, s, s² with s the age over the oldest: the weights of the first derivative at age zero.
+    /// Writes the slope of each motor whose entry is NaN, and into `variances` how uncertain it is; it stays NaN while
+    /// there are fewer than four positions.
     #[inline(always)]
-    fn weights(&self) -> [f64; SAMPLES] {
-        let span = self.ages[self.count - 1];
-        let powers = |i: usize| {
-            let s = self.ages[i] / span;
-            [1.0, s, s * s]
-        };
-        let mut m = [[0.0; 3]; 3];
-        for i in 0..self.count {
-            let p = powers(i);
-            for a in 0..3 {
-                for b in 0..3 {
-                    m[a][b] += p[a] * p[b];
-                }
+    pub(super) fn fill(&mut self, velocities: &mut [f64], variances: &mut [f64]) {
+        for (j, (velocity, variance)) in velocities.iter_mut().zip(variances).enumerate() {
+            *variance = 0.0;
+            if let Some((slope, more)) = velocity.is_nan().then(|| self.fit(j)).flatten() {
+                (*velocity, *variance) = (slope, more);
             }
         }
-        // The second row of the inverse, by cofactors.
-        let [a, b, c] = m;
-        let cofactors = [b[2] * c[0] - b[0] * c[2], a[0] * c[2] - a[2] * c[0], a[2] * b[0] - a[0] * b[2]];
-        let determinant = m[0][1] * cofactors[0] + m[1][1] * cofactors[1] + m[2][1] * cofactors[2];
-        // Age runs backwards in time.
-        core::array::from_fn(|i| {
-            let p = powers(i.min(self.count - 1));
-            -(cofactors[0] * p[0] + cofactors[1] * p[1] + cofactors[2] * p[2]) / (determinant * span)
-        })
     }
+
+    /// Least squares of motor `j`'s positions on 1, s, s² with s the age over the oldest: the slope at age zero, and its
+    /// variance by how far the positions were from their parabolas lately, be it for encoder steps or for jerk.
+    #[inline(always)]
+    fn fit(&mut self, j: usize) -> Option<(f64, f64)> {
+        let span = self.ages[self.count.max(1) - 1];
+        let there = |i: &usize| !self.positions[i * self.motors + j].is_nan();
+        let first = (0..self.count).find(there)?;
+        let from = self.positions[first * self.motors + j];
+        let at = |i: usize| (self.ages[i] / span, self.positions[i * self.motors + j] - from);
+        let (mut sums, mut right, mut square, mut count) = ([0.0; 5], [0.0; 3], 0.0, 0.0);
+        for i in (first..self.count).filter(there) {
+            let (s, y) = at(i);
+            for (sum, power) in sums.iter_mut().zip([1.0, s, s * s, s * s * s, s * s * s * s]) {
+                *sum += power;
+            }
+            for (sum, power) in right.iter_mut().zip([y, s * y, s * s * y]) {
+                *sum += power;
+            }
+            (square, count) = (square + y * y, count + 1.0);
+        }
+        if count < 4.0 {
+            return None;
+        }
+        let inverse = inverse(sums);
+        let parabola = inverse.map(|row| row[0] * right[0] + row[1] * right[1] + row[2] * right[2]);
+        let explained: f64 = parabola.iter().zip(right).map(|(c, r)| c * r).sum();
+        let scatter = &mut self.scatters[j];
+        *scatter += ((square - explained).max(0.0) / (count - 3.0) - *scatter) / self.taken.min(LASTING);
+        // Age runs backwards in time.
+        Some((-parabola[1] / span, *scatter * inverse[1][1] / (span * span)))
+    }
+}
+
+/// Of the symmetric matrix whose anti-diagonals are `sums`, by cofactors.
+#[inline(always)]
+fn inverse([a, b, c, d, e]: [f64; 5]) -> [[f64; 3]; 3] {
+    let (x, y, z) = (c * e - d * d, c * d - b * e, b * d - c * c);
+    let determinant = a * x + b * y + c * z;
+    let (u, v, w) = (a * e - c * c, b * c - a * d, a * c - b * b);
+    [[x, y, z], [y, u, v], [z, v, w]].map(|row| row.map(|entry| entry / determinant))
 }
 
 #[cfg(test)]
@@ -89,18 +119,37 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_parabola_is_differentiated_exactly_at_uneven_times() {
+    fn a_parabola_is_differentiated_exactly_at_uneven_times_though_some_are_missing() {
         let mut slope = Slope::new(1);
         let (mut t, at) = (0.0, |t: f64| 1.0 - 3.0 * t + 7.0 * t * t);
         for k in 0..20 {
             let dt = 1e-3 * (1.0 + 0.3 * f64::from(k % 7) / 7.0);
             t += dt;
-            slope.push(dt, &[at(t)]);
-            let mut velocity = [f64::NAN];
-            slope.fill(&mut velocity);
-            if k >= 3 {
+            slope.push(dt, &[if k == 9 { f64::NAN } else { at(t) }]);
+            let (mut velocity, mut variance) = ([f64::NAN], [f64::NAN]);
+            slope.fill(&mut velocity, &mut variance);
+            if k >= 3 && k != 9 {
                 assert!((velocity[0] - (-3.0 + 14.0 * t)).abs() < 1e-9, "{k} {velocity:?}");
+                assert!(variance[0] < 1e-18, "{k} {variance:?}");
             }
         }
+    }
+
+    #[test]
+    fn a_slope_is_as_uncertain_as_encoder_steps_make_it() {
+        let (mut slope, step, dt) = (Slope::new(1), 1e-4, 1e-3);
+        let (mut squares, mut variances) = (0.0, 0.0);
+        for k in 0..4000 {
+            let t = f64::from(k) * dt;
+            slope.push(dt, &[((0.7 * t + 0.3 * t * t) / step).round() * step]);
+            let (mut velocity, mut variance) = ([f64::NAN], [0.0]);
+            slope.fill(&mut velocity, &mut variance);
+            if k > 20 {
+                squares += (velocity[0] - 0.7 - 0.6 * t).powi(2);
+                variances += variance[0];
+            }
+        }
+        let ratio: f64 = squares / variances;
+        assert!((0.7..1.4).contains(&ratio), "{ratio}");
     }
 }
