@@ -71,13 +71,13 @@ def smoother(what: str, robot: Robot, log: Log, noise: Noise) -> Result:
 
 
 def step(what: str, robot: Robot, log: Log, noise: Noise, most: float | None = None) -> Result:
-    """One sample after the other into the same array, as a control loop would."""
+    """One sample after the other, as a control loop would."""
     ekf = ExtendedKalmanFilter(robot, noise)
-    out, dt = ekf.step(dt=log.period, theta=log.theta[0]), log.period
+    dt = log.period
     samples = list(zip(log.theta, log.acceleration, log.dtheta, log.ddqref, strict=True))
 
     def loop() -> None:
         for theta, acceleration, dtheta, ddqref in samples:
-            ekf.step(dt=dt, theta=theta, acceleration=acceleration, dtheta=dtheta, ddqref=ddqref, out=out)
+            ekf.step(dt=dt, theta=theta, acceleration=acceleration, dtheta=dtheta, ddqref=ddqref)
 
     return Result(what, microseconds(loop, len(samples)), most=most)

@@ -46,6 +46,20 @@ def sized(name: str, signal: npt.ArrayLike | None, size: int) -> FloatArray:
     return array
 
 
+def finite_or_missing(name: str, values: FloatArray) -> FloatArray:
+    """Give readings back, none of which may be infinite; NaN is one that is missing."""
+    if np.isinf(values).any():
+        raise EstimatorError(f"{name} is {values}, expected finite numbers, or NaN where a reading is missing")
+    return values
+
+
+def time_step(dt: float) -> float:
+    """Give a step of time back, which must be one that a clock makes."""
+    if not 0 < dt < np.inf:
+        raise EstimatorError(f"dt is {dt}, expected a positive, finite time in seconds")
+    return dt
+
+
 def per_joint(name: str, value: npt.ArrayLike, n: int) -> FloatArray:
     """Give one number for each of n joints, from one for all of them or one for each, (n,)."""
     array = np.atleast_1d(numbers(name, value))

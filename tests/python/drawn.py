@@ -36,7 +36,7 @@ def draw(robot, noise, rows, seed, offset=0.0):
     columns |= dict(zip(robot.acceleration_channels, readings[:, n:].T, strict=True))
     status = np.zeros(rows, np.uint8)
     truth = Estimate(t, q, dq, exact[:, :n], dq, status, robot.names, tool_position=robot.tool_position(q))
-    return Log.from_table(columns, robot), truth
+    return Log.from_table(columns, robot, check=False), truth
 
 
 def jerk_noise(h):

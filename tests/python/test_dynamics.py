@@ -373,7 +373,7 @@ def test_an_argument_unlike_q_is_refused_by_name(
 
 
 @pytest.mark.parametrize(("method", "count", "which"), ARGUMENTS)
-@pytest.mark.parametrize("value", [["a", "b"], "ab", [{}, {}], [object(), 1.0]], ids=repr)
+@pytest.mark.parametrize("value", [["a", "b"], "ab", [{}, {}], [{1}, 1.0]], ids=repr)
 def test_what_is_no_number_is_refused_by_name(
     arm: Robot, method: Callable[..., Any], count: int, which: int, value: Any
 ) -> None:

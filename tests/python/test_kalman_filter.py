@@ -363,16 +363,19 @@ def test_run_step_and_pieces_are_the_same_bits(velocity):
     parts = list(ekf.run_pieces(log[a : a + 77] for a in range(0, 300, 77)))
     assert equal(whole, type(whole).concatenate(parts))
     assert all(equal(whole, one) for one in ekf.run([log, log]))
-    out, before = np.empty(33), log.t[0] - log.period
+    before = log.t[0] - log.period
     for i in range(300):
         dtheta = log.dtheta[i] if velocity else None
         dt = log.t[i] - before
-        ekf.step(
-            dt=dt, theta=log.theta[i], acceleration=log.acceleration[i], dtheta=dtheta, ddqref=log.ddqref[i], out=out
+        state = ekf.step(
+            dt=dt, theta=log.theta[i], acceleration=log.acceleration[i], dtheta=dtheta, ddqref=log.ddqref[i]
         )
         before = log.t[i]
-        assert np.array_equal(out[:6], whole.q[i])
-        assert np.array_equal(out[6:12], whole.dq[i])
+        for name in ("q", "dq", "ddq", "theta", "dtheta", "q_std", "tool_position", "tool_std", "nis", "status"):
+            assert np.array_equal(getattr(state, name), getattr(whole, name)[i]), name
+    assert np.array_equal(state.covariance, ekf.covariance)
+    assert np.array_equal(state.state[:6], state.q)
+    assert state.t == pytest.approx(log.t[299] - log.t[0])
 
 
 def test_results_do_not_depend_on_the_processors_instructions():
@@ -491,5 +494,3 @@ def test_logs_that_cannot_be_filtered_are_refused():
         ExtendedKalmanFilter(robot, torque=True).run(log)
     with pytest.raises(EstimatorError, match="theta has 3 entries, expected 2"):
         ExtendedKalmanFilter(robot).step(dt=5e-4, theta=[0, 0, 0])
-    with pytest.raises(EstimatorError, match="out has 4 entries, expected 11"):
-        ExtendedKalmanFilter(robot).step(dt=5e-4, theta=[0, 0], out=np.empty(4))

@@ -112,7 +112,7 @@ def test_observer_follows_the_equations_as_printed():
         return np.concatenate([v, two_rods.forward(q, v, torque(t)), rate])
 
     x = np.concatenate([two_rods.START, -gain(two_rods.START[:2])])
-    observer = ReducedOrderObserver(RODS, gain, period=PERIOD)
+    observer = ReducedOrderObserver(RODS, gain, period=PERIOD, start="rest")
     apart, errors = [], []
     for sample in range(1500):
         t = sample * PERIOD

@@ -213,12 +213,12 @@ def test_steps_and_pieces_are_the_run(method, settings):
         ddqref = None if log.ddqref is None else log.ddqref[i]
         signals = {"acceleration": log.acceleration[i], "dtheta": log.dtheta[i], "ddqref": ddqref}
         state = live.step(dt=dt, theta=log.theta[i], **signals)
-        assert np.allclose(state[:2], whole.q[i], rtol=0, atol=1e-12)
-    assert live.covariance.shape == (len(state), len(state))
-    assert live.effective == whole.effective[-1]
+        for name in ("q", "dq", "theta", "q_std", "tool_position", "tool_std", "effective", "log_likelihood"):
+            assert np.array_equal(getattr(state, name), getattr(whole, name)[i]), name
+    assert live.covariance.shape == (len(state.state), len(state.state))
     assert live.status == Status.GOOD
     live.reset()
-    assert np.allclose(live.step(dt=1e-3, theta=log.theta[0])[:2], whole.q[0], atol=1e-3)
+    assert np.allclose(live.step(dt=1e-3, theta=log.theta[0]).q, whole.q[0], atol=1e-3)
 
 
 SCRIPT = """

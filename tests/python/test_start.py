@@ -18,7 +18,7 @@ from linkside import (
     demo,
 )
 from linkside.fixed_lag import FixedLagSmoother
-from linkside.start import WINDOW
+from linkside.kalman.start import WINDOW
 
 from .drawn import jerk_noise
 

@@ -67,7 +67,7 @@ def fast(t):
 @pytest.mark.parametrize(("position_gain", "apart"), [(0.0, 1e-6), (100.0, 2e-5), (500.0, 1e-4)])
 def test_follows_the_equations_as_printed(position_gain, apart):
     gain = GAINS[0]
-    observer = NicosiaTomeiObserver(RODS, gain, position_gain, period=PERIOD)
+    observer = NicosiaTomeiObserver(RODS, gain, position_gain, period=PERIOD, start="rest")
     _, found, _, printed = drive(observer, slow, 1.5, gain, position_gain)
     assert np.abs(found - printed).max() < apart  # of speeds up to 1.1 rad/s
 
@@ -80,7 +80,7 @@ def test_without_a_spring_the_full_observer_is_the_reduced_one():
 
 
 def test_settles_as_in_the_first_example():
-    rows, found, _, _ = drive(ReducedOrderObserver(RODS, GAINS[0], period=PERIOD), slow, 10)
+    rows, found, _, _ = drive(ReducedOrderObserver(RODS, GAINS[0], period=PERIOD, start="rest"), slow, 10)
     error = np.linalg.norm(rows[:, 2:] - found, axis=1)
     t = PERIOD * np.arange(len(error))
     for threshold, seconds in ((0.05 * error[0], 0.209), (0.01 * error[0], 0.322), (1e-3, 0.491)):
@@ -92,7 +92,7 @@ def test_settles_as_in_the_first_example():
     ("position_gain", "five", "one"), [(10, 0.189, 1.21), (100, 0.567, 1.05), (500, 0.284, 0.540), (2000, 0.343, 0.583)]
 )
 def test_full_observer_settles_as_in_continuous_time(position_gain, five, one):
-    observer = NicosiaTomeiObserver(RODS, GAINS[0], position_gain, period=PERIOD)
+    observer = NicosiaTomeiObserver(RODS, GAINS[0], position_gain, period=PERIOD, start="rest")
     rows, found, _, _ = drive(observer, slow, 2.5)
     error = np.linalg.norm(rows[:, 2:] - found, axis=1)
     t = PERIOD * np.arange(len(error))
@@ -101,7 +101,7 @@ def test_full_observer_settles_as_in_continuous_time(position_gain, five, one):
 
 
 def test_gain_jumps_as_in_the_second_example():
-    observer = ReducedOrderObserver(RODS, HybridGain(GAINS, 1.5, 1.0), period=PERIOD)
+    observer = ReducedOrderObserver(RODS, HybridGain(GAINS, 1.5, 1.0), period=PERIOD, start="rest")
     rows, _, levels, _ = drive(observer, fast, 20)
     jumps = np.flatnonzero(np.diff(levels)) + 1
     expected = (0.044, 6.824, 7.532, 11.350, 12.263, 15.423, 15.809, 15.955, 16.454, 18.873, 19.264, 19.572)
@@ -113,7 +113,9 @@ def test_gain_jumps_as_in_the_second_example():
 
 
 def test_printed_sets_chatter():
-    observer = ReducedOrderObserver(RODS, HybridGain(GAINS, 1.5, 1.0, logic="printed-sets"), period=PERIOD)
+    observer = ReducedOrderObserver(
+        RODS, HybridGain(GAINS, 1.5, 1.0, logic="printed-sets"), period=PERIOD, start="rest"
+    )
     levels = drive(observer, fast, 2)[2]
     assert np.count_nonzero(np.diff(levels)) > 1900
 
@@ -121,7 +123,7 @@ def test_printed_sets_chatter():
 def test_printed_map_makes_the_estimate_jump():
     logics = {}
     for logic in ("repaired", "printed-map"):
-        observer = ReducedOrderObserver(RODS, HybridGain(GAINS, 1.5, 1.0, logic=logic), period=PERIOD)
+        observer = ReducedOrderObserver(RODS, HybridGain(GAINS, 1.5, 1.0, logic=logic), period=PERIOD, start="rest")
         logics[logic] = drive(observer, fast, 0.1)[1]
     steps = {logic: np.abs(np.diff(found, axis=0)).max() for logic, found in logics.items()}
     assert steps["repaired"] < 0.1

@@ -12,7 +12,7 @@ use linkside_core::estimate::kalman::{
 };
 use linkside_core::estimate::measurement::Kind;
 use linkside_core::estimate::observer::{
-    AccelerationObserver, AccelerationSource, Complex, Form, Sample, Settings, link_position_at_rest,
+    AccelerationObserver, AccelerationSource, Complex, Form, Sample, Settings, Start, link_position_at_rest,
 };
 use linkside_core::estimate::particle::{
     Collapse, Density, Marginalised, ParticleFilter, ParticleSettings, Proposal, Resampling,
@@ -80,6 +80,7 @@ fn observer(form: Form, source: AccelerationSource) -> AccelerationObserver {
         form,
         source,
         worst_acceleration_std: 10.0,
+        start: Start::Rest,
     };
     AccelerationObserver::new(Arc::new(robot), settings).unwrap()
 }
@@ -169,6 +170,7 @@ fn a_velocity_observers_step_allocates_nothing() {
             gains,
             spring: vec![spring; 6],
             motors: true,
+            start: Start::Rest,
             wrap: vec![core::f64::consts::TAU; 6],
         };
         let mut observer = VelocityObserver::new(Arc::new(robot()), settings).unwrap();

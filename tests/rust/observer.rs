@@ -9,7 +9,7 @@ use linkside_core::error::{DesignError, RunError};
 use linkside_core::estimate::Status;
 use linkside_core::estimate::observer::{
     AccelerationMap, AccelerationObserver, AccelerationSource, Complex, Form, JointModel, Poles, Recording, Sample,
-    Sampled, Settings, Trajectory, closed_form_gains, link_position_at_rest,
+    Sampled, Settings, Start, Trajectory, closed_form_gains, link_position_at_rest,
 };
 use linkside_core::robot::{Drive, MotorFriction, Robot, SoftWindup};
 use nalgebra::{DMatrix, DVector};
@@ -450,6 +450,7 @@ fn settings(robot: &Robot) -> Settings {
         form: Form::Current,
         source: AccelerationSource::Sensors,
         worst_acceleration_std: 10.0,
+        start: Start::Rest,
     }
 }
 

@@ -21,7 +21,14 @@ fn observer(drives: Vec<Drive>, gains: Gains, spring: f64) -> Result<VelocityObs
 
 fn sampled(drives: Vec<Drive>, gains: Gains, spring: f64, period: f64) -> Result<VelocityObserver, DesignError> {
     let n = drives.len();
-    let settings = Settings { period, gains, spring: vec![spring; n], motors: true, wrap: vec![f64::INFINITY; n] };
+    let settings = Settings {
+        period,
+        gains,
+        spring: vec![spring; n],
+        motors: true,
+        start: Start::Rest,
+        wrap: vec![f64::INFINITY; n],
+    };
     VelocityObserver::new(Arc::new(arm::arm(drives, &[])), settings)
 }
 

@@ -161,9 +161,11 @@ class _Run:
         return np.array([self.at.get(p.name, 0.0) for p in self.problem.free])
 
     def solve(self) -> None:
-        self._leave_out()
-        self._search(ROUGH, [p for p in self.problem.free if p.kind in NOISE])
+        """Noise levels first, then springs, then all: what is misjudged, the next would wander to make up for."""
+        self._search(ROUGH, self._of(NOISE))
         self.at = other_springs(self.problem, self.at)
+        self._search(ROUGH, self._of((*NOISE, "stiffness", "bias")))
+        self._leave_out()
         self._search(ROUGH, self.problem.free)
         self.at = other_springs(self.problem, self.at)
         self._leave_out()
@@ -171,6 +173,9 @@ class _Run:
             self._search(GAIN, self.problem.free)
             if not self._leave_out():
                 return
+
+    def _of(self, kinds: Sequence[str]) -> list[Parameter]:
+        return [p for p in self.problem.free if p.kind in kinds]
 
     def _search(self, gain: float, free: Sequence[Parameter]) -> None:
         """Improve the parameters ``free``; the others stay where they are."""

@@ -19,6 +19,9 @@ MEMORY = 0.1
 IDENTIFIABLE = 0.5
 """A parameter whose standard error is more than this share of its tolerance is not identifiable from the data."""
 
+HIDING = 0.2
+"""A parameter that is less correlated with a stiffness is not what hides it."""
+
 SIGNIFICANT = 1e-4
 """Recordings contradict each other when estimates as far apart as theirs have a smaller probability than this."""
 
@@ -105,10 +108,26 @@ def unidentifiable(problem: Problem, evidence: Evidence, still: Sequence[str]) -
         if judged[worst] < IDENTIFIABLE:
             break
         alone = 1 / np.sqrt(information[worst, worst])
-        parameter = free[kept[worst]]
-        reasons[parameter.name] = _reason(parameter, alone, covariance, worst, [free[i] for i in kept])
-        del kept[worst]
+        parameter, chosen = free[kept[worst]], [free[i] for i in kept]
+        hidden_by = _hiding(worst, covariance, chosen) if alone < IDENTIFIABLE else None
+        if hidden_by is None:
+            reasons[parameter.name] = _reason(parameter, alone, covariance, worst, chosen)
+            del kept[worst]
+        else:
+            reasons[chosen[hidden_by].name] = f"with it {parameter.name} could not be told; free it by name to try"
+            del kept[hidden_by]
     return reasons
+
+
+def _hiding(index: int, covariance: FloatArray, free: Sequence[Parameter]) -> int | None:
+    """What to leave as robot.yaml has it so that a stiffness can be told: what is most like it, or nothing."""
+    if free[index].kind != "stiffness":
+        return None
+    std = np.sqrt(np.diag(covariance))
+    likeness = np.abs(covariance[index]) / (std * std[index])
+    likeness[[p.kind in ("stiffness", *NOISE) for p in free]] = 0.0
+    most = int(np.argmax(likeness))
+    return most if likeness[most] > HIDING else None
 
 
 def _of_joint(parameter: Parameter, problem: Problem, still: Sequence[str]) -> bool:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from linkside._core import ObserverState
+from linkside._core import State
 from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError
 from linkside.observers.acceleration import AccelerationObserver
@@ -166,11 +166,11 @@ class StateFeedback:
 
     Attributes
     ----------
-    estimate : ObserverState or None
+    estimate : State or None
         What the observer said at the last sample.
     """
 
-    estimate: ObserverState | None = None
+    estimate: State | None = None
 
     def __init__(
         self, robot: Robot, desired: Desired, gains: npt.ArrayLike, observer: AccelerationObserver | None = None

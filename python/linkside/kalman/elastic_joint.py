@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from os import PathLike
 from typing import Any, Literal
 
@@ -10,11 +11,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from linkside import _core
-from linkside.arguments import one_of, per_joint, sized
+from linkside.arguments import one_of, per_joint, sized, time_step
 from linkside.arrays import FloatArray, Signal
 from linkside.errors import NumericalError
 from linkside.files.yaml_source import Source
-from linkside.recording.estimate import result_of
+from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
 from linkside.robot.considered import considered
@@ -143,12 +144,13 @@ class ElasticJoint(KalmanMethod):
         self._held = motor_torque == "held"
         self._disturbances, self._transition = disturbances, transition
 
-    def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
+    _run_all = staticmethod(_core.ElasticJointFilter.run_all)
+
+    def _job(self, log: Log) -> Job[KalmanEstimate]:
         kinds = self.kinds(log)
         dt, readings, tau = self.arrays(log, kinds)
         core = self.started_core(kinds, log, first_readings(log))
-        (outcome,) = core.run_all([(dt, readings, self._acting(tau))], self._smooth, covariance, innovations)
-        return self._estimate(log, kinds, result_of(log.source, outcome))
+        return Job(log, core, (dt, readings, self._acting(tau)), partial(self._estimate, log, kinds))
 
     def kinds(self, log: Log) -> tuple[str, ...]:
         """Kinds of channels to use, in the filter's order."""
@@ -258,9 +260,8 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter])
         dtheta: Signal | None = None,
         acceleration: Signal | None = None,
         further: Signal | None = None,
-        out: FloatArray | None = None,
-    ) -> FloatArray:
-        """Take one sample and give the mean of the state at its time.
+    ) -> _core.State:
+        """Take one sample and give the state at its time.
 
         Parameters
         ----------
@@ -274,27 +275,29 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter])
             Accelerometer channels in the order of ``robot.acceleration_channels`` [m/s²].
         further : (k,)
             Readings of the kinds asked for (``rate``, ``q``, ``torque``, ``dq``), one after the other in this order.
-        out : (states,)
-            Array to write the result into.
 
         Returns
         -------
-        (states,)
-            Link positions (n) and velocities (n), motor positions and velocities of the elastic joints, disturbance
-            torques, biases. ``covariance`` and ``status`` tell the rest.
+        State
+            The fields of an estimate's row; ``state`` is link positions (n) and velocities (n), motor positions and
+            velocities of the elastic joints, disturbance torques, biases.
+
+        Raises
+        ------
+        EstimatorError
+            ``dt`` is not a positive, finite time, a reading is infinite, or a signal has a wrong shape. The filter
+            is as it was before, and takes the next sample.
+        NumericalError
+            Readings so absurd that the estimate is no longer finite: the next sample starts anew.
         """
         if self._deciding():
             sample: dict[str, Any] = {"dt": dt, "theta": theta, "tau": tau, "dtheta": dtheta}
             sample |= {"acceleration": acceleration, "further": further}
             jerk = np.full(self.robot.n, LEAST_JERK)
-            state = self._decide(
+            return self._decide(
                 sample, self._step, lambda first: self._begin(self._live, first, self.live_kinds, self.noise, jerk)
             )
-            if out is None:
-                return np.asarray(state)
-            out[:] = sized("out", state, len(out))
-            return out
-        return self._step(dt, theta, tau, dtheta, acceleration, further, out)
+        return self._step(dt, theta, tau, dtheta, acceleration, further)
 
     def _step(
         self,
@@ -304,17 +307,17 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter])
         dtheta: Signal | None,
         acceleration: Signal | None,
         further: Signal | None,
-        out: FloatArray | None = None,
-    ) -> FloatArray:
-        self._period = dt if self._started is None else self._period
+    ) -> _core.State:
+        if self._started is None:
+            self._period = time_step(dt)
         live, kinds = self._live, self.live_kinds
         given = {"motor": theta, "acceleration": acceleration, "dtheta": dtheta}
         names = {"motor": "theta"}
         parts = [sized(names.get(kind, kind), given[kind], self.width(kind)) for kind in kinds if kind in given]
         parts.append(sized("further", further, sum(self.width(kind) for kind in kinds if kind not in given)))
-        out = np.empty(live.states) if out is None else out
-        self.status = live.step(dt, np.concatenate(parts), tau, out)
-        return out
+        state = live.step(dt, np.concatenate(parts), tau)
+        self.status = state.status
+        return state
 
     @property
     def live_kinds(self) -> tuple[str, ...]:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar, overload
 
@@ -16,6 +15,7 @@ from linkside.arrays import FloatArray
 from linkside.channels import BIASED, CHANNELS
 from linkside.errors import EstimatorError, NumericalError
 from linkside.findings import named
+from linkside.recording.batch import Copies, Job, run_each
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
@@ -79,8 +79,10 @@ class Startable(CoreFilter, Protocol):
 Core = TypeVar("Core", bound=CoreFilter)
 
 
-class LiveFilter(ABC, Generic[Core]):
+class LiveFilter(Copies, ABC, Generic[Core]):
     """The state between calls of ``step``."""
+
+    _cores = ("_started",)
 
     def __init__(self) -> None:
         self.status = 0
@@ -94,7 +96,7 @@ class LiveFilter(ABC, Generic[Core]):
 
     def reset(self) -> None:
         """Forget the state: the next `step` starts anew."""
-        self._started = None
+        self._started, self.status = None, 0
 
     @property
     def _live(self) -> Core:
@@ -162,10 +164,7 @@ class KalmanMethod(ABC):
             The estimate is no longer finite; names the sample.
         """
         try:
-            if isinstance(log, Log):
-                return self._run(log, covariance, innovations)
-            with ThreadPoolExecutor() as pool:
-                return list(pool.map(lambda one: self._run(one, covariance, innovations), log))
+            return run_each(log, self._job, lambda jobs: self._run_all(jobs, self._smooth, covariance, innovations))
         except NumericalError as error:
             raise blame_settings(error, self.robot, self.noise) from None
 
@@ -199,8 +198,11 @@ class KalmanMethod(ABC):
         """Mean and standard deviations of the state without biases, of a robot that is moving."""
 
     @abstractmethod
-    def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
-        """Estimate one recording."""
+    def _job(self, log: Log) -> Job[KalmanEstimate]:
+        """Prepare one recording."""
+
+    _run_all: Callable[..., list[Any]]
+    """Of the core's filter."""
 
     def _with_wanted(self, kinds: tuple[str, ...], log: Log, purpose: str) -> tuple[str, ...]:
         """``kinds`` and those that were asked for, or are there unless asked about."""

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
 from linkside import _core
-from linkside.arguments import sized, whole
+from linkside.arguments import finite_or_missing, sized, time_step, whole
 from linkside.arrays import FloatArray, Signal
-from linkside.errors import EstimatorError
+from linkside.errors import EstimatorError, NumericalError
+from linkside.recording.batch import Copies
 from linkside.robot import Robot
 
 from .filtering import KalmanEstimate
@@ -19,7 +21,7 @@ from .noise import Noise
 from .start import WINDOW, Readings
 
 
-class FixedLagSmoother:
+class FixedLagSmoother(Copies):
     """Smoother for a stream: the estimate of ``lag`` samples ago by all samples since.
 
     Each step costs the way back over ``lag`` samples. Little is gained by a lag much longer than it takes the filter to
@@ -38,19 +40,20 @@ class FixedLagSmoother:
         Settings out of range.
     """
 
+    _cores = ("_before",)
+
     def __init__(self, robot: Robot, noise: Noise | None = None, *, lag: int, **settings: Any) -> None:
         self.robot, self.lag = robot, whole("lag", lag, least=1)
         self._filter = ExtendedKalmanFilter(robot, noise, **settings)
         self._kinds = self._filter.live_kinds
-        self._before = self._filter.core(self._kinds, self._filter.noise, np.inf)
         self.reset()
 
     def reset(self) -> None:
         """Forget everything: the next `step` starts anew."""
-        self._before.reset()
+        self._before = self._filter.core(self._kinds, self._filter.noise, np.inf)
         self._window: deque[tuple[float, FloatArray, FloatArray, FloatArray]] = deque()
         self._ddqref: FloatArray | None = None
-        self._begun, self._period = False, np.inf  # the first step of time says how many samples a delay spans
+        self._period = np.inf  # the first step of time says how many samples a delay spans
         self._t, self._count = 0.0, 0
 
     def step(
@@ -62,30 +65,48 @@ class FixedLagSmoother:
         dtheta: Signal | None = None,
         ddqref: Signal | None = None,
         further: Signal | None = None,
-    ) -> KalmanEstimate | None:
+    ) -> _core.State | None:
         """Take one sample, as `ExtendedKalmanFilter.step` does.
 
         Returns
         -------
-        KalmanEstimate or None
-            One row: the state ``lag`` samples ago, with ``state`` and ``covariance``; ``t`` counts from 0 at the first
-            sample. None while there are not enough samples.
+        State or None
+            The state ``lag`` samples ago, with ``state`` and ``covariance``; ``t`` counts from 0 at the first sample.
+            None while there are not enough samples.
         """
-        if not dt > 0:
-            raise EstimatorError(f"dt is {dt}, expected a positive time")
-        self._period = self._period if self._begun else dt
-        self._window.append((dt, self._reading(theta, acceleration, further), *self._moved(dt, dtheta, ddqref)))
+        time_step(dt)
+        reading = self._reading(theta, acceleration, further)
+        moved = self._moved(dt, dtheta, ddqref)
+        before = self._period, self._ddqref
+        self._period = self._period if self._count else dt
+        self._ddqref = None if ddqref is None else sized("ddqref", ddqref, self.robot.n)
+        self._window.append((dt, reading, *moved))
         self._count += 1
+        try:
+            return self._advanced()
+        except EstimatorError:
+            self._window.pop()
+            self._count -= 1
+            self._period, self._ddqref = before
+            raise
+        except NumericalError:
+            self.reset()
+            raise
+
+    def _advanced(self) -> _core.State | None:
+        """The state ``lag`` samples ago, if there are so many; nothing older is kept than is needed."""
         if self._count <= WINDOW:
             self._begin()
-        if len(self._window) <= self.lag:
-            return None
         row = len(self._window) - 1 - self.lag
-        estimate = self._back(slice(row, row + 1))
+        if row < 0:
+            return None
+        t = self._t + sum(sample[0] for sample in islice(self._window, 1, row + 1))
+        arrays = self._stacked(len(self._window))
+        state = _core.StretchSmoother(self._before).row(self._before, arrays, row, t)
         # While the first samples decide where the filter starts, none can be forgotten.
         while self._count >= WINDOW and len(self._window) > self.lag:
             self._forget()
-        return estimate
+        return state
 
     def flush(self) -> KalmanEstimate | None:
         """At the end of a stream, the estimate of the last ``lag`` samples; then start anew."""
@@ -94,25 +115,35 @@ class FixedLagSmoother:
         self.reset()
         return estimate
 
+    def __copy__(self) -> FixedLagSmoother:
+        """Copy the state, the samples that wait included."""
+        other: FixedLagSmoother = super().__copy__()
+        other._window = self._window.copy()
+        return other
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Start anew."""
+        vars(self).update(state)
+        self.reset()
+
     def _reading(self, theta: Signal, acceleration: Signal | None, further: Signal | None) -> FloatArray:
         motors = sized("theta", theta, self.robot.n)
-        if not self._begun and np.isnan(motors).any():
+        if not self._count and np.isnan(motors).any():
             joint = self.robot.names[int(np.argmax(np.isnan(motors)))]
             raise EstimatorError(
                 f"the first sample of theta of joint {joint} is missing; a filter cannot start without"
             )
-        self._begun = True
         channels, *others = (self._filter.width(kind) for kind in self._kinds[1:])
         rest = (sized("acceleration", acceleration, channels), sized("further", further, sum(others)))
-        return np.concatenate((motors, *rest))
+        parts = zip(("theta", "acceleration", "further"), (motors, *rest), strict=True)
+        return np.concatenate([finite_or_missing(name, values) for name, values in parts])
 
     def _moved(self, dt: float, dtheta: Signal | None, ddqref: Signal | None) -> tuple[FloatArray, FloatArray]:
         """Motor velocities, and the commanded jerk since the sample before."""
         now = None if ddqref is None else sized("ddqref", ddqref, self.robot.n)
         jerk = np.zeros(self.robot.n)
         if now is not None and self._ddqref is not None:
-            jerk = np.nan_to_num((now - self._ddqref) / dt)
-        self._ddqref = now
+            jerk = np.nan_to_num((now - self._ddqref) / dt, posinf=0.0, neginf=0.0)
         return sized("dtheta", dtheta, self.robot.n), jerk
 
     def _begin(self) -> None:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from linkside import _core
+from linkside.arguments import time_step
 from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError, NumericalError
-from linkside.recording.estimate import result_of
+from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
 from linkside.robot.considered import considered
@@ -36,9 +38,8 @@ class JerkDrivenCore(CoreFilter, Protocol):
         dtheta: Signal | None,
         ddqref: Signal | None,
         further: Signal | None,
-        out: FloatArray,
-    ) -> int:
-        """Take one sample, write the state's mean into ``out``, and give the status."""
+    ) -> _core.State:
+        """Take one sample and give the state at its time."""
 
 
 Core = TypeVar("Core", bound=JerkDrivenCore)
@@ -56,9 +57,8 @@ class JerkDrivenFilter(LiveFilter[Core]):
         dtheta: Signal | None = None,
         ddqref: Signal | None = None,
         further: Signal | None = None,
-        out: FloatArray | None = None,
-    ) -> FloatArray:
-        """Take one sample and give the mean of the state at its time.
+    ) -> _core.State:
+        """Take one sample and give the state at its time.
 
         Parameters
         ----------
@@ -73,24 +73,26 @@ class JerkDrivenFilter(LiveFilter[Core]):
         further : (k,)
             Readings of the kinds asked for, one after the other: ``dtheta``, ``rate``, ``q``, ``torque``,
             ``dq``.
-        out : (states,)
-            Array to write the result into.
 
         Returns
         -------
-        (states,)
-            Link positions, velocities, accelerations, then biases. ``covariance`` and ``status`` tell the rest.
+        State
+            The fields of an estimate's row; ``state`` is link positions, velocities, accelerations, then biases.
 
         Raises
         ------
+        EstimatorError
+            ``dt`` is not a positive, finite time, a reading is infinite, or a signal has a wrong shape. The filter
+            is as it was before, and takes the next sample.
         NumericalError
-            Of a particle filter: no particle explains the sample.
+            Readings so absurd that the estimate is no longer finite: the next sample starts anew. Of a particle filter,
+            also: no particle explains the sample, which counts as one without readings.
         """
-        self._period = dt if self._started is None else self._period
-        live = self._live
-        out = np.empty(live.states) if out is None else out
-        self.status = live.step(dt, theta, acceleration, dtheta, ddqref, further, out)
-        return out
+        if self._started is None:
+            self._period = time_step(dt)
+        state = self._live.step(dt, theta, acceleration, dtheta, ddqref, further)
+        self.status = state.status
+        return state
 
 
 class JerkDriven(KalmanMethod):
@@ -128,11 +130,12 @@ class JerkDriven(KalmanMethod):
                 "use a Kalman filter"
             )
 
-    def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
+    _run_all = staticmethod(_core.ExtendedKalmanFilter.run_all)
+
+    def _job(self, log: Log) -> Job[KalmanEstimate]:
         kinds = self.kinds(log)
         core = self.started_core(kinds, self.noise.for_log(log), first_readings(log), log.period)
-        (outcome,) = core.run_all([self.arrays(log, kinds)], self._smooth, covariance, innovations)
-        return self._estimate(log, kinds, result_of(log.source, outcome))
+        return Job(log, core, self.arrays(log, kinds), partial(self._estimate, log, kinds))
 
     def kinds(self, log: Log) -> tuple[str, ...]:
         """Kinds of channels to use, in the filter's order."""
@@ -232,16 +235,15 @@ class ExtendedKalmanFilter(
     own: leave NaN where a sensor has no sample.
     """
 
-    def step(self, **sample: Any) -> FloatArray:
-        """Take one sample and give the mean of the state at its time; arguments as of `JerkDrivenFilter.step`."""
+    def step(self, **sample: Any) -> _core.State:
+        """Take one sample and give the state at its time; arguments as of `JerkDrivenFilter.step`."""
         if not self._deciding():
             return super().step(**sample)
-        noise, out = self.noise, sample.pop("out", None)
+        noise = self.noise
         jerk = np.array(noise.arrays(self.robot, self.live_kinds)["jerk"])
-        state = self._decide(
+        return self._decide(
             sample, super().step, lambda first: self._begin(self._live, first, self.live_kinds, noise, jerk)
         )
-        return state if out is None else _written(state, out)
 
     @property
     def live_kinds(self) -> tuple[str, ...]:
@@ -283,14 +285,6 @@ class RauchTungStriebelSmoother(JerkDriven):
     """
 
     _smooth = True
-
-
-def _written(state: FloatArray, out: FloatArray) -> FloatArray:
-    """``out``, with the state in it."""
-    if len(out) != len(state):
-        raise EstimatorError(f"out has {len(out)} entries, expected {len(state)}")
-    out[:] = state
-    return out
 
 
 def commanded_jerk(log: Log, dt: FloatArray, before: Log | None) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside.arrays import FloatArray
-from linkside.errors import EstimatorError
+from linkside.errors import EstimatorError, NumericalError
 from linkside.robot import Robot
 
 Start = Literal["auto", "rest"] | tuple[npt.ArrayLike, npt.ArrayLike]
@@ -81,10 +81,25 @@ def find_start(robot: Robot, readings: Readings, spread: Spread) -> Moving | Non
     The fit is generalised least squares with the covariance that white jerk gives to positions, so that it needs no
     choice of a window. A link is where its torsion puts it, and accelerates as accelerometers say, or as its motor
     does, give or take as much again.
+
+    Raises
+    ------
+    NumericalError
+        Readings so absurd that no number comes of them.
     """
-    if is_resting(readings, spread) or np.isnan(readings.theta[0]).any():
-        return None
+    with np.errstate(over="ignore", invalid="ignore"):
+        if is_resting(readings, spread) or np.isnan(readings.theta[0]).any():
+            return None
+        moving = _moving(robot, readings, spread)
+    if moving is None or not all(np.isfinite(values).all() for values in vars(moving).values()):
+        raise NumericalError("the first samples are too far apart for a filter to find where it starts")
+    return moving
+
+
+def _moving(robot: Robot, readings: Readings, spread: Spread) -> Moving | None:
     theta, dtheta, ddtheta, std = _fit(readings, spread)
+    if not all(np.isfinite(values).all() for values in (theta, dtheta, ddtheta)):
+        return None
     stiffness = np.array([d.stiffness if d.elastic else np.inf for d in robot.drives], float)
     q, dq = theta.copy(), dtheta.copy()
     for _ in range(ROUNDS):

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from linkside.arguments import sized
-from linkside.arrays import FloatArray
-from linkside.errors import EstimatorError
+from linkside import _core
+from linkside.arguments import finite_or_missing, numbers, sized, time_step
+from linkside.errors import EstimatorError, NumericalError
 from linkside.recording.log import Log
 
 from .filtering import Core, KalmanMethod, LiveFilter
@@ -29,13 +29,26 @@ class DecidingFilter(KalmanMethod, LiveFilter[Core]):
         super().reset()
         self._early = []
 
+    def __copy__(self) -> Any:
+        """Copy the state, the samples that may be redone included."""
+        other = super().__copy__()
+        other._early = self._early.copy()
+        return other
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Start anew."""
+        vars(self).update(state)
+        self.reset()
+
     def _decide(
-        self, sample: dict[str, Any], step: Callable[..., FloatArray], begin: Callable[[Readings], None]
-    ) -> Any:
+        self, sample: dict[str, Any], step: Callable[..., _core.State], begin: Callable[[Readings], None]
+    ) -> _core.State:
         """Take one of the first samples, which decide where the filter starts: all of them, from where they say."""
+        sample = {name: _copied(name, value) for name, value in sample.items()}
         if not self._early:
             self._period = sample["dt"]
-        self._early.append({name: np.array(x, float) if np.ndim(x) else x for name, x in sample.items()})
+        before = self._started, self.status
+        self._early.append(sample)
         try:
             self._start_anew()
             begin(self._early_readings())
@@ -43,6 +56,10 @@ class DecidingFilter(KalmanMethod, LiveFilter[Core]):
                 state = step(**early)
         except EstimatorError:
             self._early.pop()
+            self._started, self.status = before
+            raise
+        except NumericalError:
+            self.reset()
             raise
         return state
 
@@ -61,6 +78,13 @@ class DecidingFilter(KalmanMethod, LiveFilter[Core]):
         t = np.cumsum([s["dt"] for s in self._early])
         there = {name: None if np.isnan(values).all() else values for name, values in signals.items()}
         return Readings(t, signals["theta"], there["dtheta"], there["acceleration"])
+
+
+def _copied(name: str, value: Any) -> Any:
+    """A signal of a sample, or its step of time, that a filter can take; its own, as a caller may write into it."""
+    if name == "dt":
+        return time_step(value)
+    return None if value is None else finite_or_missing(name, np.array(numbers(name, value)))
 
 
 def first_readings(log: Log) -> Readings:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import partial
 from typing import Any, Literal, overload
 
 import numpy as np
@@ -13,8 +12,9 @@ from linkside import _core
 from linkside.arguments import one_of
 from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError, NumericalError
+from linkside.recording.batch import Copies, Job, run_each
 from linkside.recording.continuity import longest_dropout, refuse_dropouts, refuse_uneven
-from linkside.recording.estimate import Estimate, result_of
+from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
 from linkside.robot.requirements import refuse_unsupported
@@ -24,7 +24,7 @@ from .poles import PolePattern, damped
 Poles = float | PolePattern | Mapping[str, "PolePattern | Sequence[complex]"]
 
 
-class AccelerationObserver:
+class AccelerationObserver(Copies):
     """Observer driven by measured accelerations; it needs nothing of the links' dynamics.
 
     De Luca, Schröder and Thümmel, "An acceleration-based state observer for robot manipulators with elastic joints",
@@ -49,6 +49,9 @@ class AccelerationObserver:
     worst_acceleration_std
         Combinations of link accelerations that the sensors determine worse than this [rad/s²] are damped, as near a
         singular posture, and flagged in ``status``.
+    start
+        ``"auto"``: the first samples tell how fast the robot moves. ``"rest"``: it does not at the first one. A state
+        can be given to `start`.
 
     Raises
     ------
@@ -58,9 +61,15 @@ class AccelerationObserver:
 
     Notes
     -----
+    Motor positions may be slower than the log, NaN between, as slow as one in 0.05 s: each then counts for the time
+    since the one before. Where innovations have for 0.05 s been as large as an error of
+    ``worst_acceleration_std`` in the measured accelerations makes them, ``status`` says CONTRADICTED.
+
     The innovation is used at the sampling instants only; between them the model is integrated exactly, with the
     torque held and the acceleration interpolated.
     """
+
+    _cores = ("_core",)
 
     def __init__(
         self,
@@ -72,7 +81,9 @@ class AccelerationObserver:
         accelerations: Literal["sensors", "joints"] = "sensors",
         period: float | None = None,
         worst_acceleration_std: float = 10.0,
+        start: Literal["auto", "rest"] = "auto",
     ) -> None:
+        one_of("start", start, ("auto", "rest"))
         one_of("form", form, ("current", "predictor"))
         one_of("accelerations", accelerations, ("sensors", "joints"))
         on_joints = " on joint accelerations" if accelerations == "joints" else ""
@@ -80,22 +91,23 @@ class AccelerationObserver:
         self.robot, self.form, self.accelerations = robot, form, accelerations
         self.worst_acceleration_std = worst_acceleration_std
         self.poles = {name: _joint_poles(poles, name, order) for name, order in _orders(robot, bias).items()}
-        self._make = partial(
-            _core.AccelerationObserver,
-            robot.core,
-            poles=list(self.poles.values()),
-            bias=bias,
-            predictor=form == "predictor",
-            joint_accelerations=accelerations == "joints",
-            worst_acceleration_std=worst_acceleration_std,
-        )
+        self._settings: dict[str, Any] = {
+            "poles": list(self.poles.values()),
+            "bias": bias,
+            "predictor": form == "predictor",
+            "joint_accelerations": accelerations == "joints",
+            "worst_acceleration_std": worst_acceleration_std,
+            "rest": start == "rest",
+        }
         self._signal = "acceleration" if accelerations == "sensors" else "ddq"
         rate = robot.config.rate_hz
         self._period = period if period is not None or rate is None else 1 / rate
-        self._core = None if self._period is None else self._designed(self._period)
+        self._core: _core.AccelerationObserver | None = None
+        if self._period is not None:
+            self._core = self._designed(self._period)
 
-    def step(self, *, theta: Signal, tau: Signal, acceleration: Signal) -> _core.ObserverState:
-        """Take one sample and give the state at its time; the first sample starts from rest.
+    def step(self, *, theta: Signal, tau: Signal, acceleration: Signal) -> _core.State:
+        """Take one sample and give the state at its time.
 
         Parameters
         ----------
@@ -109,8 +121,16 @@ class AccelerationObserver:
 
         Returns
         -------
-        ObserverState
+        State
             ``q``, ``dq``, ``ddq``, ``theta``, ``dtheta`` (n,), ``tool_position`` (3,) and ``status``.
+
+        Raises
+        ------
+        EstimatorError
+            A reading is infinite, a signal has a wrong shape, or a motor position has been missing for more than
+            0.05 s. The observer is as it was before, and takes the next sample.
+        NumericalError
+            Readings so absurd that the estimate is no longer finite: the next sample starts anew.
         """
         return self._live().step(theta, tau, acceleration)
 
@@ -119,7 +139,7 @@ class AccelerationObserver:
         self._live().hold(tau)
 
     def reset(self) -> None:
-        """Forget the state: the next sample starts anew, from rest."""
+        """Forget the state: the next sample starts anew."""
         self._live().reset()
 
     def start(self, *, theta: Signal, q: Signal, dtheta: Signal, dq: Signal) -> None:
@@ -131,29 +151,22 @@ class AccelerationObserver:
     @overload
     def run(self, log: Sequence[Log]) -> list[Estimate]: ...
     def run(self, log: Log | Sequence[Log]) -> Estimate | list[Estimate]:
-        """Estimate a recording, or several on all cores; each starts from rest at its first sample.
+        """Estimate a recording, or several on all cores.
 
         Raises
         ------
         LogError
-            A column is missing, time is uneven, or a reading is missing at the start or for too long.
+            A column is missing, time is uneven, or a reading is missing at the start or for more than 0.05 s.
         NumericalError
             The estimate is no longer finite; names the sample.
         """
-        logs = [log] if isinstance(log, Log) else list(log)
-        arrays = [self._arrays(one) for one in logs]
-        if not logs:
-            return []
-        period = logs[0].period
-        for one in logs:
-            if not np.isclose(one.period, period, rtol=1e-6):
-                raise EstimatorError(
-                    f"{one.source} is sampled every {one.period:.6g} s and {logs[0].source} every {period:.6g} s; "
-                    "run logs of different rates one by one"
-                )
-        outcomes = zip(logs, self._designed(period).run_all(arrays), strict=True)
-        estimates = [Estimate(t=one.t, names=self.robot.names, **result_of(one.source, o)) for one, o in outcomes]
-        return estimates[0] if isinstance(log, Log) else estimates
+        return run_each(log, self._job, _core.AccelerationObserver.run_all)
+
+    def _job(self, log: Log) -> Job[Estimate]:
+        def finish(result: dict[str, Any]) -> Estimate:
+            return Estimate(t=log.t, names=self.robot.names, **result)
+
+        return Job(log, self._designed(log.period), self._arrays(log), finish)
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[Estimate]:
         """Estimate a recording that comes piece by piece, in bounded memory; the same bits as `run`."""
@@ -182,7 +195,9 @@ class AccelerationObserver:
 
     def _live(self) -> _core.AccelerationObserver:
         if self._core is None:
-            raise EstimatorError("step needs the sampling period: give period=…, or rate_hz in robot.yaml")
+            if self._period is None:
+                raise EstimatorError("step needs the sampling period: give period=…, or rate_hz in robot.yaml")
+            self._core = self._designed(self._period)
         return self._core
 
     def _designed(self, period: float) -> _core.AccelerationObserver:
@@ -190,7 +205,7 @@ class AccelerationObserver:
         if self._period is not None and np.isclose(period, self._period, rtol=1e-6):
             period = self._period
         try:
-            return self._make(period=period)
+            return _core.AccelerationObserver(self.robot.core, period=period, **self._settings)
         except EstimatorError as error:
             raise EstimatorError(_named(str(error), self.robot.names)) from None
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from functools import partial
+from typing import Any, Literal, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +17,8 @@ from linkside.channels import OUTLIERS, widths
 from linkside.errors import EstimatorError, NumericalError
 from linkside.kalman.jerk_driven import ExtendedKalmanFilter, JerkDrivenFilter
 from linkside.kalman.noise import Noise
-from linkside.recording.estimate import Estimate, result_of
+from linkside.recording.batch import Job, run_each
+from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
@@ -171,8 +173,12 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         }
         self._core(self._front.live_kinds, self.noise)  # settings are checked at once
 
-    def run(self, log: Log, *, covariance: bool = False) -> ParticleEstimate:
-        """Estimate a recording; it starts from rest at its first sample.
+    @overload
+    def run(self, log: Log, *, covariance: bool = False) -> ParticleEstimate: ...
+    @overload
+    def run(self, log: Sequence[Log], *, covariance: bool = False) -> list[ParticleEstimate]: ...
+    def run(self, log: Log | Sequence[Log], *, covariance: bool = False) -> ParticleEstimate | list[ParticleEstimate]:
+        """Estimate a recording, or several on all cores.
 
         Parameters
         ----------
@@ -188,9 +194,15 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         NumericalError
             No particle explains a sample; names the sample.
         """
-        return self._recorded(log, _core.ParticleFilter.run_all, covariance)
+        return self._recorded(log, smooth=False, covariance=covariance)
 
-    def smooth(self, log: Log, *, covariance: bool = False) -> ParticleEstimate:
+    @overload
+    def smooth(self, log: Log, *, covariance: bool = False) -> ParticleEstimate: ...
+    @overload
+    def smooth(self, log: Sequence[Log], *, covariance: bool = False) -> list[ParticleEstimate]: ...
+    def smooth(
+        self, log: Log | Sequence[Log], *, covariance: bool = False
+    ) -> ParticleEstimate | list[ParticleEstimate]:
         """Estimate each sample of a recording by all of its samples, those after it as well.
 
         Rauch, Tung and Striebel's pass (1965) back along the clouds' means and covariances: the motion is linear and
@@ -198,7 +210,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         neither ``best`` nor ``quantiles``; ``effective``, ``log_likelihood`` and ``status`` are the filter's. Memory is
         about d²/2 numbers a sample, d the number of states. Parameters and errors are those of `run`.
         """
-        return self._recorded(log, _core.ParticleFilter.smooth_all, covariance)
+        return self._recorded(log, smooth=True, covariance=covariance)
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[ParticleEstimate]:
         """Estimate a recording that comes piece by piece, in bounded memory.
@@ -226,10 +238,14 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
     def _start(self) -> _core.ParticleFilter:
         return self._core(self._front.live_kinds, self.noise)
 
-    def _recorded(self, log: Log, run: Callable[..., Any], covariance: bool) -> ParticleEstimate:
+    def _recorded(
+        self, log: Log | Sequence[Log], *, smooth: bool, covariance: bool
+    ) -> ParticleEstimate | list[ParticleEstimate]:
+        return run_each(log, self._job, lambda jobs: _core.ParticleFilter.run_all(jobs, smooth, covariance))
+
+    def _job(self, log: Log) -> Job[ParticleEstimate]:
         core, kinds = self._prepared(log)
-        (outcome,) = run(core, [self._front.arrays(log, kinds)], covariance)
-        return self._estimate(log, kinds, result_of(log.source, outcome))
+        return Job(log, core, self._front.arrays(log, kinds), partial(self._estimate, log, kinds))
 
     def _prepared(self, log: Log) -> tuple[_core.ParticleFilter, tuple[str, ...]]:
         kinds = self._front.kinds(log)

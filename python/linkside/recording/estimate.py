@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.csv
 
 from linkside.arrays import FloatArray
-from linkside.errors import EstimatorError, LinksideError, LogError
+from linkside.errors import EstimatorError, LogError
 from linkside.files.tables import numbers, open_table
 from linkside.findings import Finding
 
@@ -227,9 +227,9 @@ class Estimate:
         return self.names, there
 
 
-def result_of(source: str, outcome: dict[str, Any] | LinksideError) -> dict[str, Any]:
+def result_of(source: str, outcome: dict[str, Any] | Exception) -> dict[str, Any]:
     """Give the arrays that a log came to, or raise the error that it came to, with the log's name."""
-    if isinstance(outcome, LinksideError):
+    if isinstance(outcome, Exception):
         raise type(outcome)(f"{source}: {outcome}")
     return outcome
 

@@ -216,7 +216,7 @@ def _assemble(robot: Robot, result: Truth, *, left_out: set[str]) -> Simulation:
         table |= dict(zip(columns, values.T, strict=True))
     table = {robot.columns.name_in_log(name): np.ascontiguousarray(values) for name, values in table.items()}
     told = State(*np.split(result.pop("told"), 4, axis=1))
-    return Simulation(robot, Log.from_table(table, robot, "simulation"), result, told, table)
+    return Simulation(robot, Log.from_table(table, robot, "simulation", check=False), result, told, table)
 
 
 def _models(sensors: Mapping[str, Sensor], robot: Robot) -> dict[str, list[Sensor]]:

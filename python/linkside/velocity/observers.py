@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from functools import partial
+from typing import Any, Literal, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,7 @@ from linkside import _core
 from linkside.arguments import one_of, per_joint
 from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError, NumericalError
+from linkside.recording.batch import Copies, Job, run_each
 from linkside.recording.continuity import longest_dropout, refuse_dropouts, refuse_uneven
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
@@ -85,7 +87,7 @@ class VelocityEstimate(Estimate):
     level: npt.NDArray[np.uint8] | None = None
 
 
-class ReducedOrderObserver:
+class ReducedOrderObserver(Copies):
     """Reduced-order velocity observer.
 
     Cristofaro and De Luca, "Reduced-order observer design for robot manipulators", 2023, eq. (6). It takes the joints
@@ -105,6 +107,9 @@ class ReducedOrderObserver:
         one number, or one for each joint. By default a turn for revolute joints.
     period
         Sampling period for `step` [s]; by default ``rate_hz`` of robot.yaml. `run` takes the log's.
+    start
+        ``"auto"``: the first samples tell how fast the robot moves. ``"rest"``: it does not at the first one. A
+        velocity can be given to `start`.
 
     Raises
     ------
@@ -115,8 +120,10 @@ class ReducedOrderObserver:
     Notes
     -----
     An error falls by ``exp(-gain * period)`` a sample, whatever the gain; beyond ``2 / period`` the estimate would be
-    little more than a difference of two positions, so that is refused. The start is at zero velocity.
+    little more than a difference of two positions, so that is refused.
     """
+
+    _cores = ("_core",)
 
     def __init__(
         self,
@@ -126,7 +133,9 @@ class ReducedOrderObserver:
         side: Literal["motors", "links"] = "motors",
         wrap: float | Sequence[float] | None = None,
         period: float | None = None,
+        start: Literal["auto", "rest"] = "auto",
     ) -> None:
+        one_of("start", start, ("auto", "rest"))
         one_of("side", side, ("motors", "links"))
         robot.require_masses("a velocity observer")
         refuse_unsupported(robot, "a velocity observer")
@@ -136,9 +145,12 @@ class ReducedOrderObserver:
         self._wrap = _turns(robot) if wrap is None else per_joint("wrap", wrap, robot.n).tolist()
         rate = robot.config.rate_hz
         self._period = period if period is not None or rate is None else 1 / rate
-        self._core = None if self._period is None else self._designed(self._period)
+        self._rest = start == "rest"
+        self._core: _core.VelocityObserver | None = None
+        if self._period is not None:
+            self._core = self._designed(self._period)
 
-    def step(self, *, q: Signal, tau: Signal) -> _core.VelocityState:
+    def step(self, *, q: Signal, tau: Signal) -> _core.State:
         """Take one sample and give the state at its time.
 
         Parameters
@@ -150,8 +162,18 @@ class ReducedOrderObserver:
 
         Returns
         -------
-        VelocityState
-            ``q``, ``dq``, ``ddq`` (n,), ``tool_position`` (3,), ``level`` and ``status``.
+        State
+            ``q``, ``dq``, ``ddq`` (n,), of motors ``theta`` and ``dtheta``, ``tool_position`` (3,),
+            ``level`` and ``status``.
+
+        Raises
+        ------
+        EstimatorError
+            A reading is infinite, a signal has a wrong shape, or a position has been missing for more than 0.05 s. The
+            observer is as it was before, and takes the next sample.
+        NumericalError
+            The inertia is singular, or readings so absurd that the estimate is no longer finite: the next sample starts
+            anew.
         """
         return self._live().step(q, tau)
 
@@ -160,11 +182,15 @@ class ReducedOrderObserver:
         self._live().start(dq, np.zeros(self.robot.n) if lag is None else lag)
 
     def reset(self) -> None:
-        """Forget the state: the next sample starts anew, at zero velocity."""
+        """Forget the state: the next sample starts anew."""
         self._live().reset()
 
-    def run(self, log: Log) -> VelocityEstimate:
-        """Estimate a recording, from zero velocity at its first sample.
+    @overload
+    def run(self, log: Log) -> VelocityEstimate: ...
+    @overload
+    def run(self, log: Sequence[Log]) -> list[VelocityEstimate]: ...
+    def run(self, log: Log | Sequence[Log]) -> VelocityEstimate | list[VelocityEstimate]:
+        """Estimate a recording, or several on all cores.
 
         Raises
         ------
@@ -173,7 +199,17 @@ class ReducedOrderObserver:
         NumericalError
             The inertia is singular, or the estimate is no longer finite; names the sample.
         """
-        return next(self.run_pieces([log]))
+        return run_each(log, self._job, _core.VelocityObserver.run_all)
+
+    def _job(self, log: Log) -> Job[VelocityEstimate]:
+        return Job(log, self._designed(log.period), self._arrays(log, None, 0), partial(self._estimate, log))
+
+    def _estimate(self, log: Log, result: dict[str, Any]) -> VelocityEstimate:
+        motor = {"theta": result["q"], "dtheta": result["dq"]}
+        unknown = np.full(result["q"].shape, np.nan)
+        if self.side == "links":
+            motor = {"theta": unknown, "dtheta": unknown}
+        return VelocityEstimate(t=log.t, names=self.robot.names, **motor, **result)
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[VelocityEstimate]:
         """Estimate a recording that comes piece by piece, in bounded memory; the same bits as `run`."""
@@ -187,12 +223,13 @@ class ReducedOrderObserver:
             except (NumericalError, EstimatorError) as error:
                 raise type(error)(f"{piece.source}: {error}") from None
             seen, first = piece[-longest_dropout(piece) :], first + len(piece)
-            motor = {"theta": result["q"], "dtheta": result["dq"]} if self.side == "motors" else _unknown(q)
-            yield VelocityEstimate(t=piece.t, names=self.robot.names, **motor, **result)
+            yield self._estimate(piece, result)
 
     def _live(self) -> _core.VelocityObserver:
         if self._core is None:
-            raise EstimatorError("step needs the sampling period: give period=…, or rate_hz in robot.yaml")
+            if self._period is None:
+                raise EstimatorError("step needs the sampling period: give period=…, or rate_hz in robot.yaml")
+            self._core = self._designed(self._period)
         return self._core
 
     def _designed(self, period: float) -> _core.VelocityObserver:
@@ -209,6 +246,7 @@ class ReducedOrderObserver:
             spring=self._spring(),
             motors=self.side == "motors",
             wrap=self._wrap,
+            rest=self._rest,
         )
 
     def _spring(self) -> list[float]:
@@ -236,7 +274,7 @@ class NicosiaTomeiObserver(ReducedOrderObserver):
 
     Parameters
     ----------
-    robot, gain, side, wrap, period
+    robot, gain, side, wrap, period, start
         As of `ReducedOrderObserver`; ``gain`` is k_D.
     position_gain
         Diagonal of K_P [N m/rad]: one number, or one for each joint. By default ``(gain / 4)**2`` times the inertia
@@ -258,6 +296,7 @@ class NicosiaTomeiObserver(ReducedOrderObserver):
         side: Literal["motors", "links"] = "motors",
         wrap: float | Sequence[float] | None = None,
         period: float | None = None,
+        start: Literal["auto", "rest"] = "auto",
     ) -> None:
         if isinstance(gain, GainMap):
             raise EstimatorError("a gain map has no spring beside it: expected a ReducedOrderObserver")
@@ -266,7 +305,7 @@ class NicosiaTomeiObserver(ReducedOrderObserver):
         self._position_gain = (
             None if position_gain is None else per_joint("position_gain", position_gain, robot.n).tolist()
         )
-        super().__init__(robot, gain, side=side, wrap=wrap, period=period)
+        super().__init__(robot, gain, side=side, wrap=wrap, period=period, start=start)
 
     def _spring(self) -> list[float]:
         if self._position_gain is not None:
@@ -278,8 +317,3 @@ class NicosiaTomeiObserver(ReducedOrderObserver):
 def _turns(robot: Robot) -> list[float]:
     """After what an encoder wraps: a turn of a revolute joint."""
     return [np.inf if slides else 2 * np.pi for slides in prismatic(robot)]
-
-
-def _unknown(q: FloatArray) -> dict[str, FloatArray]:
-    nothing = np.full(q.shape, np.nan)
-    return {"theta": nothing, "dtheta": nothing}

@@ -31,6 +31,15 @@ pub(crate) fn expect_finite(what: &'static str, values: &[f64]) -> Result<(), De
 }
 
 /// # Errors
+/// A value that is infinite; NaN is one that is missing.
+pub(crate) fn refuse_infinite(what: &'static str, values: &[f64]) -> Result<(), DesignError> {
+    match values.iter().position(|x| x.is_infinite()) {
+        Some(index) => Err(DesignError::Infinite { what, index, value: values[index] }),
+        None => Ok(()),
+    }
+}
+
+/// # Errors
 /// Another number of standard deviations than `expected`, or one that is negative or not finite.
 pub(crate) fn check_deviations(what: &'static str, values: &[f64], expected: usize) -> Result<(), DesignError> {
     expect_length(what, values.len(), expected)?;

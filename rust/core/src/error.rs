@@ -193,6 +193,32 @@ pub enum DesignError {
         /// The joint that it drives.
         joint: usize,
     },
+    /// A reading that no sensor gives.
+    #[error("{what}[{index}] is {value}, expected a finite number, or NaN where a reading is missing")]
+    Infinite {
+        /// Which signal.
+        what: &'static str,
+        /// Which of its entries.
+        index: usize,
+        /// What it is.
+        value: f64,
+    },
+    /// Results or particles that do not fit into memory.
+    #[error("{:.3} GB of memory are needed and not there: take fewer samples or particles at a time, or keep less", bytes / 1e9)]
+    Memory {
+        /// What was asked for at once.
+        bytes: f64,
+    },
+    /// Positions too far apart for an observer.
+    #[error(
+        "the position of joint {joint} has been missing for more than {longest} s, longer than an observer bridges: its error grows between positions"
+    )]
+    Late {
+        /// The joint.
+        joint: usize,
+        /// The longest time that is bridged [s].
+        longest: f64,
+    },
     /// The gravity iteration for a start at rest did not settle.
     #[error(
         "no static equilibrium found for the first sample: gravity is too strong for the stiffness; give an initial state"
@@ -224,6 +250,12 @@ pub enum RunError {
     )]
     Impossible {
         /// Index of the sample.
+        sample: usize,
+    },
+    /// A request to stop; see [`interrupt`](crate::interrupt).
+    #[error("stopped at sample {sample}, as asked")]
+    Interrupted {
+        /// Index of the first sample that was not taken.
         sample: usize,
     },
     /// A posture at which the robot's inertia cannot be inverted.
@@ -272,6 +304,12 @@ pub enum SimulationError {
         "the motion is not finite at t = {time:.9} s: the loop is unstable, or a fixed step of integration is (the adaptive integrator tells which)"
     )]
     NotFinite {
+        /// When [s].
+        time: f64,
+    },
+    /// A request to stop; see [`interrupt`](crate::interrupt).
+    #[error("stopped at t = {time:.9} s, as asked")]
+    Interrupted {
         /// When [s].
         time: f64,
     },

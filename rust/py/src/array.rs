@@ -3,7 +3,8 @@
 use crate::error::EstimatorError;
 use linkside_core::spatial::{Mat3, Vec3};
 use numpy::{
-    PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArray, PyReadonlyArray1, PyUntypedArrayMethods, ndarray::Dimension,
+    PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArray, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods,
+    ndarray::Dimension,
 };
 use pyo3::prelude::*;
 
@@ -18,6 +19,19 @@ pub(crate) fn rows<'a, D: Dimension>(
         return Err(EstimatorError::new_err(format!("{name} has {found} columns, expected {width}")));
     }
     array.as_slice().map_err(|_| EstimatorError::new_err(format!("{name} is not C-contiguous")))
+}
+
+/// The contents of a C-contiguous array of `count` rows of `width`.
+pub(crate) fn counted<'a>(
+    name: &str,
+    array: &'a PyReadonlyArray2<'_, f64>,
+    width: usize,
+    count: usize,
+) -> PyResult<&'a [f64]> {
+    match array.shape()[0] {
+        found if found == count => rows(name, array, width),
+        found => Err(EstimatorError::new_err(format!("{name} has {found} rows, expected {count}"))),
+    }
 }
 
 /// Hands `values` to NumPy under `shape`, without a copy.
@@ -38,17 +52,40 @@ pub(crate) fn mat3(rows: [[f64; 3]; 3]) -> Mat3<f64> {
 }
 
 /// One sample of a signal: a NumPy vector, or any sequence of numbers.
-#[derive(FromPyObject)]
 pub(crate) enum Signal<'py> {
     Array(PyReadonlyArray1<'py, f64>),
-    Sequence(Vec<f64>),
+    Values(Vec<f64>),
+    /// Something else; why.
+    Unfit(String),
+}
+
+impl<'py> FromPyObject<'_, 'py> for Signal<'py> {
+    type Error = PyErr;
+
+    /// Vectors of float64 are used where they are, and looked for first.
+    fn extract(given: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
+        if let Ok(array) = given.cast::<PyArray1<f64>>() {
+            let array = array.try_readonly().map_err(|e| EstimatorError::new_err(e.to_string()))?;
+            let strided = array.as_slice().is_err().then(|| array.as_array().to_vec());
+            return Ok(strided.map_or(Self::Array(array), Self::Values));
+        }
+        if let Ok(values) = given.extract() {
+            return Ok(Self::Values(values));
+        }
+        let shape = PyModule::import(given.py(), "numpy")?.call_method1("shape", (given,));
+        Ok(Self::Unfit(match shape {
+            Ok(shape) if shape.len().is_ok_and(|dimensions| dimensions != 1) => format!("has shape {shape}"),
+            _ => format!("is {}", given.repr()?),
+        }))
+    }
 }
 
 impl Signal<'_> {
     pub(crate) fn get(&self, name: &str) -> PyResult<&[f64]> {
         match self {
             Self::Array(a) => a.as_slice().map_err(|_| EstimatorError::new_err(format!("{name} is not contiguous"))),
-            Self::Sequence(v) => Ok(v),
+            Self::Values(v) => Ok(v),
+            Self::Unfit(why) => Err(EstimatorError::new_err(format!("{name} {why}, expected a vector of numbers"))),
         }
     }
 
@@ -59,18 +96,17 @@ impl Signal<'_> {
             found => Err(EstimatorError::new_err(format!("{name} has {found} entries, expected {expected}"))),
         }
     }
-}
 
-/// Runs `work`, which gives the values of `out`, once `out` has been found to hold `expected` numbers that may be written.
-pub(crate) fn write_into<R>(
-    out: &Bound<'_, PyArray1<f64>>,
-    expected: usize,
-    work: impl FnOnce(&mut [f64]) -> PyResult<R>,
-) -> PyResult<R> {
-    let mut out = out.try_readwrite().map_err(|e| EstimatorError::new_err(format!("out: {e}")))?;
-    let out = out.as_slice_mut().map_err(|_| EstimatorError::new_err("out is not contiguous"))?;
-    if out.len() != expected {
-        return Err(EstimatorError::new_err(format!("out has {} entries, expected {expected}", out.len())));
+    /// A sample's readings, none of them infinite; NaN is one that is missing.
+    pub(crate) fn readings(&self, name: &str, expected: usize) -> PyResult<&[f64]> {
+        let values = self.sized(name, expected)?;
+        match values.iter().position(|x| x.is_infinite()) {
+            Some(i) => {
+                let value = values[i];
+                let why = "expected a finite number, or NaN where a reading is missing";
+                Err(EstimatorError::new_err(format!("{name}[{i}] is {value}, {why}")))
+            }
+            None => Ok(values),
+        }
     }
-    work(out)
 }

@@ -1,17 +1,18 @@
 //! Kalman filter and smoother on the elastic-joint model.
 
-use crate::array::{Signal, rows, shaped, write_into};
+use crate::array::{Signal, rows, shaped};
 use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
-use crate::kalman::{Inside, Matrix, inside, into_dict, named};
+use crate::kalman::{Inside, Matrix, check_step, inside, into_dict, named};
 use crate::robot::Robot;
+use crate::state::State;
 use crate::tolerance::{Told, tolerances};
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
-    Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterSettings, Gaussian,
-    Inputs, KalmanRecording, KalmanSample, Keep, Model,
+    Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterOutput, FilterSettings,
+    Gaussian, Inputs, KalmanRecording, KalmanSample, Keep, Model,
 };
-use numpy::{PyArray1, PyReadonlyArray1, PyUntypedArrayMethods};
+use numpy::{PyReadonlyArray1, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::Arc;
@@ -67,6 +68,9 @@ impl From<Noise> for ElasticNoise {
 pub(crate) struct ElasticJointFilter {
     pub(crate) filter: ExtendedKalmanFilter<ElasticModel>,
     tool: bool,
+    /// Time since the first sample of `step` [s], and the estimate at the last one.
+    t: f64,
+    row: FilterOutput,
 }
 
 type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'py>);
@@ -102,7 +106,9 @@ impl ElasticJointFilter {
             let model = ElasticModel::new(Arc::clone(&robot.0), &settings, noise.into())?.with_late(&inside(late))?;
             ExtendedKalmanFilter::new(model.with_tolerances(tolerances), FilterSettings { gate, iterations })
         };
-        Ok(Self { filter: build().map_err(IntoPyErr::into_py_err)?, tool: robot.0.tool.is_some() })
+        let filter = build().map_err(IntoPyErr::into_py_err)?;
+        let row = FilterOutput::zeros(1, filter.model(), Keep::default()).map_err(IntoPyErr::into_py_err)?;
+        Ok(Self { filter, tool: robot.0.tool.is_some(), t: 0.0, row })
     }
 
     /// Number of states.
@@ -124,6 +130,11 @@ impl ElasticJointFilter {
         self.filter.parameters()
     }
 
+    /// A copy with the same belief.
+    fn copy(&self) -> Self {
+        self.clone()
+    }
+
     fn reset(&mut self) {
         self.filter.reset();
     }
@@ -131,25 +142,27 @@ impl ElasticJointFilter {
     /// From now on a first sample finds this mean and covariance of the state; nothing: the robot at rest.
     #[pyo3(signature = (mean, covariance))]
     fn set_start(&mut self, mean: Signal<'_>, covariance: Matrix<'_>) -> PyResult<()> {
-        let states = self.filter.model().states();
+        let states = self.filter.model().own_states();
         let start = Gaussian::new(mean.sized("mean", states)?, rows("covariance", &covariance, states)?);
         start.and_then(|start| self.filter.set_start(Some(start))).map_err(IntoPyErr::into_py_err)
     }
 
-    /// Takes one sample: one reading a channel, NaN where missing, and the motor torques; writes the state into `out`.
-    fn step(&mut self, dt: f64, readings: Signal<'_>, tau: Signal<'_>, out: &Bound<'_, PyArray1<f64>>) -> PyResult<u8> {
+    /// Takes one sample: one reading a channel, NaN where missing, and the motor torques.
+    fn step(&mut self, dt: f64, readings: Signal<'_>, tau: Signal<'_>) -> PyResult<State> {
+        check_step(dt)?;
         let model = self.filter.model();
-        let readings = readings.sized("readings", model.channels())?;
+        let readings = readings.readings("readings", model.channels())?;
         let tau = tau.sized("tau", model.robot().len())?;
         if let Some(joint) = tau.iter().position(|t| !t.is_finite()) {
             return Err(EstimatorError::new_err(format!("tau of joint {joint} is {}, expected a number", tau[joint])));
         }
-        write_into(out, model.states(), |out| {
-            let inputs = Inputs { tau, ..Inputs::default() };
-            self.filter.step(KalmanSample { dt, readings, inputs }).map_err(IntoPyErr::into_py_err)?;
-            out.copy_from_slice(&self.filter.belief().mean);
-            Ok(self.filter.status())
-        })
+        let inputs = Inputs { tau, ..Inputs::default() };
+        let t = self.filter.is_started().then_some(self.t + dt).unwrap_or_default();
+        self.filter.step(KalmanSample { dt, readings, inputs }).map_err(IntoPyErr::into_py_err)?;
+        self.t = t;
+        self.filter.report_into(&mut self.row);
+        let state = State::of_row(t, self.filter.model().robot().len(), &self.row, 0);
+        Ok(state.with_belief(&self.filter.belief().mean, &self.filter.covariance()))
     }
 
     /// Covariance of the state after the last sample.
@@ -167,23 +180,24 @@ impl ElasticJointFilter {
         into_dict(py, out, self.filter.model(), self.tool)
     }
 
-    /// Each log from a fresh start, on all cores, through the smoother where asked: its arrays, or the exception that it
-    /// came to.
+    /// Each log from a fresh start with the filter beside it, on all cores, through the smoother where asked: its arrays, or the
+    /// exception that it came to.
+    #[staticmethod]
     fn run_all<'py>(
-        &self,
         py: Python<'py>,
-        logs: Vec<Arrays<'py>>,
+        jobs: Vec<(PyRef<'py, Self>, Arrays<'py>)>,
         smooth: bool,
         covariance: bool,
         innovations: bool,
     ) -> PyResult<Vec<Bound<'py, PyAny>>> {
-        let model = self.filter.model();
-        let recordings = logs.iter().map(|arrays| recording(model, arrays)).collect::<PyResult<Vec<_>>>()?;
-        let filter = &self.filter;
+        let recordings = jobs
+            .iter()
+            .map(|(own, arrays)| Ok((&own.filter, recording(own.filter.model(), arrays)?)))
+            .collect::<PyResult<Vec<_>>>()?;
         let keep = Keep { covariance, innovations };
-        let results = py.release(|| Ok::<_, RunError>(filter.run_all(&recordings, smooth, keep)))?;
-        let convert = |out| into_dict(py, out, model, self.tool);
-        results.into_iter().map(|result| outcome(py, result, convert)).collect()
+        let results = py.release(|| Ok::<_, RunError>(ExtendedKalmanFilter::run_each(&recordings, smooth, keep)))?;
+        let convert = |own: &Self, out| into_dict(py, out, own.filter.model(), own.tool);
+        jobs.iter().zip(results).map(|((own, _), result)| outcome(py, result, |out| convert(own, out))).collect()
     }
 }
 

@@ -1,6 +1,7 @@
 //! Core errors as the package's own exceptions.
 
 use linkside_core::error::{DesignError, RobotError, RunError, SimulationError};
+use pyo3::exceptions::{PyKeyboardInterrupt, PyMemoryError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -21,7 +22,10 @@ impl IntoPyErr for RobotError {
 
 impl IntoPyErr for DesignError {
     fn into_py_err(self) -> PyErr {
-        EstimatorError::new_err(self.to_string())
+        match self {
+            Self::Memory { .. } => PyMemoryError::new_err(self.to_string()),
+            _ => EstimatorError::new_err(self.to_string()),
+        }
     }
 }
 
@@ -29,6 +33,7 @@ impl IntoPyErr for RunError {
     fn into_py_err(self) -> PyErr {
         match self {
             Self::Design(design) => design.into_py_err(),
+            Self::Interrupted { .. } => PyKeyboardInterrupt::new_err(self.to_string()),
             Self::NotFinite { .. } | Self::Impossible { .. } | Self::SingularInertia { .. } => {
                 NumericalError::new_err(self.to_string())
             }
@@ -40,6 +45,7 @@ impl IntoPyErr for SimulationError {
     fn into_py_err(self) -> PyErr {
         match self {
             Self::Design(design) => design.into_py_err(),
+            Self::Interrupted { .. } => PyKeyboardInterrupt::new_err(self.to_string()),
             Self::Singular => ConfigError::new_err(self.to_string()),
             Self::NotFinite { .. } | Self::Abrupt { .. } => NumericalError::new_err(self.to_string()),
             Self::Step { .. } | Self::Torque { .. } | Self::Refused { .. } => EstimatorError::new_err(self.to_string()),

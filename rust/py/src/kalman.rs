@@ -1,9 +1,10 @@
 //! Kalman filter and smoother on the acceleration-driven model.
 
-use crate::array::{Signal, rows, shaped, write_into};
+use crate::array::{Signal, rows, shaped};
 use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
 use crate::robot::Robot;
+use crate::state::State;
 use crate::tolerance::{Told, tolerances};
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
@@ -52,54 +53,79 @@ pub(crate) struct Live {
     pub(crate) readings: Vec<f64>,
     dtheta: Vec<f64>,
     /// Commanded acceleration of the sample before; empty when there is none.
-    ddqref: Vec<f64>,
+    pub(crate) ddqref: Vec<f64>,
     jerk: Vec<f64>,
+    /// Time since the first sample [s].
+    pub(crate) t: f64,
+    /// The estimate at the last one.
+    pub(crate) row: FilterOutput,
 }
 
 impl Live {
-    pub(crate) fn new(joints: usize, channels: usize) -> Self {
-        Self {
+    pub(crate) fn new(model: &JerkDriven) -> PyResult<Self> {
+        let (joints, channels) = (model.robot().len(), model.channels());
+        Ok(Self {
             readings: vec![f64::NAN; channels],
             dtheta: vec![f64::NAN; joints],
             ddqref: Vec::new(),
             jerk: vec![0.0; joints],
-        }
+            t: 0.0,
+            row: FilterOutput::zeros(1, model, Keep::default()).map_err(IntoPyErr::into_py_err)?,
+        })
     }
 
     pub(crate) fn inputs(&self) -> Inputs<'_> {
         Inputs { dtheta: &self.dtheta, jerk: &self.jerk, tau: &[] }
     }
 
-    pub(crate) fn set(
-        &mut self,
-        dt: f64,
-        sensors: usize,
-        theta: &Signal<'_>,
-        acceleration: Option<&Signal<'_>>,
-        dtheta: Option<&Signal<'_>>,
-        ddqref: Option<&Signal<'_>>,
-        further: Option<&Signal<'_>>,
-    ) -> PyResult<()> {
-        let n = self.jerk.len();
+    /// Takes over a sample, or leaves everything as it is where a signal cannot be used.
+    pub(crate) fn set(&mut self, dt: f64, sensors: usize, signals: &Signals<'_>) -> PyResult<()> {
+        let (n, m) = (self.jerk.len(), self.readings.len());
+        let Signals { theta, acceleration, dtheta, ddqref, further } = signals;
+        let theta = theta.readings("theta", n)?;
+        let acceleration = given(acceleration.as_ref(), "acceleration", sensors)?;
+        let dtheta = given(dtheta.as_ref(), "dtheta", n)?;
+        let ddqref = given(ddqref.as_ref(), "ddqref", n)?;
+        let further = given(further.as_ref(), "further", m - n - sensors)?;
         let (motors, rest) = self.readings.split_at_mut(n);
         let (accelerations, others) = rest.split_at_mut(sensors);
-        motors.copy_from_slice(theta.sized("theta", n)?);
-        fill(accelerations, "acceleration", acceleration)?;
-        fill(others, "further readings", further)?;
-        fill(&mut self.dtheta, "dtheta", dtheta)?;
+        motors.copy_from_slice(theta);
+        fill(accelerations, acceleration);
+        fill(others, further);
+        fill(&mut self.dtheta, dtheta);
         self.jerk.fill(0.0);
-        let Some(now) = ddqref else {
-            self.ddqref.clear();
-            return Ok(());
-        };
-        let now = now.sized("ddqref", n)?;
+        let now = ddqref.unwrap_or_default();
         for ((jerk, now), before) in self.jerk.iter_mut().zip(now).zip(&self.ddqref) {
-            *jerk = (now - before) / dt;
+            let change = (now - before) / dt;
+            *jerk = if change.is_finite() { change } else { 0.0 };
         }
         self.ddqref.clear();
         self.ddqref.extend_from_slice(now);
         Ok(())
     }
+}
+
+/// One sample of every signal; what is not given is missing.
+pub(crate) struct Signals<'py> {
+    pub(crate) theta: Signal<'py>,
+    pub(crate) acceleration: Option<Signal<'py>>,
+    pub(crate) dtheta: Option<Signal<'py>>,
+    pub(crate) ddqref: Option<Signal<'py>>,
+    pub(crate) further: Option<Signal<'py>>,
+}
+
+/// The readings of a signal that may not be there.
+fn given<'a>(signal: Option<&'a Signal<'_>>, name: &str, expected: usize) -> PyResult<Option<&'a [f64]>> {
+    signal.map(|signal| signal.readings(name, expected)).transpose()
+}
+
+/// # Errors
+/// A step of time that no clock makes.
+pub(crate) fn check_step(dt: f64) -> PyResult<()> {
+    if dt > 0.0 && dt.is_finite() {
+        return Ok(());
+    }
+    Err(EstimatorError::new_err(format!("dt is {dt}, expected a positive, finite time in seconds")))
 }
 
 /// Time constant and delay inside a channel's sensor [s], and how many steps of time the delay can have.
@@ -119,13 +145,12 @@ pub(crate) fn named(kinds: &[String]) -> PyResult<Vec<Kind>> {
     kinds.iter().map(find).collect()
 }
 
-/// Copies a signal, or NaN where there is none.
-pub(crate) fn fill(to: &mut [f64], name: &str, signal: Option<&Signal<'_>>) -> PyResult<()> {
-    match signal {
-        Some(signal) => to.copy_from_slice(signal.sized(name, to.len())?),
+/// Copies readings, or NaN where there are none.
+fn fill(to: &mut [f64], readings: Option<&[f64]>) {
+    match readings {
+        Some(readings) => to.copy_from_slice(readings),
         None => to.fill(f64::NAN),
     }
-    Ok(())
 }
 
 pub(crate) type Matrix<'py> = PyReadonlyArray2<'py, f64>;
@@ -155,8 +180,7 @@ impl ExtendedKalmanFilter {
             kalman::ExtendedKalmanFilter::new(model, FilterSettings { gate, iterations })
         };
         let filter = build().map_err(IntoPyErr::into_py_err)?;
-        let (n, m) = (filter.model().robot().len(), filter.model().channels());
-        let live = Live::new(n, m);
+        let live = Live::new(filter.model())?;
         Ok(Self { filter, tool: robot.0.tool.is_some(), live })
     }
 
@@ -185,13 +209,13 @@ impl ExtendedKalmanFilter {
     /// From now on a first sample finds this mean and covariance of the state; nothing: the robot at rest.
     #[pyo3(signature = (mean, covariance))]
     fn set_start(&mut self, mean: Signal<'_>, covariance: Matrix<'_>) -> PyResult<()> {
-        let states = self.filter.model().states();
+        let states = self.filter.model().own_states();
         let start = Gaussian::new(mean.sized("mean", states)?, rows("covariance", &covariance, states)?);
         start.and_then(|start| self.filter.set_start(Some(start))).map_err(IntoPyErr::into_py_err)
     }
 
-    /// Takes one sample, and writes the state's mean into `out`; what is not given is missing.
-    #[pyo3(signature = (dt, theta, acceleration, dtheta, ddqref, further, out))]
+    /// Takes one sample; what is not given is missing.
+    #[pyo3(signature = (dt, theta, acceleration=None, dtheta=None, ddqref=None, further=None))]
     fn step(
         &mut self,
         dt: f64,
@@ -200,25 +224,17 @@ impl ExtendedKalmanFilter {
         dtheta: Option<Signal<'_>>,
         ddqref: Option<Signal<'_>>,
         further: Option<Signal<'_>>,
-        out: &Bound<'_, PyArray1<f64>>,
-    ) -> PyResult<u8> {
-        let states = self.filter.model().states();
+    ) -> PyResult<State> {
+        check_step(dt)?;
         let sensors = self.filter.model().acceleration_channels();
-        write_into(out, states, |out| {
-            self.live.set(
-                dt,
-                sensors,
-                &theta,
-                acceleration.as_ref(),
-                dtheta.as_ref(),
-                ddqref.as_ref(),
-                further.as_ref(),
-            )?;
-            let sample = KalmanSample { dt, readings: &self.live.readings, inputs: self.live.inputs() };
-            self.filter.step(sample).map_err(IntoPyErr::into_py_err)?;
-            out.copy_from_slice(&self.filter.belief().mean);
-            Ok(self.filter.status())
-        })
+        self.live.set(dt, sensors, &Signals { theta, acceleration, dtheta, ddqref, further })?;
+        let sample = KalmanSample { dt, readings: &self.live.readings, inputs: self.live.inputs() };
+        let t = self.filter.is_started().then_some(self.live.t + dt).unwrap_or_default();
+        self.filter.step(sample).map_err(IntoPyErr::into_py_err)?;
+        self.live.t = t;
+        self.filter.report_into(&mut self.live.row);
+        let state = State::of_row(t, self.filter.model().robot().len(), &self.live.row, 0);
+        Ok(state.with_belief(&self.filter.belief().mean, &self.filter.covariance()))
     }
 
     /// Covariance of the state after the last sample.
@@ -255,23 +271,25 @@ impl ExtendedKalmanFilter {
         into_dict(py, out, self.filter.model(), self.tool)
     }
 
-    /// Each log from a fresh start, on all cores, through the smoother where asked: its arrays, or the exception that it
-    /// came to.
+    /// Each log from a fresh start with the filter beside it, on all cores, through the smoother where asked: its arrays, or the
+    /// exception that it came to.
+    #[staticmethod]
     fn run_all<'py>(
-        &self,
         py: Python<'py>,
-        logs: Vec<Arrays<'py>>,
+        jobs: Vec<(PyRef<'py, Self>, Arrays<'py>)>,
         smooth: bool,
         covariance: bool,
         innovations: bool,
     ) -> PyResult<Vec<Bound<'py, PyAny>>> {
-        let model = self.filter.model();
-        let recordings = logs.iter().map(|arrays| recording(model, arrays)).collect::<PyResult<Vec<_>>>()?;
-        let filter = &self.filter;
+        let recordings = jobs
+            .iter()
+            .map(|(own, arrays)| Ok((&own.filter, recording(own.filter.model(), arrays)?)))
+            .collect::<PyResult<Vec<_>>>()?;
         let keep = Keep { covariance, innovations };
-        let results = py.release(|| Ok::<_, RunError>(filter.run_all(&recordings, smooth, keep)))?;
-        let convert = |out| into_dict(py, out, model, self.tool);
-        results.into_iter().map(|result| outcome(py, result, convert)).collect()
+        let results =
+            py.release(|| Ok::<_, RunError>(kalman::ExtendedKalmanFilter::run_each(&recordings, smooth, keep)))?;
+        let convert = |own: &Self, out| into_dict(py, out, own.filter.model(), own.tool);
+        jobs.iter().zip(results).map(|((own, _), result)| outcome(py, result, |out| convert(own, out))).collect()
     }
 }
 
@@ -374,5 +392,26 @@ impl StretchSmoother {
         let (smoother, filter) = (&mut self.smoother, &start.filter);
         let out = py.release(|| smoother.stretch_back(filter, recording, Keep { covariance, innovations: false }))?;
         into_dict(py, out, filter.model(), self.tool)
+    }
+
+    /// One row of a stretch, smoothed; `t` is its time.
+    fn row(
+        &mut self,
+        py: Python<'_>,
+        start: PyRef<'_, ExtendedKalmanFilter>,
+        arrays: Arrays<'_>,
+        row: usize,
+        t: f64,
+    ) -> PyResult<State> {
+        let recording = recording(start.filter.model(), &arrays)?;
+        let (smoother, filter) = (&mut self.smoother, &start.filter);
+        let keep = Keep { covariance: true, innovations: false };
+        let out = py.release(|| smoother.stretch_back(filter, recording, keep))?;
+        let states = filter.model().states();
+        let state = State::of_row(t, filter.model().robot().len(), &out, row);
+        Ok(state.with_whole(
+            &out.state[row * states..][..states],
+            &out.covariance[row * states * states..][..states * states],
+        ))
     }
 }

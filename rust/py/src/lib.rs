@@ -11,6 +11,7 @@ mod observer;
 mod particle;
 mod robot;
 mod simulate;
+mod state;
 mod tolerance;
 mod velocity;
 
@@ -28,7 +29,7 @@ mod _core {
     #[pymodule_export]
     use crate::likelihood::Likelihood;
     #[pymodule_export]
-    use crate::observer::{AccelerationObserver, ObserverState, observer_gains};
+    use crate::observer::{AccelerationObserver, observer_gains};
     #[pymodule_export]
     use crate::particle::ParticleFilter;
     #[pymodule_export]
@@ -36,5 +37,7 @@ mod _core {
     #[pymodule_export]
     use crate::simulate::simulate;
     #[pymodule_export]
-    use crate::velocity::{VelocityObserver, VelocityState};
+    use crate::state::State;
+    #[pymodule_export]
+    use crate::velocity::VelocityObserver;
 }

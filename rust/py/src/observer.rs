@@ -1,12 +1,13 @@
 //! The acceleration-driven observer.
 
-use crate::array::{Signal, rows, shaped};
+use crate::array::{Signal, counted, rows, shaped};
 use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
 use crate::robot::Robot;
+use crate::state::State;
 use linkside_core::error::RunError;
 use linkside_core::estimate::observer::{
-    self, AccelerationSource, Complex, Form, JointModel, Poles, Recording, Sample, Settings, Trajectory,
+    self, AccelerationSource, Complex, Form, JointModel, Poles, Recording, Sample, Settings, Start, Trajectory,
 };
 use numpy::{PyArray1, PyArrayDyn, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -15,6 +16,7 @@ use std::sync::Arc;
 
 /// Observer of one robot, designed for one sampling period.
 #[pyclass(module = "linkside._core")]
+#[derive(Clone)]
 pub(crate) struct AccelerationObserver {
     pub(crate) fresh: observer::AccelerationObserver,
     live: observer::AccelerationObserver,
@@ -27,7 +29,7 @@ type Arrays<'py> = (Matrix<'py>, Matrix<'py>, Matrix<'py>);
 #[pymethods]
 impl AccelerationObserver {
     #[new]
-    #[pyo3(signature = (robot, *, period, poles, bias, predictor, joint_accelerations, worst_acceleration_std))]
+    #[pyo3(signature = (robot, *, period, poles, bias, predictor, joint_accelerations, worst_acceleration_std, rest))]
     fn new(
         robot: &Robot,
         period: f64,
@@ -36,13 +38,19 @@ impl AccelerationObserver {
         predictor: bool,
         joint_accelerations: bool,
         worst_acceleration_std: f64,
+        rest: bool,
     ) -> PyResult<Self> {
         let source = if joint_accelerations { AccelerationSource::Joints } else { AccelerationSource::Sensors };
         let form = if predictor { Form::Predictor } else { Form::Current };
-        let settings = Settings { period, poles, bias, form, source, worst_acceleration_std };
+        let settings = Settings { period, poles, bias, form, source, start: start(rest), worst_acceleration_std };
         let fresh = observer::AccelerationObserver::new(Arc::clone(&robot.0), settings);
         let fresh = fresh.map_err(IntoPyErr::into_py_err)?;
         Ok(Self { live: fresh.clone(), fresh, tool: robot.0.tool.is_some() })
+    }
+
+    /// A copy with the same state.
+    fn copy(&self) -> Self {
+        self.clone()
     }
 
     fn reset(&mut self) {
@@ -55,15 +63,15 @@ impl AccelerationObserver {
             .map_err(IntoPyErr::into_py_err)
     }
 
-    fn step(&mut self, theta: Signal<'_>, tau: Signal<'_>, acceleration: Signal<'_>) -> PyResult<ObserverState> {
+    fn step(&mut self, theta: Signal<'_>, tau: Signal<'_>, acceleration: Signal<'_>) -> PyResult<State> {
         let (n, m) = (self.live.joints(), self.live.channels());
         let sample = Sample {
-            theta: theta.sized("theta", n)?,
-            tau: tau.sized("tau", n)?,
-            acceleration: acceleration.sized("acceleration", m)?,
+            theta: theta.readings("theta", n)?,
+            tau: tau.readings("tau", n)?,
+            acceleration: acceleration.readings("acceleration", m)?,
         };
         self.live.step(sample).map_err(IntoPyErr::into_py_err)?;
-        Ok(ObserverState::of(&self.live))
+        Ok(State::of_observer(&self.live))
     }
 
     fn hold(&mut self, tau: Signal<'_>) -> PyResult<()> {
@@ -85,14 +93,21 @@ impl AccelerationObserver {
         into_dict(py, trajectory, self.live.joints(), self.tool)
     }
 
-    /// Each log from a fresh start, on all cores: its arrays, or the exception that it came to.
-    fn run_all<'py>(&self, py: Python<'py>, logs: Vec<Arrays<'py>>) -> PyResult<Vec<Bound<'py, PyAny>>> {
-        let recordings = logs.iter().map(|arrays| recording(&self.fresh, arrays)).collect::<PyResult<Vec<_>>>()?;
-        let fresh = &self.fresh;
-        let results = py.release(|| Ok::<_, RunError>(fresh.run_all(&recordings)))?;
-        let convert = |t| into_dict(py, t, self.fresh.joints(), self.tool);
-        results.into_iter().map(|result| outcome(py, result, convert)).collect()
+    /// Each log from a fresh start with the observer beside it, on all cores: its arrays, or the exception that it came to.
+    #[staticmethod]
+    fn run_all<'py>(py: Python<'py>, jobs: Vec<(PyRef<'py, Self>, Arrays<'py>)>) -> PyResult<Vec<Bound<'py, PyAny>>> {
+        let recordings = jobs
+            .iter()
+            .map(|(own, arrays)| Ok((&own.fresh, recording(&own.fresh, arrays)?)))
+            .collect::<PyResult<Vec<_>>>()?;
+        let results = py.release(|| Ok::<_, RunError>(observer::AccelerationObserver::run_each(&recordings)))?;
+        let convert = |own: &Self, t| into_dict(py, t, own.fresh.joints(), own.tool);
+        jobs.iter().zip(results).map(|((own, _), result)| outcome(py, result, |t| convert(own, t))).collect()
     }
+}
+
+pub(crate) fn start(rest: bool) -> Start {
+    if rest { Start::Rest } else { Start::Auto }
 }
 
 fn recording<'a>(observer: &observer::AccelerationObserver, arrays: &'a Arrays<'_>) -> PyResult<Recording<'a>> {
@@ -101,8 +116,8 @@ fn recording<'a>(observer: &observer::AccelerationObserver, arrays: &'a Arrays<'
     Ok(Recording {
         count: theta.shape()[0],
         theta: rows("theta", theta, n)?,
-        tau: rows("tau", tau, n)?,
-        acceleration: rows("acceleration", acceleration, m)?,
+        tau: counted("tau", tau, n, theta.shape()[0])?,
+        acceleration: counted("acceleration", acceleration, m, theta.shape()[0])?,
     })
 }
 
@@ -118,67 +133,6 @@ fn into_dict<'py>(py: Python<'py>, t: Trajectory, n: usize, tool: bool) -> PyRes
     }
     out.set_item("status", PyArray1::from_vec(py, t.status))?;
     Ok(out)
-}
-
-/// The estimate at one sample; arrays are made when they are asked for.
-#[pyclass(frozen, module = "linkside._core")]
-pub(crate) struct ObserverState {
-    /// q, q̇, q̈, θ and θ̇, one after the other.
-    values: Box<[f64]>,
-    tool: [f64; 3],
-    #[pyo3(get)]
-    status: u8,
-}
-
-impl ObserverState {
-    fn of(observer: &observer::AccelerationObserver) -> Self {
-        let n = observer.joints();
-        let mut values = Vec::with_capacity(5 * n);
-        for part in [observer.q(), observer.dq(), observer.ddq()] {
-            values.extend_from_slice(part);
-        }
-        values.extend((0..n).map(|j| observer.motor(j).0));
-        values.extend((0..n).map(|j| observer.motor(j).1));
-        Self { values: values.into(), tool: observer.tool(), status: observer.status() }
-    }
-
-    fn part<'py>(&self, py: Python<'py>, index: usize) -> Bound<'py, PyArray1<f64>> {
-        let n = self.values.len() / 5;
-        PyArray1::from_slice(py, &self.values[index * n..][..n])
-    }
-}
-
-#[pymethods]
-impl ObserverState {
-    #[getter]
-    fn q<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        self.part(py, 0)
-    }
-
-    #[getter]
-    fn dq<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        self.part(py, 1)
-    }
-
-    #[getter]
-    fn ddq<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        self.part(py, 2)
-    }
-
-    #[getter]
-    fn theta<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        self.part(py, 3)
-    }
-
-    #[getter]
-    fn dtheta<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        self.part(py, 4)
-    }
-
-    #[getter]
-    fn tool_position<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<f64>>> {
-        (!self.tool[0].is_nan()).then(|| PyArray1::from_slice(py, &self.tool))
-    }
 }
 
 /// Continuous-time gains of one joint, in closed form.

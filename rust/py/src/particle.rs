@@ -1,16 +1,16 @@
 //! Particle filters on the acceleration-driven model.
 
-use crate::array::{Signal, shaped, write_into};
+use crate::array::{Signal, shaped};
 use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
-use crate::kalman::{Arrays, Live, Noise, into_dict, named, recording};
+use crate::kalman::{Arrays, Live, Noise, Signals, check_step, into_dict, named, recording};
 use crate::robot::Robot;
+use crate::state::State;
 use linkside_core::error::{DesignError, RunError};
-use linkside_core::estimate::kalman::{JerkDriven, JerkModel, KalmanRecording, KalmanSample, Keep, Model};
+use linkside_core::estimate::kalman::{JerkDriven, JerkModel, KalmanSample, Keep, Model};
 use linkside_core::estimate::particle::{
     self, Collapse, Density, Marginalised, ParticleOutput, ParticleSettings, Proposal, Resampling,
 };
-use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::Arc;
@@ -123,7 +123,7 @@ impl ParticleFilter {
             particle::ParticleFilter::new(model, settings, marginalised)
         };
         let filter = build().map_err(IntoPyErr::into_py_err)?;
-        let live = Live::new(filter.model().robot().len(), filter.model().channels());
+        let live = Live::new(filter.model())?;
         Ok(Self { filter, tool: robot.0.tool.is_some(), levels, live })
     }
 
@@ -133,12 +133,18 @@ impl ParticleFilter {
         self.filter.model().states()
     }
 
-    fn reset(&mut self) {
-        self.filter.reset();
+    /// A copy with the same particles.
+    fn copy(&self) -> Self {
+        self.clone()
     }
 
-    /// Takes one sample, and writes the state's mean into `out`; what is not given is missing.
-    #[pyo3(signature = (dt, theta, acceleration, dtheta, ddqref, further, out))]
+    fn reset(&mut self) {
+        self.filter.reset();
+        self.live.ddqref.clear();
+    }
+
+    /// Takes one sample; what is not given is missing.
+    #[pyo3(signature = (dt, theta, acceleration=None, dtheta=None, ddqref=None, further=None))]
     fn step(
         &mut self,
         py: Python<'_>,
@@ -148,19 +154,19 @@ impl ParticleFilter {
         dtheta: Option<Signal<'_>>,
         ddqref: Option<Signal<'_>>,
         further: Option<Signal<'_>>,
-        out: &Bound<'_, PyArray1<f64>>,
-    ) -> PyResult<u8> {
-        let states = self.filter.model().states();
-        let sensors = self.filter.model().acceleration_channels();
-        let signals = (acceleration.as_ref(), dtheta.as_ref(), ddqref.as_ref(), further.as_ref());
+    ) -> PyResult<State> {
+        check_step(dt)?;
         let Self { filter, live, .. } = self;
-        write_into(out, states, |out| {
-            live.set(dt, sensors, &theta, signals.0, signals.1, signals.2, signals.3)?;
-            let sample = KalmanSample { dt, readings: &live.readings, inputs: live.inputs() };
-            py.release(|| filter.step(sample))?;
-            out.copy_from_slice(&filter.summary().mean);
-            Ok(filter.summary().status)
-        })
+        let sensors = filter.model().acceleration_channels();
+        live.set(dt, sensors, &Signals { theta, acceleration, dtheta, ddqref, further })?;
+        let sample = KalmanSample { dt, readings: &live.readings, inputs: live.inputs() };
+        let t = filter.is_started().then_some(live.t + dt).unwrap_or_default();
+        py.release_briefly(|| filter.step(sample))?;
+        live.t = t;
+        filter.report_into(&mut live.row);
+        let summary = filter.summary();
+        let state = State::of_row(t, filter.model().robot().len(), &live.row, 0);
+        Ok(state.with_particles(&summary.mean, summary.effective))
     }
 
     /// Effective number of particles after the last sample.
@@ -184,45 +190,27 @@ impl ParticleFilter {
         self.convert(py, out)
     }
 
-    /// Each log from a fresh start, on all cores: its arrays, or the exception that it came to.
+    /// Each log from a fresh start with the settings of the filter beside it, on all cores, by all of its samples where
+    /// `smooth`: its arrays, or the exception that it came to.
+    #[staticmethod]
     fn run_all<'py>(
-        &self,
         py: Python<'py>,
-        logs: Vec<Arrays<'py>>,
+        jobs: Vec<(PyRef<'py, Self>, Arrays<'py>)>,
+        smooth: bool,
         covariance: bool,
     ) -> PyResult<Vec<Bound<'py, PyAny>>> {
-        self.each(py, &logs, covariance, particle::ParticleFilter::run_all)
-    }
-
-    /// Each log by all of its samples, as `run_all`.
-    fn smooth_all<'py>(
-        &self,
-        py: Python<'py>,
-        logs: Vec<Arrays<'py>>,
-        covariance: bool,
-    ) -> PyResult<Vec<Bound<'py, PyAny>>> {
-        self.each(py, &logs, covariance, particle::ParticleFilter::smooth_all)
+        let recordings = jobs
+            .iter()
+            .map(|(own, arrays)| Ok((&own.filter, recording(own.filter.model(), arrays)?)))
+            .collect::<PyResult<Vec<_>>>()?;
+        let keep = Keep { covariance, innovations: false };
+        let all = if smooth { particle::ParticleFilter::smooth_each } else { particle::ParticleFilter::run_each };
+        let results = py.release(|| Ok::<_, RunError>(all(&recordings, keep)))?;
+        jobs.iter().zip(results).map(|((own, _), result)| outcome(py, result, |out| own.convert(py, out))).collect()
     }
 }
 
-type Outcome = Result<ParticleOutput, RunError>;
-
 impl ParticleFilter {
-    fn each<'py>(
-        &self,
-        py: Python<'py>,
-        logs: &[Arrays<'py>],
-        covariance: bool,
-        all: impl Fn(&particle::ParticleFilter, &[KalmanRecording<'_>], Keep) -> Vec<Outcome> + Sync,
-    ) -> PyResult<Vec<Bound<'py, PyAny>>> {
-        let model = self.filter.model();
-        let recordings = logs.iter().map(|arrays| recording(model, arrays)).collect::<PyResult<Vec<_>>>()?;
-        let filter = &self.filter;
-        let keep = Keep { covariance, innovations: false };
-        let results = py.release(|| Ok::<_, RunError>(all(filter, &recordings, keep)))?;
-        results.into_iter().map(|result| outcome(py, result, |out| self.convert(py, out))).collect()
-    }
-
     fn convert<'py>(&self, py: Python<'py>, o: ParticleOutput) -> PyResult<Bound<'py, PyDict>> {
         let ParticleOutput { links, effective, best, quantiles } = o;
         let (count, n) = (effective.len(), self.filter.model().robot().len());

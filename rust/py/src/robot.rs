@@ -1,10 +1,11 @@
 //! A compiled robot and its dynamics over arrays.
 
-use crate::array::{mat3, rows, shaped, vec3};
+use crate::array::{counted, mat3, rows, shaped, vec3};
 use crate::error::IntoPyErr;
 use crate::gil::Release;
 use linkside_core::dynamics::{Batch, DrivenStates, States, check_inertia};
-use linkside_core::error::RobotError;
+use linkside_core::error::{DesignError, RobotError};
+use linkside_core::memory;
 use linkside_core::robot::{self, BodySpec, JointKind, MotorFriction, Rotor, SoftWindup, Tree};
 use numpy::{PyArrayDyn, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -169,12 +170,13 @@ impl Robot {
         tau: Input<'py>,
     ) -> Output<'py> {
         let n = self.0.len();
+        let count = q.shape()[0];
         let states = DrivenStates {
             q: rows("q", &q, n)?,
-            dq: rows("dq", &dq, n)?,
-            theta: rows("theta", &theta, n)?,
-            dtheta: rows("dtheta", &dtheta, n)?,
-            tau: rows("tau", &tau, n)?,
+            dq: counted("dq", &dq, n, count)?,
+            theta: counted("theta", &theta, n, count)?,
+            dtheta: counted("dtheta", &dtheta, n, count)?,
+            tau: counted("tau", &tau, n, count)?,
         };
         self.over(&q, [2, n], |batch, out| batch.forward_dynamics(states, out))
     }
@@ -237,7 +239,10 @@ impl Robot {
         f: impl FnOnce(&mut Batch<'a>, States<'_>, &mut [f64]) + Send,
     ) -> Output<'py> {
         let n = self.0.len();
-        let states = States { q: rows("q", q, n)?, dq: rows("dq", dq, n)?, ddq: rows("ddq", ddq, n)? };
+        // One row of velocities or accelerations is that of all samples.
+        let height = |array: &Input<'py>| if array.shape()[0] == 1 { 1 } else { q.shape()[0] };
+        let (dq, ddq) = (counted("dq", dq, n, height(dq))?, counted("ddq", ddq, n, height(ddq))?);
+        let states = States { q: rows("q", q, n)?, dq, ddq };
         self.over(q, shape, |batch, out| f(batch, states, out))
     }
 
@@ -260,9 +265,9 @@ impl Robot {
     ) -> Output<'py> {
         let (py, count) = (q.py(), q.shape()[0]);
         let values = py.release(|| {
-            let mut out = vec![0.0; count * shape.iter().product::<usize>()];
+            let mut out = memory::filled(0.0, count, shape.iter().product())?;
             f(&mut Batch::new(&self.0), &mut out);
-            Ok::<_, RobotError>(out)
+            Ok::<_, DesignError>(out)
         })?;
         let shape: Vec<usize> = core::iter::once(count).chain(shape).collect();
         shaped(py, values, shape)

@@ -3,6 +3,7 @@
 use crate::array::{Signal, shaped};
 use crate::elastic_filter::ElasticJointFilter;
 use crate::error::{EstimatorError, IntoPyErr};
+use crate::gil::Release;
 use crate::observer::AccelerationObserver;
 use crate::robot::Robot;
 use linkside_core::control::{
@@ -184,11 +185,13 @@ impl Job {
         match law {
             Law::StateFeedback { states, gains } => {
                 let controller = states.build().and_then(|reference| StateFeedback::new(reference, gains));
-                self.run(py, feedback, &mut controller.map_err(IntoPyErr::into_py_err)?).map_err(IntoPyErr::into_py_err)
+                self.run(py, feedback, &mut controller.map_err(IntoPyErr::into_py_err)?)?
+                    .map_err(IntoPyErr::into_py_err)
             }
             Law::JointPd { reference, kp, kd, tau } => {
                 let controller = reference.build().and_then(|r| JointPd::new(r, kp, kd, tau));
-                self.run(py, feedback, &mut controller.map_err(IntoPyErr::into_py_err)?).map_err(IntoPyErr::into_py_err)
+                self.run(py, feedback, &mut controller.map_err(IntoPyErr::into_py_err)?)?
+                    .map_err(IntoPyErr::into_py_err)
             }
             Law::SimpleAdaptive {
                 command,
@@ -204,11 +207,12 @@ impl Job {
                 let (robot, period) = (Arc::clone(&self.robot), self.plan.period);
                 let controller =
                     command.build().and_then(|r| SimpleAdaptive::new(robot, r, coordinates, gains, period));
-                self.run(py, feedback, &mut controller.map_err(IntoPyErr::into_py_err)?).map_err(IntoPyErr::into_py_err)
+                self.run(py, feedback, &mut controller.map_err(IntoPyErr::into_py_err)?)?
+                    .map_err(IntoPyErr::into_py_err)
             }
             Law::Callable(function) => {
                 let mut controller = Callable { function: function.unbind(), error: None };
-                self.run(py, feedback, &mut controller).map_err(|error| controller.explain(py, error))
+                self.run(py, feedback, &mut controller)?.map_err(|error| controller.explain(py, error))
             }
         }
     }
@@ -218,9 +222,9 @@ impl Job {
         py: Python<'_>,
         mut feedback: impl Feedback + Send,
         controller: &mut (dyn Controller + Send),
-    ) -> Result<Recording, SimulationError> {
+    ) -> PyResult<Result<Recording, SimulationError>> {
         let Self { robot, plan, start, suite } = self;
-        py.detach(|| core::simulate(&robot, start, plan, suite, &mut feedback, controller))
+        py.release(|| Ok::<_, DesignError>(core::simulate(&robot, start, plan, suite, &mut feedback, controller)))
     }
 }
 

@@ -1,9 +1,12 @@
 //! The velocity observers.
 
-use crate::array::{Signal, rows, shaped};
-use crate::error::{EstimatorError, IntoPyErr};
+use crate::array::{Signal, counted, rows, shaped};
+use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
+use crate::observer::start;
 use crate::robot::Robot;
+use crate::state::State;
+use linkside_core::error::RunError;
 use linkside_core::estimate::velocity::{self, GainMap, Gains, Logic, Recording, Schedule, Settings, Trajectory};
 use numpy::{PyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -54,6 +57,7 @@ impl From<Map> for GainMap {
 
 /// Velocity observer of one robot, designed for one sampling period.
 #[pyclass(module = "linkside._core")]
+#[derive(Clone)]
 pub(crate) struct VelocityObserver {
     fresh: velocity::VelocityObserver,
     live: velocity::VelocityObserver,
@@ -61,11 +65,12 @@ pub(crate) struct VelocityObserver {
 }
 
 type Matrix<'py> = PyReadonlyArray2<'py, f64>;
+type Arrays<'py> = (Matrix<'py>, Matrix<'py>);
 
 #[pymethods]
 impl VelocityObserver {
     #[new]
-    #[pyo3(signature = (robot, *, period, gains, levels, map, spring, motors, wrap))]
+    #[pyo3(signature = (robot, *, period, gains, levels, map, spring, motors, wrap, rest))]
     fn new(
         robot: &Robot,
         period: f64,
@@ -75,15 +80,21 @@ impl VelocityObserver {
         spring: Vec<f64>,
         motors: bool,
         wrap: Vec<f64>,
+        rest: bool,
     ) -> PyResult<Self> {
         let gains = match (levels, map) {
             (Some(levels), _) => Gains::Scheduled(levels.schedule()?),
             (None, Some(map)) => Gains::Mapped(map.into()),
             (None, None) => Gains::Constant(gains),
         };
-        let settings = Settings { period, gains, spring, motors, wrap };
+        let settings = Settings { period, gains, spring, motors, start: start(rest), wrap };
         let fresh = velocity::VelocityObserver::new(Arc::clone(&robot.0), settings).map_err(IntoPyErr::into_py_err)?;
         Ok(Self { live: fresh.clone(), fresh, tool: robot.0.tool.is_some() })
+    }
+
+    /// A copy with the same state.
+    fn copy(&self) -> Self {
+        self.clone()
     }
 
     fn reset(&mut self) {
@@ -95,20 +106,37 @@ impl VelocityObserver {
         self.live.start(dq.get("dq")?, lag.get("lag")?).map_err(IntoPyErr::into_py_err)
     }
 
-    fn step(&mut self, q: Signal<'_>, tau: Signal<'_>) -> PyResult<VelocityState> {
+    fn step(&mut self, q: Signal<'_>, tau: Signal<'_>) -> PyResult<State> {
         let n = self.live.joints();
-        self.live.step(q.sized("q", n)?, tau.sized("tau", n)?).map_err(IntoPyErr::into_py_err)?;
-        Ok(VelocityState::of(&self.live))
+        self.live.step(q.readings("q", n)?, tau.readings("tau", n)?).map_err(IntoPyErr::into_py_err)?;
+        Ok(State::of_velocity_observer(&self.live))
     }
 
     /// Goes on from the live state with the rows of a log, or of a piece of one.
     fn run<'py>(&mut self, py: Python<'py>, q: Matrix<'py>, tau: Matrix<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let arrays = (q, tau);
         let n = self.live.joints();
-        let recording = Recording { count: q.shape()[0], q: rows("q", &q, n)?, torque: rows("tau", &tau, n)? };
+        let recording = recording(n, &arrays)?;
         let live = &mut self.live;
         let trajectory = py.release(|| live.run(recording))?;
         into_dict(py, trajectory, n, self.tool)
     }
+
+    /// Each log from a fresh start with the observer beside it, on all cores: its arrays, or the exception that it came to.
+    #[staticmethod]
+    fn run_all<'py>(py: Python<'py>, jobs: Vec<(PyRef<'py, Self>, Arrays<'py>)>) -> PyResult<Vec<Bound<'py, PyAny>>> {
+        let recordings = jobs
+            .iter()
+            .map(|(own, arrays)| Ok((&own.fresh, recording(own.fresh.joints(), arrays)?)))
+            .collect::<PyResult<Vec<_>>>()?;
+        let results = py.release(|| Ok::<_, RunError>(velocity::VelocityObserver::run_each(&recordings)))?;
+        let convert = |own: &Self, t| into_dict(py, t, own.fresh.joints(), own.tool);
+        jobs.iter().zip(results).map(|((own, _), result)| outcome(py, result, |t| convert(own, t))).collect()
+    }
+}
+
+fn recording<'a>(n: usize, (q, tau): &'a Arrays<'_>) -> PyResult<Recording<'a>> {
+    Ok(Recording { count: q.shape()[0], q: rows("q", q, n)?, torque: counted("tau", tau, n, q.shape()[0])? })
 }
 
 fn into_dict<'py>(py: Python<'py>, t: Trajectory, n: usize, tool: bool) -> PyResult<Bound<'py, PyDict>> {
@@ -123,51 +151,4 @@ fn into_dict<'py>(py: Python<'py>, t: Trajectory, n: usize, tool: bool) -> PyRes
     out.set_item("level", PyArray1::from_vec(py, t.level))?;
     out.set_item("status", PyArray1::from_vec(py, t.status))?;
     Ok(out)
-}
-
-/// The estimate at one sample; arrays are made when they are asked for.
-#[pyclass(frozen, module = "linkside._core")]
-pub(crate) struct VelocityState {
-    /// q, q̇ and q̈, one after the other.
-    values: Box<[f64]>,
-    tool: [f64; 3],
-    #[pyo3(get)]
-    level: usize,
-    #[pyo3(get)]
-    status: u8,
-}
-
-impl VelocityState {
-    fn of(observer: &velocity::VelocityObserver) -> Self {
-        let values = [observer.q(), observer.dq(), observer.ddq()].concat().into();
-        Self { values, tool: observer.tool(), level: observer.level(), status: observer.status() }
-    }
-
-    fn part<'py>(&self, py: Python<'py>, index: usize) -> Bound<'py, PyArray1<f64>> {
-        let n = self.values.len() / 3;
-        PyArray1::from_slice(py, &self.values[index * n..][..n])
-    }
-}
-
-#[pymethods]
-impl VelocityState {
-    #[getter]
-    fn q<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        self.part(py, 0)
-    }
-
-    #[getter]
-    fn dq<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        self.part(py, 1)
-    }
-
-    #[getter]
-    fn ddq<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        self.part(py, 2)
-    }
-
-    #[getter]
-    fn tool_position<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<f64>>> {
-        (!self.tool[0].is_nan()).then(|| PyArray1::from_slice(py, &self.tool))
-    }
 }

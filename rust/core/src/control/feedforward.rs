@@ -9,6 +9,7 @@
 use super::transmission::{Moment, SMOOTHEST, advance, damped, undamped};
 use crate::dynamics::NewtonEuler;
 use crate::error::DesignError;
+use crate::interrupt::Watch;
 use crate::robot::Robot;
 use crate::scalar::Series;
 use crate::simd::Kernel;
@@ -130,7 +131,11 @@ impl<const P: usize> Kernel for Run<'_, P> {
     fn run(mut self) -> Desired {
         let size = self.path.t.len() * self.robot.len();
         let [mut theta, mut dtheta, mut tau] = [(); 3].map(|()| Vec::with_capacity(size));
+        let watch = Watch::current();
         for row in 0..self.path.t.len() {
+            if watch.stops() {
+                break;
+            }
             self.read(row);
             let dt = if row == 0 { 0.0 } else { self.path.t[row] - self.path.t[row - 1] };
             self.transmit(dt);

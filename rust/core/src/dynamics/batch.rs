@@ -1,6 +1,7 @@
 //! Whole arrays at once: one row a sample, `count` rows, row-major.
 
 use super::{ElasticState, ForwardDynamics, Kinematics, Loads, NewtonEuler};
+use crate::interrupt::Watch;
 use crate::robot::{Drive, Robot, Sensor};
 use crate::spatial::Vec3;
 
@@ -58,7 +59,8 @@ impl<'a> Batch<'a> {
         let n = self.robot.len();
         let rates = s.dq.chunks_exact(n).cycle().zip(s.ddq.chunks_exact(n).cycle());
         let rows = s.q.chunks_exact(n).zip(rates);
-        for ((q, (dq, ddq)), out) in rows.zip(out.chunks_exact_mut(width.max(1))) {
+        let watch = Watch::current();
+        for ((q, (dq, ddq)), out) in rows.zip(out.chunks_exact_mut(width.max(1))).take_while(|_| !watch.stops()) {
             f(self, [q, dq, ddq], out);
         }
     }
@@ -94,8 +96,12 @@ impl<'a> Batch<'a> {
     pub fn forward_dynamics(&mut self, s: DrivenStates<'_>, out: &mut [f64]) {
         let n = self.robot.len();
         let mut dynamics = ForwardDynamics::new(self.robot);
-        for (i, out) in out.chunks_exact_mut(2 * n).enumerate() {
-            let [q, dq, theta, dtheta, tau] = [s.q, s.dq, s.theta, s.dtheta, s.tau].map(|x| &x[i * n..][..n]);
+        let watch = Watch::current();
+        let mut rows = [s.q, s.dq, s.theta, s.dtheta, s.tau].map(|signal| signal.chunks_exact(n));
+        for out in out.chunks_exact_mut(2 * n).take_while(|_| !watch.stops()) {
+            let [Some(q), Some(dq), Some(theta), Some(dtheta), Some(tau)] = rows.each_mut().map(Iterator::next) else {
+                return;
+            };
             let (ddq, ddtheta) = out.split_at_mut(n);
             dynamics.accelerations_into(self.robot, ElasticState { q, dq, theta, dtheta }, tau, ddq, ddtheta);
         }

@@ -4,6 +4,7 @@ use super::plant::Plant;
 use super::rosenbrock::Rosenbrock;
 use crate::check::expect;
 use crate::error::{DesignError, SimulationError};
+use crate::interrupt::Watch;
 use crate::robot::Robot;
 use crate::simd;
 
@@ -119,7 +120,11 @@ impl simd::Kernel for Advance<'_> {
         let Tolerance { rtol, atol } = adaptive.tolerance;
         let (mut left, mut again) = (span, false);
         adaptive.method.start(robot, plant, x, tau);
+        let watch = Watch::current();
         for _ in 0..MOST {
+            if watch.stops() {
+                return Err(SimulationError::Interrupted { time: t });
+            }
             let length = fit(adaptive.step, left);
             adaptive.method.step(robot, plant, x, tau, length);
             let (error, joint) = adaptive.method.error(x, |size| atol + rtol * size);

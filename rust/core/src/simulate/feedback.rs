@@ -4,7 +4,7 @@ use super::sensors::Motion;
 use crate::check::expect_length;
 use crate::control::State;
 use crate::dynamics::ElasticLayout;
-use crate::error::DesignError;
+use crate::error::{DesignError, RunError};
 use crate::estimate::kalman::{ElasticModel, ExtendedKalmanFilter, Inputs, KalmanSample};
 use crate::estimate::observer::{AccelerationObserver, Sample};
 use crate::robot::Robot;
@@ -65,6 +65,15 @@ impl Feedback for SensorFeedback {
     }
 }
 
+/// Of a step, what is wrong with its sample. An estimator that is lost tells no number, which ends the simulation with the
+/// time at which it was.
+fn usable(outcome: Result<(), RunError>) -> Result<(), DesignError> {
+    match outcome {
+        Err(RunError::Design(error)) => Err(error),
+        _ => Ok(()),
+    }
+}
+
 /// The elastic-joint filter's estimate from some of the readings.
 #[derive(Clone)]
 pub struct FilterFeedback {
@@ -95,7 +104,7 @@ impl Feedback for FilterFeedback {
             *reading = known.readings[channel];
         }
         let inputs = Inputs { tau: known.tau, ..Inputs::default() };
-        self.filter.step(KalmanSample { dt: known.dt, readings: &self.readings, inputs })?;
+        usable(self.filter.step(KalmanSample { dt: known.dt, readings: &self.readings, inputs }))?;
         let (n, mean) = (self.layout.joints, &self.filter.belief().mean);
         out.q.copy_from_slice(&mean[..n]);
         out.dq.copy_from_slice(&mean[n..2 * n]);
@@ -135,7 +144,7 @@ impl Feedback for ObserverFeedback {
         let (theta, others) = known.readings.split_at(observer.joints());
         // The torque was chosen after the last sample, from its estimate.
         observer.hold(known.tau)?;
-        observer.step(Sample { theta, tau: known.tau, acceleration: &others[..observer.channels()] })?;
+        usable(observer.step(Sample { theta, tau: known.tau, acceleration: &others[..observer.channels()] }))?;
         out.q.copy_from_slice(observer.q());
         out.dq.copy_from_slice(observer.dq());
         for j in 0..observer.joints() {

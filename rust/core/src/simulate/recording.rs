@@ -1,5 +1,9 @@
 //! What is kept of a run.
 
+use crate::error::DesignError;
+use crate::memory::room;
+use crate::robot::Robot;
+
 /// Log and truth of a run, row-major, one row a kept sample.
 #[derive(Clone, Debug, Default)]
 pub struct Recording {
@@ -23,4 +27,24 @@ pub struct Recording {
     pub told: Vec<f64>,
     /// Tool centre point (3) [m]; empty without a tool.
     pub tool: Vec<f64>,
+}
+
+impl Recording {
+    /// # Errors
+    /// [`DesignError::Memory`].
+    pub(super) fn with_capacity(robot: &Robot, count: usize, channels: usize) -> Result<Self, DesignError> {
+        let joints = || room(count, robot.len());
+        Ok(Self {
+            t: room(count, 1)?,
+            readings: room(count, channels)?,
+            tau: joints()?,
+            q: joints()?,
+            dq: joints()?,
+            ddq: joints()?,
+            theta: joints()?,
+            dtheta: joints()?,
+            told: room(count, 4 * robot.len())?,
+            tool: room(if robot.tool.is_some() { count } else { 0 }, 3)?,
+        })
+    }
 }

@@ -10,6 +10,7 @@ use super::start::Start;
 use crate::check::expect;
 use crate::control::{Controller, State};
 use crate::error::{DesignError, SimulationError};
+use crate::interrupt::Watch;
 use crate::robot::Robot;
 use crate::simd::{self, Kernel};
 
@@ -35,6 +36,9 @@ pub struct Plan {
     pub keep_every: usize,
 }
 
+/// Steps of integration between two samples, at most.
+const MOST_SUBSTEPS: usize = 1_000_000;
+
 impl Plan {
     fn check(&self) -> Result<(), DesignError> {
         let positive = self.period > 0.0 && self.period.is_finite();
@@ -42,6 +46,10 @@ impl Plan {
         let substeps = if let Stepping::Fixed(substeps) = self.stepping { substeps } else { 1 };
         for (what, value) in [("samples", self.count), ("substeps", substeps), ("keep_every", self.keep_every)] {
             expect(value > 0, what, 0.0, "at least 1")?;
+        }
+        if substeps > MOST_SUBSTEPS {
+            let (what, expected) = ("substeps", "at most 1000000");
+            return Err(DesignError::Range { what, value: substeps as f64, expected });
         }
         Ok(())
     }
@@ -61,7 +69,8 @@ pub fn simulate(
     controller: &mut dyn Controller,
 ) -> Result<Recording, SimulationError> {
     plan.check()?;
-    let world = World::new(robot, start, plan.stepping)?;
+    let mut world = World::new(robot, start, plan.stepping)?;
+    world.out = Recording::with_capacity(robot, plan.count.div_ceil(plan.keep_every), suite.readings.len())?;
     let limit = largest_stable_step(robot, &world.x, &world.tau)?;
     if limit.is_nan() {
         return Err(SimulationError::Singular);
@@ -73,8 +82,9 @@ pub fn simulate(
         }
     }
     let mut run = Run { robot, plan, world, suite, feedback, controller };
+    let watch = Watch::current();
     for sample in 0..plan.count {
-        run.sample(sample)?;
+        run.sample(sample, &watch)?;
     }
     Ok(run.world.out)
 }
@@ -141,15 +151,19 @@ impl World {
     }
 
     /// Moves from one sample to the next.
-    fn advance(&mut self, robot: &Robot, t: f64, dt: f64) -> Result<(), SimulationError> {
+    fn advance(&mut self, robot: &Robot, t: f64, dt: f64, watch: &Watch) -> Result<(), SimulationError> {
         let Self { x, tau, plant, mover, .. } = self;
         match mover {
             Mover::Fixed(method, substeps) => {
                 for _ in 0..*substeps {
+                    if watch.stops() {
+                        return Err(SimulationError::Interrupted { time: t });
+                    }
                     method.step(robot, plant, x, tau, dt / *substeps as f64);
                 }
                 Ok(())
             }
+            Mover::Adaptive(_) if watch.stops() => Err(SimulationError::Interrupted { time: t }),
             Mover::Adaptive(method) => method.advance(robot, plant, x, tau, (t, dt)),
         }
     }
@@ -220,7 +234,7 @@ struct Run<'a> {
 }
 
 impl Run<'_> {
-    fn sample(&mut self, sample: usize) -> Result<(), SimulationError> {
+    fn sample(&mut self, sample: usize, watch: &Watch) -> Result<(), SimulationError> {
         let Self { robot, plan, world, suite, feedback, controller } = self;
         let (dt, t) = (plan.period, sample as f64 * plan.period);
         simd::phase(Look { world, robot });
@@ -239,6 +253,6 @@ impl Run<'_> {
         if sample.is_multiple_of(plan.keep_every) {
             world.keep(robot, t, &suite.readings);
         }
-        world.advance(robot, t, dt)
+        world.advance(robot, t, dt, watch)
     }
 }

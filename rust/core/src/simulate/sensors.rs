@@ -4,6 +4,7 @@ use super::plant::Plant;
 use crate::check::{expect, expect_length};
 use crate::error::DesignError;
 use crate::estimate::measurement::{Channel, Elastic, Kind, Values, read_all};
+use crate::memory::filled;
 use crate::random::{Purpose, Stream};
 use crate::robot::Robot;
 use crate::scalar::exp_m1;
@@ -39,6 +40,9 @@ impl SensorModel {
     }
 }
 
+/// A reading is no older than so many samples.
+const LONGEST_DELAY: f64 = 1e6;
+
 /// One channel's sensor with its past.
 #[derive(Clone, Debug)]
 struct Reader {
@@ -53,10 +57,12 @@ struct Reader {
 }
 
 impl Reader {
-    fn new(model: SensorModel, period: f64) -> Self {
+    fn new(model: SensorModel, period: f64) -> Result<Self, DesignError> {
         let lag = model.delay / period;
+        expect(lag <= LONGEST_DELAY, "delay", model.delay, "at most 1000000 samples")?;
         let share = -exp_m1(-TAU * model.corner_frequency * period);
-        Self { model, share, low_pass: 0.0, past: vec![0.0; lag.ceil() as usize + 1], lag }
+        let past = filled(0.0, lag.ceil() as usize + 1, 1)?;
+        Ok(Self { model, share, low_pass: 0.0, past, lag })
     }
 
     #[inline(always)]
@@ -104,7 +110,7 @@ impl Suite {
         for model in models {
             model.check()?;
         }
-        let readers = models.iter().map(|&model| Reader::new(model, period)).collect();
+        let readers = models.iter().map(|&model| Reader::new(model, period)).collect::<Result<_, _>>()?;
         let [truth, readings] = core::array::from_fn(|_| vec![0.0; expected]);
         Ok(Self { channels, readers, seed, truth, readings })
     }

@@ -11,8 +11,12 @@ use super::smoother::{History, Smoother};
 use crate::check::{expect, expect_length};
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
+use crate::interrupt::Watch;
 use crate::linear;
-use rayon::prelude::*;
+use crate::parallel;
+
+/// A sample's measurement is linearised no more often than this.
+pub const MOST_ITERATIONS: usize = 100;
 
 /// What a filter does beyond the textbook.
 #[derive(Clone, Copy, Debug)]
@@ -53,7 +57,8 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
     pub fn new(model: M, settings: FilterSettings) -> Result<Self, DesignError> {
         let gate = settings.gate.unwrap_or(f64::INFINITY);
         expect(gate > 0.0, "gate", gate, "a positive number of standard deviations")?;
-        expect(settings.iterations > 0, "iterations", 0.0, "at least 1")?;
+        let iterations = settings.iterations;
+        expect((1..=MOST_ITERATIONS).contains(&iterations), "iterations", iterations as f64, "1 to 100")?;
         let belief = Gaussian::independent(&vec![0.0; model.states()]);
         Ok(Self {
             prior: belief.clone(),
@@ -105,6 +110,11 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         self.monitor.as_ref().map_or(&[], |monitor| &monitor.findings)
     }
 
+    /// Whether it has taken a sample.
+    pub fn is_started(&self) -> bool {
+        self.started
+    }
+
     /// The model.
     pub fn model(&self) -> &M {
         &self.model
@@ -142,11 +152,30 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
     /// Takes one sample: predicts to its time, then uses its readings.
     ///
     /// # Errors
-    /// Only on a first sample from which the model cannot [start](Model::start).
-    pub fn step(&mut self, sample: KalmanSample<'_>) -> Result<(), DesignError> {
+    /// A sample that cannot be used, or a first one from which the model cannot [start](Model::start): the state stays as it
+    /// was. [`RunError::NotFinite`]: readings so absurd that nothing is left; the next sample starts anew.
+    pub fn step(&mut self, sample: KalmanSample<'_>) -> Result<(), RunError> {
+        sample.check(&self.model)?;
         self.advance(&sample)?;
         self.correct(&sample);
+        let sample = self.taken;
+        if !self.is_finite() {
+            self.reset();
+            return Err(RunError::NotFinite { sample });
+        }
+        self.taken += 1;
         Ok(())
+    }
+
+    #[inline(always)]
+    fn is_finite(&self) -> bool {
+        self.correction.log_likelihood.is_finite() && self.belief.mean.iter().all(|x| x.is_finite())
+    }
+
+    /// The row of an estimate that belongs to the last sample, written into the first of `out`.
+    pub fn report_into(&mut self, out: &mut FilterOutput) {
+        self.report(0, out, false);
+        out.write_fit(0, &self.correction);
     }
 
     /// To the sample's time; afterwards the belief is what was predicted.
@@ -218,15 +247,24 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         smooth: bool,
         keep: Keep,
     ) -> Vec<Result<FilterOutput, RunError>> {
-        let one = |&recording: &KalmanRecording<'_>| {
+        let jobs: Vec<_> = recordings.iter().map(|&recording| (self, recording)).collect();
+        Self::run_each(&jobs, smooth, keep)
+    }
+
+    /// As [`run_all`](Self::run_all), each recording with a filter of its own.
+    pub fn run_each(
+        jobs: &[(&Self, KalmanRecording<'_>)],
+        smooth: bool,
+        keep: Keep,
+    ) -> Vec<Result<FilterOutput, RunError>> {
+        parallel::map(jobs, |&(filter, recording)| {
             if smooth {
-                return Smoother::new(self).run(recording, keep);
+                return Smoother::new(filter).run(recording, keep);
             }
-            let mut filter = self.clone();
+            let mut filter = filter.clone();
             filter.reset();
             filter.run(recording, keep)
-        };
-        recordings.par_iter().map(one).collect()
+        })
     }
 
     /// As [`run`](Self::run), remembering what a smoother needs.
@@ -237,8 +275,12 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         mut history: Option<&mut History>,
     ) -> Result<FilterOutput, RunError> {
         let count = recording.dt.len();
-        let mut out = FilterOutput::zeros(count, &self.model, keep);
+        let mut out = FilterOutput::zeros(count, &self.model, keep)?;
+        let watch = Watch::current();
         for i in 0..count {
+            if watch.stops() {
+                return Err(RunError::Interrupted { sample: self.taken });
+            }
             let sample = recording.sample(i, &self.model);
             self.advance(&sample)?;
             if let Some(history) = &mut history {
@@ -251,7 +293,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
             if let Some(history) = &mut history {
                 history.push_update(&self.model, &self.correction, self.consider.as_ref());
             }
-            if !(self.correction.log_likelihood.is_finite() && self.belief.mean.iter().all(|x| x.is_finite())) {
+            if !self.is_finite() {
                 return Err(RunError::NotFinite { sample: self.taken });
             }
             self.taken += 1;

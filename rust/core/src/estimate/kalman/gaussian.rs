@@ -70,6 +70,11 @@ impl Symmetric {
         linear::subtract_outer(&mut self.data, self.n, self.stride, a, b);
     }
 
+    /// The matrix with its rows padded to a common length.
+    pub fn padded(&self) -> &[f64] {
+        &self.data
+    }
+
     /// `self ← (1 − k hᵀ) self (1 − k hᵀ)ᵀ + r k kᵀ` with the gain k = self h/s, s = hᵀ self h + r, for padded `row` h, where
     /// `projection` is self h.
     ///

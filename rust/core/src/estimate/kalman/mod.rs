@@ -30,7 +30,7 @@ mod uncertain;
 pub use driven::{JerkDriven, JerkMeasurement};
 pub use elastic::{Discretization, ElasticModel, ElasticNoise, ElasticProcess, ElasticSettings};
 pub use elastic_measurement::ElasticMeasurement;
-pub use filter::{ExtendedKalmanFilter, FilterSettings};
+pub use filter::{ExtendedKalmanFilter, FilterSettings, MOST_ITERATIONS};
 pub use gaussian::{Gaussian, Row, Symmetric};
 pub use jerk::{JerkModel, Noise};
 pub use jerk_process::JerkProcess;

@@ -4,6 +4,8 @@ use super::correction::Correction;
 use super::model::Model;
 use super::monitor::Finding;
 use crate::dynamics::Kinematics;
+use crate::error::DesignError;
+use crate::memory::filled;
 use crate::robot::Robot;
 use crate::simd::{self, Kernel};
 
@@ -57,31 +59,34 @@ pub struct FilterOutput {
 
 impl FilterOutput {
     /// Room for `count` samples.
-    pub(crate) fn zeros(count: usize, model: &impl Model, keep: Keep) -> Self {
+    ///
+    /// # Errors
+    /// [`DesignError::Memory`].
+    pub fn zeros(count: usize, model: &impl Model, keep: Keep) -> Result<Self, DesignError> {
         let (n, m, states) = (model.robot().len(), model.channels(), model.states());
-        let rows = |width: usize| vec![0.0; count * width];
+        let rows = |width: usize| filled(0.0, count, width);
         let tool = if model.robot().tool.is_some() { 3 } else { 0 };
         let innovations = if keep.innovations { m } else { 0 };
         let states = if keep.covariance { states } else { 0 };
-        Self {
-            q: rows(n),
-            dq: rows(n),
-            ddq: rows(n),
-            theta: rows(n),
-            dtheta: rows(n),
-            q_std: rows(n),
-            tool: rows(tool),
-            tool_std: rows(tool),
-            status: vec![0; count],
-            nis: rows(1),
-            used: vec![0; count],
-            log_likelihood: rows(1),
-            state: rows(states),
-            covariance: rows(states * states),
+        Ok(Self {
+            q: rows(n)?,
+            dq: rows(n)?,
+            ddq: rows(n)?,
+            theta: rows(n)?,
+            dtheta: rows(n)?,
+            q_std: rows(n)?,
+            tool: rows(tool)?,
+            tool_std: rows(tool)?,
+            status: filled(0, count, 1)?,
+            nis: rows(1)?,
+            used: filled(0, count, 1)?,
+            log_likelihood: rows(1)?,
+            state: rows(states)?,
+            covariance: rows(states * states)?,
             findings: Vec::new(),
-            innovation: rows(innovations),
-            innovation_std: rows(innovations),
-        }
+            innovation: rows(innovations)?,
+            innovation_std: rows(innovations)?,
+        })
     }
 
     /// How well sample `i` fitted.
@@ -139,14 +144,19 @@ impl FilterOutput {
     }
 
     /// This stretch and the one after it.
-    pub(super) fn followed_by(mut self, mut later: Self) -> Self {
+    ///
+    /// # Errors
+    /// [`DesignError::Memory`].
+    pub(super) fn followed_by(mut self, mut later: Self) -> Result<Self, DesignError> {
         for (mine, others) in self.fields().into_iter().zip(later.fields()) {
+            let bytes = 8.0 * (mine.len() + others.len()) as f64;
+            mine.try_reserve(others.len()).map_err(|_| DesignError::Memory { bytes })?;
             mine.append(others);
         }
         self.status.append(&mut later.status);
         self.used.append(&mut later.used);
         self.findings = later.findings;
-        self
+        Ok(self)
     }
 
     fn fields(&mut self) -> [&mut Vec<f64>; 14] {

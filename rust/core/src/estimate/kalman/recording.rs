@@ -1,7 +1,7 @@
 //! What a filter is given: one sample, or a whole recording.
 
 use super::model::Model;
-use crate::check::expect_length;
+use crate::check::{expect, expect_length, refuse_infinite};
 use crate::error::DesignError;
 
 /// One sample; NaN where a reading is missing.
@@ -43,6 +43,22 @@ pub struct KalmanRecording<'a> {
     pub readings: &'a [f64],
     /// Inputs (count × n each).
     pub inputs: Inputs<'a>,
+}
+
+impl KalmanSample<'_> {
+    /// Whether a filter can take this sample.
+    ///
+    /// # Errors
+    /// A step of time that is not positive and finite, an infinite reading, wrong lengths.
+    pub(crate) fn check(&self, model: &impl Model) -> Result<(), DesignError> {
+        let Self { dt, readings, inputs } = *self;
+        expect(dt > 0.0 && dt.is_finite(), "dt", dt, "a positive, finite time")?;
+        model.check(&KalmanRecording { dt: &[dt], readings, inputs })?;
+        let Inputs { dtheta, jerk, tau } = inputs;
+        [("readings", readings), ("dtheta", dtheta), ("jerk", jerk), ("tau", tau)]
+            .into_iter()
+            .try_for_each(|(what, values)| refuse_infinite(what, values))
+    }
 }
 
 impl<'a> KalmanRecording<'a> {

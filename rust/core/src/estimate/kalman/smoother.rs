@@ -15,8 +15,10 @@ use super::model::Model;
 use super::output::{FilterOutput, Keep};
 use super::phases::{Phases, Report};
 use super::recording::KalmanRecording;
-use crate::error::RunError;
+use crate::error::{DesignError, RunError};
+use crate::interrupt::Watch;
 use crate::linear;
+use crate::memory::room;
 use crate::simd::Kernel;
 
 /// What the filter knew at each sample of a stretch.
@@ -38,21 +40,21 @@ pub(super) struct History {
 }
 
 impl History {
-    fn with_capacity(count: usize, model: &impl Model, stride: usize) -> Self {
+    fn with_capacity(count: usize, model: &impl Model, stride: usize) -> Result<Self, DesignError> {
         let (d, m, states) = (model.dense(), model.channels(), model.states());
-        Self {
+        Ok(Self {
             states,
             stride,
-            dt: Vec::with_capacity(count),
-            means: Vec::with_capacity(count * states),
-            covariances: Vec::with_capacity(count * states * stride),
-            jacobians: Vec::with_capacity(count * m * d),
-            gains: Vec::with_capacity(count * m * stride),
-            innovations: Vec::with_capacity(count * m),
-            variances: Vec::with_capacity(count * m),
-            memories: Vec::with_capacity(count * model.memory()),
+            dt: room(count, 1)?,
+            means: room(count, states)?,
+            covariances: room(count, states * stride)?,
+            jacobians: room(count, m * d)?,
+            gains: room(count, m * stride)?,
+            innovations: room(count, m)?,
+            variances: room(count, m)?,
+            memories: room(count, model.memory())?,
             consider: ConsiderHistory::default(),
-        }
+        })
     }
 
     /// The predicted covariance at sample `i`.
@@ -201,7 +203,9 @@ impl<M: Phases> Smoother<M> {
             let rows = i * stretch..((i + 1) * stretch).min(count);
             parts.push(self.stretch_back(start, recording.rows(rows, &self.filter.model), keep)?);
         }
-        Ok(parts.into_iter().rev().reduce(FilterOutput::followed_by).unwrap_or_default())
+        let mut parts = parts.into_iter().rev();
+        let first = parts.next().unwrap_or_default();
+        Ok(parts.try_fold(first, FilterOutput::followed_by)?)
     }
 
     /// Samples whose history fits into the memory set aside.
@@ -234,13 +238,17 @@ impl<M: Phases> Smoother<M> {
         let mut filter = start.clone();
         let count = recording.dt.len();
         filter.model.check(&recording)?;
-        let mut history = History::with_capacity(count, &filter.model, self.lambda.len());
+        let mut history = History::with_capacity(count, &filter.model, self.lambda.len())?;
         let mut out = filter.run_with(recording, keep, Some(&mut history))?;
         if let (Some(back), Some(consider)) = (&mut self.consider, &filter.consider) {
             back.learn(consider);
         }
         let history = &history;
+        let watch = Watch::current();
         for i in (0..count).rev() {
+            if watch.stops() {
+                return Err(RunError::Interrupted { sample: i });
+            }
             M::back_phase(Back { smoother: &mut *self, history, i, whole: keep.covariance });
             self.report(history, i, &mut out, keep.covariance);
             M::retreat_phase(Retreat { smoother: &mut *self, history, i });

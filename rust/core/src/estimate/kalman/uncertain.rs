@@ -4,6 +4,7 @@ use crate::dynamics::Kinematics;
 use crate::estimate::measurement::{Channel, LinkMotion};
 use crate::robot::{Drive, Robot, Tree};
 use crate::scalar::Scalar;
+use crate::simd::{self, Kernel};
 use crate::spatial::Vec3;
 
 /// A number of the robot that is not known exactly. Positive ones are told by their logarithm: 0.2 is 20 %.
@@ -67,8 +68,22 @@ impl<T: Scalar> LinkMotion<T> {
     /// With δ the torsion and φ′ the tangent stiffness, of a motor position: −φ/φ′ for ln K, −D(θ̇ − q̇)/φ′ for ln D and
     /// Yᵢπᵢ/φ′ for the mass of link i; of an accelerometer that reads y: [y]× for its rotation and [ω̇]× + [ω]×² for
     /// its displacement, in its own axes.
-    #[inline(always)]
+    #[inline]
     pub(crate) fn signatures(
+        &mut self,
+        robot: &Robot,
+        channels: &[Channel],
+        tolerances: &[Tolerance],
+        dq: &[T],
+        dtheta: &[f64],
+        stride: usize,
+        out: &mut [T],
+    ) {
+        simd::phase(Signatures { motion: self, robot, channels, tolerances, dq, dtheta, stride, out });
+    }
+
+    #[inline(always)]
+    fn signatures_here(
         &mut self,
         robot: &Robot,
         channels: &[Channel],
@@ -233,4 +248,27 @@ fn unit<T: Scalar>(axis: usize) -> Vec3<T> {
 #[inline(always)]
 fn position(channels: &[Channel], wanted: Channel) -> Option<usize> {
     channels.iter().position(|c| *c == wanted)
+}
+
+/// [`LinkMotion::signatures`], to be compiled for each instruction set.
+struct Signatures<'a, T> {
+    motion: &'a mut LinkMotion<T>,
+    robot: &'a Robot,
+    channels: &'a [Channel],
+    tolerances: &'a [Tolerance],
+    dq: &'a [T],
+    dtheta: &'a [f64],
+    stride: usize,
+    out: &'a mut [T],
+}
+
+impl<T: Scalar> Kernel for Signatures<'_, T> {
+    type Output = ();
+    const LANES: bool = T::LANES;
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { motion, robot, channels, tolerances, dq, dtheta, stride, out } = self;
+        motion.signatures_here(robot, channels, tolerances, dq, dtheta, stride, out);
+    }
 }

@@ -9,9 +9,11 @@ use crate::check::{expect, expect_length};
 use crate::error::{DesignError, RunError};
 use crate::estimate::kalman::{JerkModel, Noise};
 use crate::estimate::measurement::Kind;
+use crate::interrupt::Watch;
+use crate::memory::filled;
+use crate::parallel;
 use crate::robot::Robot;
 use crate::scalar::{Dual, Scalar, log};
-use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Derivatives that one pass through a recording carries.
@@ -155,15 +157,19 @@ impl Likelihood {
         let mut evidence = Evidence {
             gradient: vec![0.0; p],
             information: vec![0.0; p * p],
-            densities: vec![0.0; if detail { count } else { 0 }],
-            scores: vec![0.0; if detail { count * p } else { 0 }],
-            innovations: vec![f64::NAN; if detail { count * channels } else { 0 }],
+            densities: filled(0.0, if detail { count } else { 0 }, 1)?,
+            scores: filled(0.0, if detail { count } else { 0 }, p)?,
+            innovations: filled(f64::NAN, if detail { count } else { 0 }, channels)?,
             ..Evidence::default()
         };
         let recording = &self.recording;
         let mut slopes = [vec![0.0; p], vec![0.0; p]];
-        for _ in 0..filters[0].stretches(STRETCH) {
-            filters.par_iter_mut().for_each(|filter| filter.advance(recording, STRETCH));
+        let watch = Watch::current();
+        for stretch in 0..filters[0].stretches(STRETCH) {
+            parallel::each(filters.iter_mut().collect(), |filter| filter.advance(recording, STRETCH));
+            if watch.stops() {
+                return Err(RunError::Interrupted { sample: stretch * STRETCH });
+            }
             for i in 0..filters[0].innovations.len() {
                 for (k, (value, variance)) in slopes_of(&filters, i).take(p).enumerate() {
                     (slopes[0][k], slopes[1][k]) = (value, variance);

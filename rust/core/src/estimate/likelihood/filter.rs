@@ -11,6 +11,7 @@ use crate::estimate::bias::bias_step;
 use crate::estimate::jerk_noise;
 use crate::estimate::kalman::{JerkModel, Noise};
 use crate::estimate::measurement::Channel;
+use crate::interrupt::Watch;
 use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
 
@@ -76,7 +77,11 @@ impl<T: Scalar> Filter<T> {
     /// Innovations of the next `count` moments.
     pub(super) fn advance(&mut self, recording: &LikelihoodRecording, count: usize) {
         self.innovations.clear();
+        let watch = Watch::current();
         for i in self.next..(self.next + count).min(self.moments.len()) {
+            if watch.stops() {
+                return;
+            }
             let moment = self.moments[i];
             if i == 0 {
                 self.start(recording);

@@ -37,7 +37,7 @@ impl<T: Scalar> Evaluation<T> {
     }
 
     /// Predictions alone, as [`evaluate`](Self::evaluate) but for rounding.
-    #[inline(always)]
+    #[inline]
     pub fn predict(&mut self, robot: &Robot, channels: &[Channel], state: &[T], dtheta: &[f64]) {
         self.plain.predict(robot, channels, state, dtheta, &mut self.prediction);
     }

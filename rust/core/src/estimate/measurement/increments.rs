@@ -36,7 +36,7 @@ impl<T: Scalar> AlongIncrements<T> {
     /// Predictions alone at `state` = (q, q̇, q̈); `dtheta` (n) is each motor's velocity, NaN to leave its damping out.
     #[inline]
     pub(crate) fn predict(&mut self, robot: &Robot, channels: &[Channel], state: &[T], dtheta: &[f64]) {
-        simd::phase(Predict { at: self, robot, channels, state, dtheta });
+        self.plain.predict(robot, channels, state, dtheta, &mut self.prediction);
     }
 
     /// Predictions, and their derivatives along increments of acceleration (Axelsson, Karlsson and Norrlöf 2012,
@@ -47,27 +47,7 @@ impl<T: Scalar> AlongIncrements<T> {
     }
 }
 
-/// [`AlongIncrements::predict`], to be compiled for each instruction set.
-struct Predict<'a, T> {
-    at: &'a mut AlongIncrements<T>,
-    robot: &'a Robot,
-    channels: &'a [Channel],
-    state: &'a [T],
-    dtheta: &'a [f64],
-}
-
-impl<T: Scalar> Kernel for Predict<'_, T> {
-    type Output = ();
-    const LANES: bool = T::LANES;
-
-    #[inline(always)]
-    fn run(self) {
-        let Self { at: AlongIncrements { prediction, plain, .. }, robot, channels, state, dtheta } = self;
-        plain.predict(robot, channels, state, dtheta, prediction);
-    }
-}
-
-/// [`AlongIncrements::linearise`], likewise.
+/// [`AlongIncrements::linearise`], to be compiled for each instruction set.
 struct Linearise<'a, T> {
     at: &'a mut AlongIncrements<T>,
     robot: &'a Robot,

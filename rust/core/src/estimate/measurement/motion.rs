@@ -5,6 +5,7 @@ use super::{Channel, Driven, Values, Wanted, read_all};
 use crate::dynamics::{Kinematics, Loads, NewtonEuler};
 use crate::robot::{Robot, Sensor};
 use crate::scalar::Scalar;
+use crate::simd::{self, Kernel};
 use crate::spatial::Vec3;
 
 /// What accelerometers and gyroscopes on moving links read.
@@ -165,7 +166,7 @@ impl<T: Scalar> PlainMotion<T> {
 
     /// `channels` at `state`, links moved by jerk; `dtheta` (n) is each motor's velocity for the damping torque, NaN to
     /// leave it out.
-    #[inline(always)]
+    #[inline]
     pub(crate) fn predict(
         &mut self,
         robot: &Robot,
@@ -174,8 +175,29 @@ impl<T: Scalar> PlainMotion<T> {
         dtheta: &[f64],
         prediction: &mut [T],
     ) {
-        self.set(robot, state);
-        let view = Driven { links: self, state, dtheta, springs: &OfDrives };
+        simd::phase(Predict { motion: self, robot, channels, state, dtheta, prediction });
+    }
+}
+
+/// [`PlainMotion::predict`], to be compiled for each instruction set.
+struct Predict<'a, T> {
+    motion: &'a mut PlainMotion<T>,
+    robot: &'a Robot,
+    channels: &'a [Channel],
+    state: &'a [T],
+    dtheta: &'a [f64],
+    prediction: &'a mut [T],
+}
+
+impl<T: Scalar> Kernel for Predict<'_, T> {
+    type Output = ();
+    const LANES: bool = T::LANES;
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { motion, robot, channels, state, dtheta, prediction } = self;
+        motion.set(robot, state);
+        let view = Driven { links: motion, state, dtheta, springs: &OfDrives };
         read_all(robot, channels, &view, &mut Values(prediction));
     }
 }

@@ -1,7 +1,9 @@
 //! Observers driven by accelerometers (De Luca, Schröder and Thümmel 2007).
 
 mod acceleration;
+mod correction;
 mod gains;
+mod late;
 mod poles;
 mod recording;
 mod rest;
@@ -10,10 +12,11 @@ mod sampled;
 mod settings;
 
 pub use acceleration::{AccelerationMap, Sight};
+pub use correction::LONGEST;
 pub use gains::{JointModel, closed_form_gains};
 pub use poles::{Complex, Poles};
 pub use recording::{Recording, Sample, Trajectory};
 pub use rest::link_position_at_rest;
 pub use run::AccelerationObserver;
 pub use sampled::Sampled;
-pub use settings::{AccelerationSource, Form, Settings};
+pub use settings::{AccelerationSource, Form, Settings, Start};

@@ -1,5 +1,8 @@
 //! What an observer takes and gives: samples, recordings and estimates.
 
+use crate::error::DesignError;
+use crate::memory::room;
+
 /// One sample of a log; NaN where a reading is missing.
 #[derive(Clone, Copy, Debug)]
 pub struct Sample<'a> {
@@ -44,16 +47,18 @@ pub struct Trajectory {
 }
 
 impl Trajectory {
-    pub(super) fn with_capacity(count: usize, n: usize, tool: bool) -> Self {
-        let joints = || Vec::with_capacity(count * n);
-        Self {
-            q: joints(),
-            dq: joints(),
-            ddq: joints(),
-            theta: joints(),
-            dtheta: joints(),
-            tool: Vec::with_capacity(if tool { 3 * count } else { 0 }),
-            status: Vec::with_capacity(count),
-        }
+    /// # Errors
+    /// [`DesignError::Memory`].
+    pub(super) fn with_capacity(count: usize, n: usize, tool: bool) -> Result<Self, DesignError> {
+        let joints = || room(count, n);
+        Ok(Self {
+            q: joints()?,
+            dq: joints()?,
+            ddq: joints()?,
+            theta: joints()?,
+            dtheta: joints()?,
+            tool: room(if tool { count } else { 0 }, 3)?,
+            status: room(count, 1)?,
+        })
     }
 }

@@ -1,19 +1,22 @@
 //! The observer itself: one step, and whole recordings.
 
 use super::acceleration::{AccelerationMap, Sight};
+use super::correction::{Correction, LONGEST};
 use super::gains::JointModel;
+use super::late::Late;
 use super::poles::Poles;
 use super::recording::{Recording, Sample, Trajectory};
 use super::rest::link_position_at_rest;
 use super::sampled::{Sampled, State};
-use super::settings::{AccelerationSource, Form, Settings, check};
-use crate::check::expect_length;
+use super::settings::{AccelerationSource, Form, Settings, Start, check};
+use crate::check::{expect_length, refuse_infinite};
 use crate::dynamics::Kinematics;
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
+use crate::interrupt::Watch;
+use crate::parallel;
 use crate::robot::Robot;
 use crate::simd::{self, Kernel};
-use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Link state from motor positions, motor torques and accelerations, without the links' dynamics
@@ -27,6 +30,7 @@ pub struct AccelerationObserver {
     settings: Settings,
     models: Vec<JointModel>,
     joints: Vec<Sampled>,
+    corrections: Vec<Correction>,
     map: AccelerationMap,
     kinematics: Kinematics<f64>,
     state: Vec<State>,
@@ -67,14 +71,18 @@ impl AccelerationObserver {
                 (true, true) => JointModel::ElasticWithBias,
             })
             .collect();
-        let mut joints = Vec::with_capacity(n);
+        let (mut joints, mut corrections) = (Vec::with_capacity(n), Vec::with_capacity(n));
         for (joint, model) in models.iter().enumerate() {
             let poles = Poles::new(joint, &settings.poles[joint], model.order())?;
             let (speed, limit) = (poles.fastest(), FASTEST / settings.period);
             if speed > limit {
                 return Err(DesignError::FastPole { joint, speed, period: settings.period, limit });
             }
-            joints.push(Sampled::new(*model, &robot.drives[joint], &poles, settings.period));
+            let sampled = Sampled::new(*model, &robot.drives[joint], &poles, settings.period);
+            let late = Late::new(*model, &robot.drives[joint], speed, settings.period);
+            let most = sampled.innovation(model.order(), settings.worst_acceleration_std);
+            corrections.push(Correction::new(late, settings.period, most));
+            joints.push(sampled);
         }
         Ok(Self {
             map: AccelerationMap::new(&robot, settings.worst_acceleration_std),
@@ -95,10 +103,11 @@ impl AccelerationObserver {
             settings,
             models,
             joints,
+            corrections,
         })
     }
 
-    /// Forgets the state: the next sample starts anew, from rest.
+    /// Forgets the state: the next sample starts anew.
     pub fn reset(&mut self) {
         self.taken = 0;
         self.started = false;
@@ -120,6 +129,7 @@ impl AccelerationObserver {
             };
         }
         self.predicted.copy_from_slice(&self.state);
+        self.corrections.iter_mut().for_each(|correction| correction.begin(Start::Rest));
         self.measured.fill(0.0);
         self.torque.fill(0.0);
         self.started = true;
@@ -128,17 +138,48 @@ impl AccelerationObserver {
 
     /// Takes one sample; afterwards the getters give the state at its time.
     ///
-    /// The first sample starts the observer from rest unless [`start`](Self::start) did. Slices must have the lengths
-    /// that [`Sample`] states.
+    /// The first sample starts the observer, as its [`Start`] says, unless [`start`](Self::start) did.
     ///
     /// # Errors
-    /// Only on a first sample without every motor position, or without a static equilibrium.
-    pub fn step(&mut self, sample: Sample<'_>) -> Result<(), DesignError> {
+    /// A sample that cannot be used, of wrong lengths or with an infinite reading; a first one without every motor position,
+    /// or without a static equilibrium; a motor position that has been missing for more than [`LONGEST`]. The state then
+    /// stays as it was. [`RunError::NotFinite`]: readings so absurd that nothing is left; the next sample starts anew.
+    pub fn step(&mut self, sample: Sample<'_>) -> Result<(), RunError> {
+        self.check(sample)?;
+        self.take(sample)?;
+        let sample = self.taken - 1;
+        if !self.is_finite() {
+            self.reset();
+            return Err(RunError::NotFinite { sample });
+        }
+        Ok(())
+    }
+
+    fn check(&self, sample: Sample<'_>) -> Result<(), DesignError> {
+        let Sample { theta, tau, acceleration } = sample;
+        let (n, m) = (self.joints(), self.channels());
+        for (what, values, expected) in [("theta", theta, n), ("tau", tau, n), ("acceleration", acceleration, m)] {
+            expect_length(what, values.len(), expected)?;
+            refuse_infinite(what, values)?;
+        }
+        let late = |(correction, theta): (&Correction, &f64)| theta.is_nan() && correction.is_at_limit();
+        match self.corrections.iter().zip(theta).position(late) {
+            Some(joint) if self.started => Err(DesignError::Late { joint, longest: LONGEST }),
+            _ => Ok(()),
+        }
+    }
+
+    fn is_finite(&self) -> bool {
+        self.q.iter().chain(&self.dq).all(|x| x.is_finite())
+    }
+
+    /// [`step`](Self::step) with a sample that has been checked.
+    fn take(&mut self, sample: Sample<'_>) -> Result<(), DesignError> {
         simd::phase(Step { observer: self, sample })
     }
 
     #[inline(always)]
-    fn step_here(&mut self, sample: Sample<'_>) -> Result<(), DesignError> {
+    fn take_here(&mut self, sample: Sample<'_>) -> Result<(), DesignError> {
         self.status = 0;
         if self.started {
             self.predict();
@@ -151,6 +192,7 @@ impl AccelerationObserver {
         self.correct(sample.theta);
         self.hold_torque(sample.tau);
         self.report();
+        self.taken += 1;
         Ok(())
     }
 
@@ -160,7 +202,10 @@ impl AccelerationObserver {
         }
         let q = link_position_at_rest(&self.robot, theta)?;
         let zero = vec![0.0; q.len()];
-        self.start(theta, &q, &zero, &zero)
+        self.start(theta, &q, &zero, &zero)?;
+        let start = self.settings.start;
+        self.corrections.iter_mut().for_each(|correction| correction.begin(start));
+        Ok(())
     }
 
     /// One period on, everything held.
@@ -246,8 +291,10 @@ impl AccelerationObserver {
             let innovation = theta[j] - self.predicted[j][0];
             if innovation.is_nan() {
                 self.status |= Status::BRIDGED;
-            } else {
-                self.joints[j].correct(&mut self.state[j], innovation);
+            }
+            self.corrections[j].apply(&self.joints[j], &mut self.state[j], innovation);
+            if self.corrections[j].is_contradicted() {
+                self.status |= Status::CONTRADICTED;
             }
         }
     }
@@ -343,6 +390,11 @@ impl AccelerationObserver {
         self.tool
     }
 
+    /// Time since the first sample [s].
+    pub fn time(&self) -> f64 {
+        self.taken.saturating_sub(1) as f64 * self.settings.period
+    }
+
     /// See [`Status`](crate::estimate::Status).
     pub fn status(&self) -> u8 {
         self.status
@@ -358,17 +410,20 @@ impl AccelerationObserver {
         for (what, given, width) in [("theta", theta, n), ("tau", tau, n), ("acceleration", acceleration, m)] {
             expect_length(what, given.len(), count * width)?;
         }
-        let mut out = Trajectory::with_capacity(count, n, self.robot.tool.is_some());
+        let mut out = Trajectory::with_capacity(count, n, self.robot.tool.is_some())?;
+        let watch = Watch::current();
         for i in 0..count {
-            self.step(Sample {
+            if watch.stops() {
+                return Err(RunError::Interrupted { sample: self.taken });
+            }
+            self.take(Sample {
                 theta: &theta[i * n..][..n],
                 tau: &tau[i * n..][..n],
                 acceleration: &acceleration[i * m..][..m],
             })?;
-            if !self.q.iter().chain(&self.dq).all(|x| x.is_finite()) {
-                return Err(RunError::NotFinite { sample: self.taken });
+            if !self.is_finite() {
+                return Err(RunError::NotFinite { sample: self.taken - 1 });
             }
-            self.taken += 1;
             self.append(&mut out);
         }
         Ok(out)
@@ -376,7 +431,13 @@ impl AccelerationObserver {
 
     /// Runs each of `recordings` from a fresh copy of this observer, on all cores.
     pub fn run_all(&self, recordings: &[Recording<'_>]) -> Vec<Result<Trajectory, RunError>> {
-        recordings.par_iter().map(|&recording| self.clone().run(recording)).collect()
+        let jobs: Vec<_> = recordings.iter().map(|&recording| (self, recording)).collect();
+        Self::run_each(&jobs)
+    }
+
+    /// As [`run_all`](Self::run_all), each recording with an observer of its own.
+    pub fn run_each(jobs: &[(&Self, Recording<'_>)]) -> Vec<Result<Trajectory, RunError>> {
+        parallel::map(jobs, |&(observer, recording)| observer.clone().run(recording))
     }
 
     fn append(&self, out: &mut Trajectory) {
@@ -406,6 +467,6 @@ impl Kernel for Step<'_, '_> {
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        self.observer.step_here(self.sample)
+        self.observer.take_here(self.sample)
     }
 }

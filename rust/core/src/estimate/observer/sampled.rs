@@ -73,12 +73,23 @@ impl Sampled {
         }
     }
 
-    /// Adds an innovation.
+    /// What an innovation adds to a predicted state, where there is a position in every sample.
     #[inline(always)]
-    pub(super) fn correct(&self, x: &mut State, innovation: f64) {
-        for i in 0..ORDER {
-            x[i] += self.gain[i] * innovation;
-        }
+    pub(super) fn gain(&self) -> &State {
+        &self.gain
+    }
+
+    /// From one sample to the next.
+    #[inline(always)]
+    pub(super) fn transition(&self) -> &[State; ORDER] {
+        &self.transition
+    }
+
+    /// The innovation that a lasting error `acceleration` of the measured acceleration [rad/s²] makes, of `order` states.
+    pub(super) fn innovation(&self, order: usize, acceleration: f64) -> f64 {
+        let left = DMatrix::identity(order, order) - self.error_matrix(order);
+        let input = DVector::from_fn(order, |i, _| self.held[1][i] * acceleration);
+        left.lu().solve(&input).map_or(0.0, |error| error[0].abs())
     }
 
     /// The matrix that takes the error of one prediction to the next, Φ(1 − gain·C), for the first `order` states.

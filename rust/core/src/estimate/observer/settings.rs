@@ -23,6 +23,16 @@ pub enum Form {
     Predictor,
 }
 
+/// Where an observer begins.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Start {
+    /// The first samples tell, whether the robot moves or not.
+    #[default]
+    Auto,
+    /// At rest.
+    Rest,
+}
+
 /// What an [`AccelerationObserver`] is made with.
 #[derive(Clone, Debug)]
 pub struct Settings {
@@ -36,6 +46,8 @@ pub struct Settings {
     pub form: Form,
     /// Source of link accelerations.
     pub source: AccelerationSource,
+    /// Where it begins, unless a state is given.
+    pub start: Start,
     /// Combinations of accelerations known worse than this are damped [rad/s²].
     pub worst_acceleration_std: f64,
 }

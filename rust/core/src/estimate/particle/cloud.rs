@@ -3,10 +3,12 @@
 use super::accelerations::{Densities, covariance_entries};
 
 use super::settings::Marginalised;
+use crate::error::DesignError;
 use crate::estimate::kalman::JerkModel;
 use crate::estimate::measurement::AlongIncrements;
+use crate::memory::{filled, room};
+use crate::parallel;
 use crate::scalar::Lanes;
-use rayon::prelude::*;
 
 /// Particles a block. Sums are formed by block, then over blocks in order, whatever thread each was on.
 pub(super) const BLOCK: usize = 512;
@@ -106,14 +108,14 @@ impl Scratch {
 }
 
 impl Block {
-    fn new(model: &JerkModel, marginalised: Marginalised, first: usize, count: usize) -> Self {
+    fn new(model: &JerkModel, marginalised: Marginalised, first: usize, count: usize) -> Result<Self, DesignError> {
         let (d, n) = (model.states(), model.joints());
         let accelerations = marginalised == Marginalised::Accelerations;
         let (more, drawn) = if accelerations { (covariance_entries(model), 2 * n) } else { (0, n) };
-        Self {
+        Ok(Self {
             first,
             count,
-            state: vec![Row::of(0.0); d + more],
+            state: filled(Row::of(0.0), d + more, 1)?,
             log_weights: Row::of(f64::NEG_INFINITY),
             weights: Row::of(0.0),
             sums: Sums {
@@ -126,7 +128,7 @@ impl Block {
             },
             scratch: Scratch::new(model, drawn),
             densities: accelerations.then(|| Box::new(Densities::new(model))),
-        }
+        })
     }
 
     /// Groups of [`WIDE`] that hold a particle in use.
@@ -152,20 +154,23 @@ pub(super) struct Cloud {
 }
 
 impl Cloud {
-    pub(super) fn new(model: &JerkModel, marginalised: Marginalised, particles: usize) -> Self {
-        let block = |first| Block::new(model, marginalised, first, BLOCK.min(particles - first));
-        let blocks: Vec<Block> = (0..particles).step_by(BLOCK).map(block).collect();
-        let next = blocks.iter().map(|block| vec![Row::of(0.0); block.state.len()]).collect();
-        Self { blocks, next }
+    pub(super) fn new(model: &JerkModel, marginalised: Marginalised, particles: usize) -> Result<Self, DesignError> {
+        let count = particles.div_ceil(BLOCK);
+        let (mut blocks, mut next) = (room(count, 1)?, room(count, 1)?);
+        // All at once first, so that what does not fit is refused before any of it is taken, and with its size.
+        drop(room::<Row>(count, 2 * model.states())?);
+        for first in (0..particles).step_by(BLOCK) {
+            let block = Block::new(model, marginalised, first, BLOCK.min(particles - first))?;
+            next.push(filled(Row::of(0.0), block.state.len(), 1)?);
+            blocks.push(block);
+        }
+        Ok(Self { blocks, next })
     }
 
     /// Calls `f` with every block, on all threads where `threads` says so.
     pub(super) fn each(&mut self, threads: bool, f: impl Fn(&mut Block) + Sync + Send) {
-        if threads {
-            self.blocks.par_iter_mut().for_each(f);
-        } else {
-            self.blocks.iter_mut().for_each(f);
-        }
+        let count = if threads { self.blocks.len() } else { 1 };
+        parallel::each_short(self.blocks.iter_mut(), count, f);
     }
 
     /// Entry `d` of particle `i`.

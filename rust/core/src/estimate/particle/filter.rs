@@ -16,8 +16,9 @@ use crate::estimate::Status;
 use crate::estimate::kalman::{
     FilterOutput, Gaussian, JerkDriven, KalmanRecording, KalmanSample, Keep, Linearise, Model, Phases, Predict, Tool,
 };
+use crate::interrupt::Watch;
+use crate::parallel;
 use crate::simd;
-use rayon::prelude::*;
 
 /// Fewer particles than this are not worth a second thread.
 const PARALLEL: usize = 2048;
@@ -77,7 +78,7 @@ impl ParticleFilter {
         };
         Ok(Self {
             belief: Gaussian::independent(&vec![0.0; d]),
-            cloud: Cloud::new(jerk, marginalised, settings.particles),
+            cloud: Cloud::new(jerk, marginalised, settings.particles)?,
             sample,
             shared: Shared::new(jerk),
             sharing: false,
@@ -103,6 +104,16 @@ impl ParticleFilter {
         (self.taken, self.started) = (0, false);
     }
 
+    /// Whether it has taken a sample.
+    pub fn is_started(&self) -> bool {
+        self.started
+    }
+
+    /// The row of an estimate that belongs to the last sample, written into the first of `out`.
+    pub fn report_into(&mut self, out: &mut FilterOutput) {
+        out.write_cloud(0, self);
+    }
+
     /// The model.
     pub fn model(&self) -> &JerkDriven {
         &self.model
@@ -116,8 +127,26 @@ impl ParticleFilter {
     /// Takes one sample: moves the particles, weighs them by its readings, and chooses anew where few carry all weight.
     ///
     /// # Errors
-    /// A first sample from which the model cannot start; no particle that explains the readings, if that is to stop it.
+    /// A sample that cannot be used, or a first one from which the model cannot start: the state stays as it was. No particle
+    /// that explains the readings, if that is to stop it: a next sample goes on as if they had been missing.
+    /// [`RunError::NotFinite`]: readings so absurd that nothing is left; the next sample starts anew.
     pub fn step(&mut self, sample: KalmanSample<'_>) -> Result<(), RunError> {
+        sample.check(&self.model)?;
+        self.take(sample)?;
+        let sample = self.taken - 1;
+        if !self.is_finite() {
+            self.reset();
+            return Err(RunError::NotFinite { sample });
+        }
+        Ok(())
+    }
+
+    fn is_finite(&self) -> bool {
+        self.summary.mean.iter().all(|x| x.is_finite())
+    }
+
+    /// [`step`](Self::step) with a sample that has been checked.
+    fn take(&mut self, sample: KalmanSample<'_>) -> Result<(), RunError> {
         self.resample_if_due();
         if self.started {
             JerkDriven::predict_phase(Predict { model: &mut self.model, sample: &sample, belief: &mut self.belief });
@@ -333,9 +362,6 @@ impl ParticleFilter {
 
     /// No particle is possible: stops, or goes on as if the readings were missing.
     fn recover(&mut self) -> Result<(), RunError> {
-        if self.settings.collapse == Collapse::Stop {
-            return Err(RunError::Impossible { sample: self.taken });
-        }
         for reading in self.sample.readings.iter().filter(|_| self.marginalised == Marginalised::Biases) {
             self.bias_variance[reading.channel] = reading.gain * reading.noise.variance;
         }
@@ -343,6 +369,10 @@ impl ParticleFilter {
         self.summarise();
         (self.summary.used, self.summary.log_likelihood) = (0, 0.0);
         self.summary.status |= Status::PREDICTED;
+        if self.settings.collapse == Collapse::Stop {
+            (self.started, self.taken) = (true, self.taken + 1);
+            return Err(RunError::Impossible { sample: self.taken - 1 });
+        }
         Ok(())
     }
 
@@ -363,10 +393,16 @@ impl ParticleFilter {
     ) -> Result<ParticleOutput, RunError> {
         self.model.check(&recording)?;
         let count = recording.dt.len();
-        let mut out = ParticleOutput::zeros(count, self, keep);
+        let mut out = ParticleOutput::zeros(count, self, keep)?;
+        let watch = Watch::current();
         for i in 0..count {
-            self.step(recording.sample(i, &self.model))?;
-            if !self.summary.mean.iter().all(|x| x.is_finite()) {
+            let done = self.take(recording.sample(i, &self.model));
+            // Blocks are left out once it is to stop, and then the sample is not a whole one.
+            if watch.stops() {
+                return Err(RunError::Interrupted { sample: i });
+            }
+            done?;
+            if !self.is_finite() {
                 return Err(RunError::NotFinite { sample: self.taken - 1 });
             }
             out.report(i, self, keep);
@@ -375,20 +411,19 @@ impl ParticleFilter {
         Ok(out)
     }
 
-    /// Runs each of `recordings` from a fresh start, on all cores.
-    pub fn run_all(&self, recordings: &[KalmanRecording<'_>], keep: Keep) -> Vec<Result<ParticleOutput, RunError>> {
-        self.each(recordings, |filter, recording| {
-            filter.reset();
-            filter.run(recording, keep)
-        })
+    /// Runs each recording from a fresh start with the settings of its filter, on all cores.
+    pub fn run_each(jobs: &[(&Self, KalmanRecording<'_>)], keep: Keep) -> Vec<Result<ParticleOutput, RunError>> {
+        Self::each(jobs, |filter, recording| filter.run(recording, keep))
     }
 
-    /// `one` with a filter of its own for each of `recordings`, on all cores.
+    /// `one` with a new filter for each recording, on all cores.
     pub(super) fn each(
-        &self,
-        recordings: &[KalmanRecording<'_>],
+        jobs: &[(&Self, KalmanRecording<'_>)],
         one: impl Fn(&mut Self, KalmanRecording<'_>) -> Result<ParticleOutput, RunError> + Sync,
     ) -> Vec<Result<ParticleOutput, RunError>> {
-        recordings.par_iter().map(|&recording| one(&mut self.clone(), recording)).collect()
+        parallel::map(jobs, |&(like, recording)| {
+            let mut filter = Self::new(like.model.clone(), like.settings.clone(), like.marginalised)?;
+            one(&mut filter, recording)
+        })
     }
 }

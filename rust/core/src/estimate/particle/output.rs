@@ -3,7 +3,9 @@
 use super::cloud::{BLOCK, Cloud};
 use super::filter::ParticleFilter;
 use super::sums::dot;
+use crate::error::DesignError;
 use crate::estimate::kalman::{FilterOutput, Gaussian, JerkDriven, JerkModel, Keep, Linearise, Model, Phases};
+use crate::memory::filled;
 use crate::scalar::ln;
 
 /// The cloud after a sample, in a few numbers.
@@ -130,20 +132,20 @@ pub struct ParticleOutput {
 
 impl ParticleOutput {
     /// Room for `count` samples.
-    pub(super) fn zeros(count: usize, filter: &ParticleFilter, keep: Keep) -> Self {
+    pub(super) fn zeros(count: usize, filter: &ParticleFilter, keep: Keep) -> Result<Self, DesignError> {
         let n = filter.model.robot().len();
-        Self {
-            links: FilterOutput::zeros(count, &filter.model, Keep { innovations: false, ..keep }),
-            effective: vec![0.0; count],
-            best: vec![0.0; count * n],
-            quantiles: vec![0.0; count * n * filter.settings.quantiles.len()],
-        }
+        Ok(Self {
+            links: FilterOutput::zeros(count, &filter.model, Keep { innovations: false, ..keep })?,
+            effective: filled(0.0, count, 1)?,
+            best: filled(0.0, count, n)?,
+            quantiles: filled(0.0, count, n * filter.settings.quantiles.len())?,
+        })
     }
 
     /// Writes what was found at the last sample into row `i`.
     pub(super) fn report(&mut self, i: usize, filter: &mut ParticleFilter, keep: Keep) {
         let n = filter.model.robot().len();
-        self.report_links(i, filter);
+        self.links.write_cloud(i, filter);
         if keep.covariance {
             filter.report_state(i, &mut self.links);
         }
@@ -157,20 +159,6 @@ impl ParticleOutput {
                 summary.quantiles(cloud, j, &settings.quantiles, |k, q| row[k * n + j] = q);
             }
         }
-    }
-
-    fn report_links(&mut self, i: usize, filter: &mut ParticleFilter) {
-        let n = filter.model.robot().len();
-        let ParticleFilter { model, summary, tool, memory, .. } = filter;
-        JerkDriven::linearise_phase(Linearise { model, reference: &summary.mean[..3 * n] });
-        memory.clear();
-        model.remember(memory);
-        model.report(memory, &summary.mean, i, &mut self.links);
-        let variance = |r: usize, c: usize| summary.products[packed(r.min(c), r.max(c), n)];
-        self.links.write_links(i, model.robot(), &summary.mean, variance, tool);
-        self.links.status[i] = summary.status;
-        self.links.used[i] = summary.used;
-        self.links.log_likelihood[i] = summary.log_likelihood;
     }
 
     /// Writes `belief` into row `i`, its motors by what the model remembered of that sample.
@@ -189,6 +177,23 @@ impl ParticleOutput {
         if keep.covariance {
             self.links.write_state(i, mean, &covariance.data, covariance.stride);
         }
+    }
+}
+
+impl FilterOutput {
+    /// Writes links, motors and fit of the cloud after the last sample into row `i`.
+    pub(super) fn write_cloud(&mut self, i: usize, filter: &mut ParticleFilter) {
+        let n = filter.model.robot().len();
+        let ParticleFilter { model, summary, tool, memory, .. } = filter;
+        JerkDriven::linearise_phase(Linearise { model, reference: &summary.mean[..3 * n] });
+        memory.clear();
+        model.remember(memory);
+        model.report(memory, &summary.mean, i, self);
+        let variance = |r: usize, c: usize| summary.products[packed(r.min(c), r.max(c), n)];
+        self.write_links(i, model.robot(), &summary.mean, variance, tool);
+        self.status[i] = summary.status;
+        self.used[i] = summary.used;
+        self.log_likelihood[i] = summary.log_likelihood;
     }
 }
 

@@ -5,10 +5,10 @@ use super::filter::ParticleFilter;
 use super::moves::Spread;
 use super::resample;
 use super::sums::{Gather, Level};
+use crate::parallel;
 use crate::random::{Purpose, Stream};
 use crate::scalar::ln;
 use crate::simd;
-use rayon::prelude::*;
 
 impl ParticleFilter {
     /// Chooses particles when few carry all weight.
@@ -58,11 +58,8 @@ impl ParticleFilter {
         let copy = |(next, ancestors): (&mut Vec<Row>, &[u32])| {
             simd::dispatch_lanes(level, Gather { source, ancestors, next })
         };
-        if *threads {
-            next.par_iter_mut().zip(ancestors.par_chunks(BLOCK)).for_each(copy);
-        } else {
-            next.iter_mut().zip(ancestors.chunks(BLOCK)).for_each(copy);
-        }
+        let count = if *threads { next.len() } else { 1 };
+        parallel::each_short(next.iter_mut().zip(ancestors.chunks(BLOCK)), count, copy);
         for (block, next) in blocks.iter_mut().zip(next) {
             core::mem::swap(&mut block.state, next);
         }

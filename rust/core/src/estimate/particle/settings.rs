@@ -3,7 +3,7 @@
 use super::density::Density;
 use crate::check::{expect, expect_length};
 use crate::error::DesignError;
-use crate::estimate::kalman::{JerkModel, Noise};
+use crate::estimate::kalman::{JerkModel, MOST_ITERATIONS, Noise};
 use crate::estimate::measurement::Channel;
 
 /// Most particles that a filter takes.
@@ -104,7 +104,7 @@ impl ParticleSettings {
             expect(h > 0.0 && h <= 1.0, "kernel", h, "a width above 0 and up to 1")?;
         }
         if let Proposal::Linearised { iterations, tail } = self.proposal {
-            expect(iterations > 0, "iterations", 0.0, "at least 1")?;
+            expect((1..=MOST_ITERATIONS).contains(&iterations), "iterations", iterations as f64, "1 to 100")?;
             let dof = tail.unwrap_or(2);
             expect(dof >= 2 && dof % 2 == 0, "proposal_tail", f64::from(dof), "an even number of at least 2")?;
         }

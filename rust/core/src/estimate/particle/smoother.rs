@@ -9,8 +9,10 @@
 use super::filter::ParticleFilter;
 use super::moves::Moments;
 use super::output::{ParticleOutput, packed};
-use crate::error::RunError;
-use crate::estimate::kalman::{Gaussian, KalmanRecording, Keep, Symmetric};
+use crate::error::{DesignError, RunError};
+use crate::estimate::kalman::{Gaussian, KalmanRecording, Keep, Model, Symmetric};
+use crate::interrupt::Watch;
+use crate::memory::room;
 
 /// What was found at every sample: the mean, the covariance's upper triangle by rows, and how the motors were linearised.
 struct History {
@@ -20,12 +22,8 @@ struct History {
 }
 
 impl History {
-    fn with_capacity(count: usize, d: usize) -> Self {
-        Self {
-            means: Vec::with_capacity(count * d),
-            products: Vec::with_capacity(count * d * (d + 1) / 2),
-            motors: Vec::new(),
-        }
+    fn with_capacity(count: usize, d: usize, motors: usize) -> Result<Self, DesignError> {
+        Ok(Self { means: room(count, d)?, products: room(count, d * (d + 1) / 2)?, motors: room(count, motors)? })
     }
 
     fn push(&mut self, belief: &Gaussian, motors: &[f64]) {
@@ -139,14 +137,18 @@ impl ParticleFilter {
     pub fn smooth(&mut self, recording: KalmanRecording<'_>, keep: Keep) -> Result<ParticleOutput, RunError> {
         self.reset();
         let (count, d) = (recording.dt.len(), self.belief.mean.len());
-        let mut history = History::with_capacity(count, d);
+        let mut history = History::with_capacity(count, d, self.model.memory())?;
         let mut out = self.run_with(recording, keep, |filter| {
             filter.take_covariance();
             history.push(&filter.belief, &filter.memory);
         })?;
         (out.best, out.quantiles) = (Vec::new(), Vec::new());
         let mut back = Back::new(d);
+        let watch = Watch::current();
         for i in (0..count).rev() {
+            if watch.stops() {
+                return Err(RunError::Interrupted { sample: i });
+            }
             history.read(i, &mut back.filtered);
             if i + 1 == count {
                 back.smoothed.copy_from(&back.filtered);
@@ -165,8 +167,8 @@ impl ParticleFilter {
         Ok(out)
     }
 
-    /// [`smooth`](Self::smooth) of each of `recordings`, on all cores.
-    pub fn smooth_all(&self, recordings: &[KalmanRecording<'_>], keep: Keep) -> Vec<Result<ParticleOutput, RunError>> {
-        self.each(recordings, |filter, recording| filter.smooth(recording, keep))
+    /// As [`run_each`](Self::run_each), each recording [smoothed](Self::smooth).
+    pub fn smooth_each(jobs: &[(&Self, KalmanRecording<'_>)], keep: Keep) -> Vec<Result<ParticleOutput, RunError>> {
+        Self::each(jobs, |filter, recording| filter.smooth(recording, keep))
     }
 }

@@ -16,6 +16,8 @@ pub(super) struct Reading {
     pub(super) position: f64,
     /// How far it is from the predicted one, for each period since the last reading [rad].
     pub(super) innovation: f64,
+    /// Periods since the last reading, 0 where this one is missing.
+    pub(super) periods: u32,
     /// The encoder wrapped.
     pub(super) wrapped: bool,
     /// The reading is missing.
@@ -23,12 +25,17 @@ pub(super) struct Reading {
 }
 
 impl Encoder {
+    /// Samples missing since the last reading.
+    pub(super) fn missing(&self) -> u32 {
+        self.missing
+    }
+
     /// Takes a reading, NaN where it is missing, of an encoder that wraps after `turn`.
     #[inline(always)]
     pub(super) fn read(&mut self, reading: f64, predicted: f64, turn: f64) -> Reading {
         if reading.is_nan() {
             self.missing = self.missing.saturating_add(1);
-            return Reading { position: predicted, innovation: 0.0, wrapped: false, missing: true };
+            return Reading { position: predicted, innovation: 0.0, periods: 0, wrapped: false, missing: true };
         }
         let turns = ((predicted - reading - self.offset) / turn).round();
         let wrapped = turns != 0.0;
@@ -36,8 +43,9 @@ impl Encoder {
             self.offset += turns * turn;
         }
         let position = reading + self.offset;
-        let innovation = (position - predicted) / f64::from(self.missing + 1);
+        let periods = self.missing.saturating_add(1);
+        let innovation = (position - predicted) / f64::from(periods);
         self.missing = 0;
-        Reading { position, innovation, wrapped, missing: false }
+        Reading { position, innovation, periods, wrapped, missing: false }
     }
 }

@@ -85,6 +85,11 @@ impl Mapped {
         Self { map, half: 0.5 * period, matrix, change }
     }
 
+    /// The largest share of an error of velocity that is taken in a period.
+    pub(super) fn share(&self) -> f64 {
+        -(-self.map.bound() * 2.0 * self.half).exp_m1()
+    }
+
     /// What the `innovation` (n) of a `position` (n) adds to the velocity: (I + ½ T ∂k/∂y)⁻¹ times the change of k.
     ///
     /// The implicit midpoint rule: where M ∂k/∂y has a positive symmetric part the error shrinks at any rate of samples.

@@ -5,9 +5,10 @@ use super::map::Mapped;
 use super::rigid::RigidDynamics;
 use super::schedule::Logic;
 use super::settings::{Gains, Settings};
-use crate::check::expect_length;
+use crate::check::{expect_length, refuse_infinite};
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
+use crate::estimate::observer::{LONGEST, Start};
 use crate::linear::add_scaled;
 use crate::robot::Robot;
 use crate::scalar::exp_m1;
@@ -31,6 +32,10 @@ pub struct VelocityObserver {
     map: Option<Mapped>,
     level: usize,
     since_jump: usize,
+    /// Share of each innovation in the velocity since the start (n): what a mean velocity takes of its last part.
+    share: Vec<f64>,
+    /// Whether the velocity was given at the start.
+    given: bool,
     samples: usize,
     status: u8,
     encoders: Vec<Encoder>,
@@ -75,6 +80,8 @@ impl VelocityObserver {
             map,
             level,
             since_jump: 0,
+            share: zero(),
+            given: false,
             samples: 0,
             status: 0,
             encoders: vec![Encoder::default(); n],
@@ -106,6 +113,7 @@ impl VelocityObserver {
         for (what, given) in [("dq", dq), ("lag", lag)] {
             expect_length(what, given.len(), expected)?;
         }
+        self.given = true;
         self.velocity.copy_from_slice(dq);
         self.lag.copy_from_slice(lag);
         self.samples = 0;
@@ -115,13 +123,54 @@ impl VelocityObserver {
     /// Takes positions (n) [rad] and torques (n) [N m], the latter held until the next sample; NaN where one is missing.
     ///
     /// # Errors
-    /// A first sample that lacks a position, a spring too stiff for the period there, an inertia that is singular.
+    /// A first sample that lacks a position, a spring too stiff for the period there, an inertia that is singular; wrong
+    /// lengths, an infinite reading, a position that has been missing for more than [`LONGEST`], which leave the state as
+    /// it was. [`RunError::NotFinite`]: readings so absurd that nothing is left; it then starts anew.
     pub fn step(&mut self, q: &[f64], torque: &[f64]) -> Result<(), RunError> {
+        self.check(q, torque)?;
+        self.take(q, torque)?;
+        if self.is_finite() {
+            return Ok(());
+        }
+        let sample = self.samples - 1;
+        self.reset();
+        Err(RunError::NotFinite { sample })
+    }
+
+    /// Forgets the state: the next sample starts anew.
+    pub fn reset(&mut self) {
+        (self.samples, self.given) = (0, false);
+        self.velocity.fill(0.0);
+        self.lag.fill(0.0);
+        self.spring.fill(0.0);
+        self.torque.fill(0.0);
+        if let Gains::Scheduled(schedule) = &self.settings.gains {
+            (self.level, self.since_jump) = (schedule.start, 0);
+            self.gains.fill(schedule.gains[schedule.start - 1]);
+            self.weigh();
+        }
+    }
+
+    fn check(&self, q: &[f64], torque: &[f64]) -> Result<(), DesignError> {
+        for (what, values) in [("q", q), ("tau", torque)] {
+            expect_length(what, values.len(), self.joints())?;
+            refuse_infinite(what, values)?;
+        }
+        let longest = (LONGEST / self.settings.period).round().max(1.0);
+        let late = |(q, encoder): (&f64, &Encoder)| q.is_nan() && f64::from(encoder.missing()) >= longest;
+        match q.iter().zip(&self.encoders).position(late) {
+            Some(joint) if self.samples > 0 => Err(DesignError::Late { joint, longest: LONGEST }),
+            _ => Ok(()),
+        }
+    }
+
+    /// [`step`](Self::step) with a sample that has been checked.
+    pub(super) fn take(&mut self, q: &[f64], torque: &[f64]) -> Result<(), RunError> {
         simd::phase(Step { observer: self, q, torque })
     }
 
     #[inline(always)]
-    fn step_here(&mut self, q: &[f64], torque: &[f64]) -> Result<(), RunError> {
+    fn take_here(&mut self, q: &[f64], torque: &[f64]) -> Result<(), RunError> {
         self.status = 0;
         let regular = if self.samples == 0 { self.begin(q)? } else { self.advance(q) };
         if !regular {
@@ -159,6 +208,7 @@ impl VelocityObserver {
     #[inline(always)]
     fn advance(&mut self, q: &[f64]) -> bool {
         let period = self.settings.period;
+        let starts = self.settings.start == Start::Auto && !self.given;
         for j in 0..q.len() {
             let slope = self.acceleration[j] + self.spring[j];
             let predicted = self.position[j] + period * (self.velocity[j] + 0.5 * period * slope);
@@ -167,6 +217,7 @@ impl VelocityObserver {
             self.status |= if reading.missing { Status::BRIDGED } else { 0 };
             self.position[j] = reading.position;
             self.innovation[j] = reading.innovation;
+            self.share[j] = if starts { f64::from(reading.periods) / self.samples as f64 } else { 0.0 };
             self.velocity[j] += period * slope;
         }
         self.correct();
@@ -181,14 +232,19 @@ impl VelocityObserver {
     #[inline(always)]
     fn correct(&mut self) {
         if let Some(map) = &mut self.map {
-            for (velocity, change) in self.velocity.iter_mut().zip(map.weigh(&self.position, &self.innovation)) {
-                *velocity += change;
+            let most = map.share();
+            let changes = map.weigh(&self.position, &self.innovation);
+            for (j, (velocity, &change)) in self.velocity.iter_mut().zip(changes).enumerate() {
+                let mean = self.share[j] / self.settings.period * self.innovation[j];
+                *velocity += if self.share[j] > most { mean } else { change };
             }
             return;
         }
         for j in 0..self.innovation.len() {
             let change = self.weights[j] * self.innovation[j];
-            self.velocity[j] += change;
+            // At a start the mean velocity since then, until the gain follows it faster.
+            let mean = self.share[j] / self.settings.period * self.innovation[j];
+            self.velocity[j] += if mean.abs() > change.abs() { mean } else { change };
             self.lag[j] += change / self.gains[j];
         }
     }
@@ -294,6 +350,16 @@ impl VelocityObserver {
         self.status
     }
 
+    /// Whether positions and torques are those of the motors.
+    pub fn is_of_motors(&self) -> bool {
+        self.settings.motors
+    }
+
+    /// Time since the first sample [s].
+    pub fn time(&self) -> f64 {
+        self.samples.saturating_sub(1) as f64 * self.settings.period
+    }
+
     pub(super) fn has_tool(&self) -> bool {
         self.dynamics.robot.tool.is_some()
     }
@@ -322,7 +388,7 @@ impl Kernel for Step<'_> {
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        self.observer.step_here(self.q, self.torque)
+        self.observer.take_here(self.q, self.torque)
     }
 }
 

@@ -1,7 +1,10 @@
 //! Recordings.
 
 use super::VelocityObserver;
-use crate::error::RunError;
+use crate::error::{DesignError, RunError};
+use crate::interrupt::Watch;
+use crate::memory::room;
+use crate::parallel;
 
 /// A recording: `count` samples of positions and torques, row-major.
 #[derive(Clone, Copy, Debug)]
@@ -31,6 +34,19 @@ pub struct Trajectory {
     pub status: Vec<u8>,
 }
 
+impl Trajectory {
+    fn with_capacity(count: usize, n: usize, tool: bool) -> Result<Self, DesignError> {
+        Ok(Self {
+            q: room(count, n)?,
+            dq: room(count, n)?,
+            ddq: room(count, n)?,
+            tool: room(if tool { count } else { 0 }, 3)?,
+            level: room(count, 1)?,
+            status: room(count, 1)?,
+        })
+    }
+}
+
 impl VelocityObserver {
     /// Goes on from the present state with the samples of a recording.
     ///
@@ -39,18 +55,24 @@ impl VelocityObserver {
     pub fn run(&mut self, recording: Recording<'_>) -> Result<Trajectory, RunError> {
         let n = self.joints();
         let tool = self.has_tool();
-        let mut out = Trajectory::default();
-        for values in [&mut out.q, &mut out.dq, &mut out.ddq] {
-            values.reserve(recording.count * n);
-        }
+        let mut out = Trajectory::with_capacity(recording.count, n, tool)?;
+        let watch = Watch::current();
         for (q, torque) in recording.q.chunks_exact(n).zip(recording.torque.chunks_exact(n)) {
-            self.step(q, torque)?;
+            if watch.stops() {
+                return Err(RunError::Interrupted { sample: self.samples() });
+            }
+            self.take(q, torque)?;
             if !self.is_finite() {
                 return Err(RunError::NotFinite { sample: self.samples() - 1 });
             }
             self.report(&mut out, tool);
         }
         Ok(out)
+    }
+
+    /// Runs each recording from a copy of its observer, on all cores.
+    pub fn run_each(jobs: &[(&Self, Recording<'_>)]) -> Vec<Result<Trajectory, RunError>> {
+        parallel::map(jobs, |&(observer, recording)| observer.clone().run(recording))
     }
 
     fn report(&self, out: &mut Trajectory, tool: bool) {

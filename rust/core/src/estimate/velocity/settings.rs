@@ -4,6 +4,7 @@ use super::map::GainMap;
 use super::schedule::Schedule;
 use crate::check::{expect, expect_length};
 use crate::error::DesignError;
+use crate::estimate::observer::Start;
 
 /// The largest product of a gain and the sampling period: of an error e⁻² is left after one sample.
 ///
@@ -33,6 +34,8 @@ pub struct Settings {
     pub spring: Vec<f64>,
     /// Whether torques are those of the motors, so that their inertia and friction count; else those on the links.
     pub motors: bool,
+    /// Where the velocity begins, unless it is given.
+    pub start: Start,
     /// Positions jump by a multiple of this where an encoder wraps (n) [rad]; infinite where it does not.
     pub wrap: Vec<f64>,
 }
