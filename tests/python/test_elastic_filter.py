@@ -124,11 +124,11 @@ def test_on_a_linear_robot_it_is_the_dense_filter_and_smoother(lost):
         columns["dtheta_x"][100:140] = np.nan
     log = Log.from_table(columns, robot)
     x, p, xs, ps = dense(NOISE, columns)
-    ours = ElasticJointFilter(robot, NOISE, start="rest").run(log, covariance=True)
+    ours = ElasticJointFilter(robot, NOISE, start="rest", tolerances=False).run(log, covariance=True)
     std = np.sqrt(np.diagonal(p, axis1=1, axis2=2))
     assert np.abs((ours.state - x) / std).max() < 1e-4  # of Runge and Kutta's rule
     assert np.abs((ours.covariance - p) / (std[:, :, None] * std[:, None, :])).max() < 1e-6
-    smooth = ElasticJointSmoother(robot, NOISE, start="rest").run(log, covariance=True)
+    smooth = ElasticJointSmoother(robot, NOISE, start="rest", tolerances=False).run(log, covariance=True)
     std = np.sqrt(np.diagonal(ps, axis1=1, axis2=2))
     assert np.abs((smooth.state - xs) / std).max() < 1e-4
     assert np.abs((smooth.covariance - ps) / (std[:, :, None] * std[:, None, :])).max() < 1e-4
@@ -259,8 +259,8 @@ def test_held_torques_run_in_pieces_to_the_same_bits_and_step_after_they_have_ac
 def test_a_disturbance_torque_is_found():
     robot, log, _ = recording("arm2_square")
     log = dataclasses.replace(log, tau=log.tau + np.array([25.0, 0.0]))
-    plain = ElasticJointFilter(robot, disturbances=False).run(log)
-    found = ElasticJointFilter(robot).run(log, covariance=True)
+    plain = ElasticJointFilter(robot, disturbances=False, tolerances=False).run(log)
+    found = ElasticJointFilter(robot, tolerances=False).run(log, covariance=True)
     n = robot.n
     assert found.state[-500:, 4 * n].mean() == pytest.approx(-25.0, abs=3.0)
     assert found.nis.sum() < 0.95 * plain.nis.sum()

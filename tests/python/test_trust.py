@@ -7,7 +7,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+<<<<<<< HEAD
 from linkside import Estimate, ExtendedKalmanFilter, Log, Noise, RauchTungStriebelSmoother, Robot, demo
+=======
+from linkside import (
+    ElasticJointFilter,
+    ElasticJointSmoother,
+    Estimate,
+    ExtendedKalmanFilter,
+    Log,
+    Noise,
+    RauchTungStriebelSmoother,
+    Robot,
+)
+>>>>>>> trust
 from linkside.cli.commands import main
 from linkside.control.controllers import JointPD
 from linkside.findings import largest_nis
@@ -18,6 +31,7 @@ from .robots import ARM, DATA, spring
 
 ROWS = 1200
 SQUARE = DATA / "arm2_square"
+ESTIMATORS = [ExtendedKalmanFilter, RauchTungStriebelSmoother, ElasticJointFilter, ElasticJointSmoother]
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +65,7 @@ def spoiled(log: Log, signal: str, channel: int, fault: str, row: int) -> Log:
     return replace(log, **{signal: values})
 
 
-@pytest.mark.parametrize("estimator", [ExtendedKalmanFilter, RauchTungStriebelSmoother])
+@pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_tolerances_do_not_change_the_estimate(robot: Robot, log: Log, estimator: Any) -> None:
     with_them, without = (estimator(robot, tolerances=t).run(log[:400]) for t in (True, False))
     np.testing.assert_array_equal(with_them.q, without.q)
@@ -59,7 +73,7 @@ def test_tolerances_do_not_change_the_estimate(robot: Robot, log: Log, estimator
     assert (with_them.q_std >= without.q_std).all()
 
 
-@pytest.mark.parametrize("estimator", [ExtendedKalmanFilter, RauchTungStriebelSmoother])
+@pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_a_wrong_model_is_within_its_standard_deviations(estimator: Any) -> None:
     """Stiffness, masses, damping and payload of this recording are not those of robot.yaml."""
     folder = DATA / "arm2_square_mismatch"

@@ -18,6 +18,7 @@ from linkside.files.yaml_source import Source
 from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.considered import considered
 
 from .filtering import KalmanEstimate, KalmanMethod
 from .late_sensors import inside
@@ -131,6 +132,7 @@ class ElasticJoint(KalmanMethod):
         transition: Literal["exact", "first-order"] = "exact",
         gate: float | None = None,
         iterations: int = 1,
+        tolerances: bool = True,
         start: Start = "auto",
     ) -> None:
         wanted = {"acceleration": accelerations, "dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
@@ -138,6 +140,7 @@ class ElasticJoint(KalmanMethod):
         one_of("transition", transition, ("exact", "first-order"))
         one_of("motor_torque", motor_torque, ("sampled", "held"))
         self.noise = noise or ElasticNoise()
+        self._uncertain = considered(robot, motors=True) if tolerances else []
         self._held = motor_torque == "held"
         self._disturbances, self._transition = disturbances, transition
 
@@ -188,6 +191,7 @@ class ElasticJoint(KalmanMethod):
             gate=self._gate,
             iterations=self._iterations,
             late=inside(self.robot, kinds, period),
+            told=[parameter.told for parameter in self._uncertain],
         )
 
     def arrays(self, log: Log, kinds: tuple[str, ...], before: tuple[float, FloatArray] | None = None) -> Arrays:
@@ -233,7 +237,7 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter])
     transition
         How the covariance is carried over a step: ``"exact"``, by the exponential of the derivatives, or
         ``"first-order"``, 1 + A h, as in the paper.
-    gate, iterations, start
+    gate, iterations, tolerances, start
         As of `ExtendedKalmanFilter`.
 
     Raises

@@ -6,6 +6,7 @@ use crate::gil::Release;
 use crate::kalman::{Inside, Matrix, check_step, inside, into_dict, named};
 use crate::robot::Robot;
 use crate::state::State;
+use crate::tolerance::{Told, tolerances};
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
     Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterOutput, FilterSettings,
@@ -78,7 +79,7 @@ type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'py>);
 impl ElasticJointFilter {
     #[new]
     #[pyo3(signature = (
-        robot, *, kinds, disturbances, biased, first_order, held, noise, gate, iterations, late=None
+        robot, *, kinds, disturbances, biased, first_order, held, noise, gate, iterations, told, late=None
     ))]
     fn new(
         robot: &Robot,
@@ -90,6 +91,7 @@ impl ElasticJointFilter {
         noise: Noise,
         gate: Option<f64>,
         iterations: usize,
+        told: Vec<Told>,
         late: Option<Vec<Inside>>,
     ) -> PyResult<Self> {
         let settings = ElasticSettings {
@@ -99,9 +101,10 @@ impl ElasticJointFilter {
             held,
             discretization: if first_order { Discretization::FirstOrder } else { Discretization::Exact },
         };
+        let tolerances = tolerances(&told)?;
         let build = || {
             let model = ElasticModel::new(Arc::clone(&robot.0), &settings, noise.into())?.with_late(&inside(late))?;
-            ExtendedKalmanFilter::new(model, FilterSettings { gate, iterations })
+            ExtendedKalmanFilter::new(model.with_tolerances(tolerances), FilterSettings { gate, iterations })
         };
         let filter = build().map_err(IntoPyErr::into_py_err)?;
         let row = FilterOutput::zeros(1, filter.model(), Keep::default()).map_err(IntoPyErr::into_py_err)?;
@@ -118,6 +121,13 @@ impl ElasticJointFilter {
     #[getter]
     fn own_states(&self) -> usize {
         self.filter.model().own_states()
+    }
+
+    /// Errors of the parameters by the readings so far, in the measure of their tolerances, and the standard deviations
+    /// of these.
+    #[getter]
+    fn parameters(&self) -> (Vec<f64>, Vec<f64>) {
+        self.filter.parameters()
     }
 
     /// A copy with the same belief.
@@ -159,7 +169,7 @@ impl ElasticJointFilter {
     #[getter]
     fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, numpy::PyArrayDyn<f64>>> {
         let states = self.filter.model().states();
-        shaped(py, self.filter.belief().covariance.dense().collect(), vec![states, states])
+        shaped(py, self.filter.covariance().dense().collect(), vec![states, states])
     }
 
     /// Goes on from the live state with the rows of a log, or of a piece of one.

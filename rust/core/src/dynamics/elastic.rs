@@ -166,6 +166,54 @@ impl ElasticDynamics {
         self.drive[j] - drive.motor_inertia * self.ddq[j] - pull
     }
 
+    /// Inertia of joint `j`'s rigid drive's load [kg m²], after [`accelerate`](Self::accelerate).
+    #[inline(always)]
+    pub(crate) fn inertia(&self, robot: &Robot, j: usize) -> f64 {
+        let n = robot.len();
+        let before: f64 = (0..j).map(|k| self.mass[j * n + k].powi(2) * self.mass[k * n + k]).sum();
+        before + self.mass[j * n + j] - robot.drives[j].motor_inertia
+    }
+
+    /// Accelerations by further torques on links and motors and in transmissions, in place of them (n × `width` each),
+    /// after [`accelerate`](Self::accelerate); of a rigid joint what its transmission gives the link.
+    #[inline(always)]
+    pub(crate) fn respond(
+        &self,
+        robot: &Robot,
+        links: &mut [f64],
+        motors: &mut [f64],
+        transmitted: &mut [f64],
+        width: usize,
+    ) {
+        let n = robot.len();
+        let row = |j: usize| j * width..(j + 1) * width;
+        for (j, drive) in robot.drives.iter().enumerate() {
+            if drive.elastic {
+                linear::add_scaled(&mut links[row(j)], 1.0, &transmitted[row(j)]);
+                linear::add_scaled(&mut motors[row(j)], -1.0, &transmitted[row(j)]);
+                for i in (0..j).filter(|&i| robot.coupling[i * n + j] != 0.0) {
+                    let share = robot.coupling[i * n + j] / drive.motor_inertia;
+                    linear::add_scaled(&mut links[row(i)], -share, &motors[row(j)]);
+                }
+            } else {
+                linear::add_scaled(&mut links[row(j)], 1.0, &motors[row(j)]);
+                transmitted[row(j)].copy_from_slice(&motors[row(j)]);
+            }
+        }
+        linear::solve(&self.mass, n, links, width);
+        for (j, drive) in robot.drives.iter().enumerate() {
+            let own = if drive.elastic { &mut motors[row(j)] } else { &mut transmitted[row(j)] };
+            for i in (0..j).filter(|&i| robot.coupling[i * n + j] != 0.0) {
+                linear::add_scaled(own, -robot.coupling[i * n + j], &links[row(i)]);
+            }
+            if drive.elastic {
+                own.iter_mut().for_each(|x| *x /= drive.motor_inertia);
+            } else {
+                linear::add_scaled(own, -drive.motor_inertia, &links[row(j)]);
+            }
+        }
+    }
+
     /// ẋ, after [`accelerate`](Self::accelerate) at state `x`: `out` (dense) is overwritten; disturbances stay.
     #[inline(always)]
     pub fn rate_into(&self, layout: &ElasticLayout, x: &[f64], out: &mut [f64]) {

@@ -2,10 +2,12 @@
 
 use super::drift::Biases;
 use super::elastic_measurement::ElasticMeasurement;
+use super::elastic_sensitivity::ElasticSensitivity;
 use super::gaussian::{Gaussian, Symmetric};
 use super::model::{Paired, Process};
 use super::recording::{KalmanRecording, KalmanSample};
 use super::transition::Transition;
+use super::uncertain::Tolerance;
 use crate::check::{check_deviations, check_readings, check_times, expect_length};
 use crate::dynamics::ElasticLayout;
 use crate::error::DesignError;
@@ -102,6 +104,14 @@ impl ElasticModel {
             noise,
         };
         Ok(Self::of(process, ElasticMeasurement::new(robot, layout, channels, biases, reading)))
+    }
+
+    /// The model of a robot of which some numbers are known to a tolerance only.
+    pub fn with_tolerances(mut self, tolerances: Vec<Tolerance>) -> Self {
+        let sensitivity = ElasticSensitivity::new(tolerances, self.process.robot.len());
+        self.process.transition.consider(sensitivity.clone());
+        self.measurement.sensitivity = sensitivity;
+        self
     }
 }
 
@@ -257,6 +267,17 @@ impl Process for ElasticProcess {
     fn carry(&mut self, columns: &mut [f64], stride: usize, dt: f64) {
         self.transition.carry(columns, stride);
         self.drift().carry(columns, stride, dt);
+    }
+
+    #[inline(always)]
+    fn drive(&mut self, columns: &mut [f64], stride: usize) {
+        self.transition.drive(columns, stride);
+    }
+
+    #[inline(always)]
+    fn carry_back(&mut self, memory: &[f64], columns: &mut [f64], stride: usize, dt: f64) {
+        self.drift().carry(columns, stride, dt);
+        self.transition.carry_back(memory, columns, stride);
     }
 
     fn memory(&self) -> usize {

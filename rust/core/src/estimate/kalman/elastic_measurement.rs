@@ -1,8 +1,10 @@
 //! The elastic-joint model's channels: motors are states, accelerations functions of the state and the torques.
 
+use super::elastic_sensitivity::ElasticSensitivity;
 use super::model::{Linearised, Measurement, Report};
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample};
+use super::uncertain::Tolerance;
 use crate::dynamics::{ElasticDynamics, ElasticLayout};
 use crate::error::DesignError;
 use crate::estimate::measurement::{Chained, Channel, Elastic, Values, read_all};
@@ -23,6 +25,9 @@ pub struct ElasticMeasurement {
     jacobian: Vec<f64>,
     /// Motor torques at the sample.
     tau: Vec<f64>,
+    pub(super) sensitivity: ElasticSensitivity,
+    /// Where the channels are linearised.
+    reference: Vec<f64>,
 }
 
 impl ElasticMeasurement {
@@ -39,6 +44,8 @@ impl ElasticMeasurement {
             prediction: vec![0.0; m],
             jacobian: vec![0.0; m * layout.dense],
             tau: vec![0.0; robot.len()],
+            sensitivity: ElasticSensitivity::default(),
+            reference: vec![0.0; layout.dense],
             robot,
             layout,
             channels,
@@ -86,6 +93,7 @@ impl Measurement for ElasticMeasurement {
 
     #[inline(always)]
     fn linearise(&mut self, reference: &[f64]) {
+        self.reference.copy_from_slice(reference);
         let Self { robot, layout, dynamics, channels, tau, prediction, jacobian, .. } = self;
         dynamics.accelerate(robot, layout, reference, tau);
         dynamics.differentiate(robot, layout, reference);
@@ -93,6 +101,17 @@ impl Measurement for ElasticMeasurement {
         let view = Elastic { layout, dynamics, state: reference };
         let (joints, dense, ddq_by) = (robot.len(), layout.dense, &dynamics.ddq_by);
         read_all(robot, channels, &view, &mut Chained { prediction, rows: jacobian, joints, dense, ddq_by });
+    }
+
+    fn tolerances(&self) -> &[Tolerance] {
+        self.sensitivity.tolerances()
+    }
+
+    #[inline(always)]
+    fn signatures(&mut self, stride: usize, out: &mut [f64]) {
+        let Self { robot, layout, dynamics, channels, tau, sensitivity, reference, .. } = self;
+        sensitivity.set(robot, layout, dynamics, reference, tau);
+        sensitivity.signatures(robot, dynamics, channels, stride, out);
     }
 
     #[inline(always)]

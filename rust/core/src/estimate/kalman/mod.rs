@@ -8,6 +8,7 @@ mod drift;
 mod driven;
 mod elastic;
 mod elastic_measurement;
+mod elastic_sensitivity;
 mod filter;
 mod gaussian;
 mod information;

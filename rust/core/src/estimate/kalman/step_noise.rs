@@ -11,7 +11,7 @@ const NODES: [(f64, f64); 4] = [
     (0.930_568_155_797_026_3, 0.173_927_422_568_726_93),
 ];
 
-/// Q = ∫ e^(As) L Lᵀ e^(As)ᵀ ds over a step, and Ψ = ∫ e^(As) ds b for torques b that are constant over it.
+/// Q = ∫ e^(As) L Lᵀ e^(As)ᵀ ds over a step, and Ψ = ∫ e^(As) ds b for inputs b that are constant over it.
 ///
 /// Over a substep by a quadrature, whose factor is positive by construction, then by doubling: Q ← Q + Φ Q Φᵀ. (One
 /// exponential of twice the size, Van Loan 1978, holds −A and breaks down where damping is stiff.)
@@ -26,21 +26,21 @@ pub(super) struct StepNoise {
     halves: Vec<f64>,
     /// ∫ e^(As) ds over the substep.
     integral: Vec<f64>,
-    /// Ψ, one row a torque.
-    torques: Vec<f64>,
+    /// Ψ, one row an input; torques are the first.
+    inputs: Vec<f64>,
     before: Vec<f64>,
 }
 
 impl StepNoise {
-    /// For `dense` states that noise drives at `sources` with these densities, and `torques`.
-    pub(super) fn new(dense: usize, sources: Vec<(usize, f64)>, torques: usize) -> Self {
+    /// For `dense` states that noise drives at `sources` with these densities, and so many `inputs`.
+    pub(super) fn new(dense: usize, sources: Vec<(usize, f64)>, inputs: usize) -> Self {
         let covariance = Symmetric::zeros(dense);
         let stride = covariance.stride;
         Self {
             rows: vec![0.0; NODES.len() * sources.len() * stride],
             halves: vec![0.0; NODES.len() * sources.len() * stride],
             integral: vec![0.0; dense * stride],
-            torques: vec![0.0; torques * stride],
+            inputs: vec![0.0; inputs * stride],
             before: vec![0.0; stride],
             sources,
             covariance,
@@ -87,7 +87,7 @@ impl StepNoise {
         }
     }
 
-    /// After the last term: Q of the substep `h` [s], and Ψ of the rates b that `rate` writes for each torque.
+    /// After the last term: Q of the substep `h` [s], and Ψ of the rates b that `rate` writes for each input.
     #[inline(always)]
     pub(super) fn substep(&mut self, h: f64, mut rate: impl FnMut(usize, &mut [f64])) {
         let (d, stride, sources) = (self.covariance.n, self.covariance.stride, self.sources.len());
@@ -99,7 +99,7 @@ impl StepNoise {
         }
         self.covariance.data.fill(0.0);
         self.covariance.subtract_outer(&self.rows, &self.halves);
-        for (j, out) in self.torques.chunks_exact_mut(stride).enumerate() {
+        for (j, out) in self.inputs.chunks_exact_mut(stride).enumerate() {
             self.before.fill(0.0);
             rate(j, &mut self.before[..d]);
             for (i, row) in self.integral.chunks_exact(stride).enumerate() {
@@ -116,10 +116,10 @@ impl StepNoise {
         linear::product(product, stride, turned, stride, wide);
         linear::add_scaled(&mut self.covariance.data, 1.0, wide);
         self.covariance.mirror();
-        for torque in self.torques.chunks_exact_mut(stride) {
-            self.before.copy_from_slice(torque);
+        for input in self.inputs.chunks_exact_mut(stride) {
+            self.before.copy_from_slice(input);
             for (i, row) in phi.chunks_exact(stride).enumerate() {
-                torque[i] += linear::dot(row, &self.before);
+                input[i] += linear::dot(row, &self.before);
             }
         }
     }
@@ -127,12 +127,23 @@ impl StepNoise {
     /// Q with torques of these `variances`.
     #[inline(always)]
     pub(super) fn add_torques(&mut self, variances: &[f64]) {
-        let Self { covariance, torques, .. } = self;
-        for (row, variance) in torques.chunks_exact(covariance.stride).zip(variances) {
+        let Self { covariance, inputs, .. } = self;
+        for (row, variance) in inputs.chunks_exact(covariance.stride).zip(variances) {
             for (i, x) in row.iter().enumerate().take(covariance.n) {
                 linear::add_scaled(&mut covariance.data[i * covariance.stride..], variance * x, row);
             }
         }
+    }
+
+    /// Room for further inputs, so that there are so many.
+    pub(super) fn set_inputs(&mut self, inputs: usize) {
+        self.inputs = vec![0.0; inputs * self.covariance.stride];
+    }
+
+    /// Ψ of each input from the `first` on, a padded row each.
+    #[inline(always)]
+    pub(super) fn responses(&self, first: usize) -> impl Iterator<Item = &[f64]> {
+        self.inputs.chunks_exact(self.covariance.stride).skip(first)
     }
 
     /// Q.

@@ -1,6 +1,7 @@
 //! A step of time of the elastic-joint model: the mean by Runge and Kutta, the covariance by a matrix exponential.
 
 use super::elastic::Discretization;
+use super::elastic_sensitivity::ElasticSensitivity;
 use super::gaussian::{Gaussian, Symmetric};
 use super::step_noise::StepNoise;
 use crate::dynamics::{ElasticDynamics, ElasticLayout};
@@ -40,6 +41,8 @@ pub(super) struct Transition {
     probe: Vec<f64>,
     tau: Vec<f64>,
     carried: Vec<f64>,
+    /// Where the model was last linearised.
+    sensitivity: ElasticSensitivity,
 }
 
 /// Motor torques (n) at the beginning and at the end of a step; in between they change linearly.
@@ -74,6 +77,7 @@ impl Transition {
             probe: vec![0.0; d],
             tau: vec![0.0; robot.len()],
             carried: Vec::new(),
+            sensitivity: ElasticSensitivity::default(),
             layout,
         }
     }
@@ -81,6 +85,13 @@ impl Transition {
     /// Makes room for beliefs of `states`.
     pub(super) fn widen(&mut self, states: usize) {
         self.wide = vec![0.0; self.layout.dense * states.next_multiple_of(linear::LANES)];
+    }
+
+    /// Some numbers of the robot are known to a tolerance only; see [`drive`](Self::drive).
+    pub(super) fn consider(&mut self, sensitivity: ElasticSensitivity) {
+        let n = self.layout.joints;
+        self.noise.set_inputs(if sensitivity.is_empty() { n } else { 3 * n });
+        self.sensitivity = sensitivity;
     }
 
     /// Learns how fast the robot is at `x`.
@@ -141,9 +152,12 @@ impl Transition {
     /// A at the probe under the present torques, and how fast its modes can be at most.
     #[inline(always)]
     fn linearise(&mut self, robot: &Robot) {
-        let Self { layout, dynamics, probe, tau, .. } = self;
+        let Self { layout, dynamics, probe, tau, sensitivity, .. } = self;
         dynamics.accelerate(robot, layout, probe, tau);
         dynamics.differentiate(robot, layout, probe);
+        if !sensitivity.is_empty() {
+            sensitivity.set(robot, layout, dynamics, probe, tau);
+        }
         self.fastest = self.bound();
     }
 
@@ -202,7 +216,12 @@ impl Transition {
             linear::add_scaled(phi, 1.0, term);
             noise.term(k, term);
         }
-        noise.substep(h, |j, rate| torque_rate(robot, layout, dynamics, j, rate));
+        let n = layout.joints;
+        noise.substep(h, |input, rate| match input / n {
+            0 => torque_rate(robot, layout, dynamics, input, rate),
+            1 => rate[input] = 1.0,
+            _ => rate[layout.dtheta[input - 2 * n]] = 1.0,
+        });
     }
 
     /// Φ ← Φ², `doublings` times.
@@ -270,6 +289,34 @@ impl Transition {
             }
         }
         columns[..rows].copy_from_slice(&self.carried);
+    }
+
+    /// What parameters do over the step, to columns (states × `stride`): Σ ← Σ + ∫ e^(As) ds ∂ẋ/∂p, ∂ẋ/∂p where the model
+    /// was linearised.
+    #[inline(always)]
+    pub(super) fn drive(&self, columns: &mut [f64], stride: usize) {
+        let Self { layout: ElasticLayout { joints: n, theta, dense, .. }, sensitivity, noise, .. } = self;
+        let (links, motors) = (sensitivity.links.chunks_exact(stride), sensitivity.motors.chunks_exact(stride));
+        let elastic = motors.enumerate().map(|(j, motor)| (motor, theta[j] >= 2 * n));
+        for ((by, there), response) in links.map(|link| (link, true)).chain(elastic).zip(noise.responses(*n)) {
+            for (column, r) in columns.chunks_exact_mut(stride).zip(&response[..*dense]).filter(|_| there) {
+                linear::add_scaled(column, *r, by);
+            }
+        }
+    }
+
+    /// The adjoint of [`carry`](Self::carry) by a step that [`remember`](Self::remember) wrote: Λ ← Φᵀ Λ.
+    #[inline(always)]
+    pub(super) fn carry_back(&mut self, memory: &[f64], columns: &mut [f64], stride: usize) {
+        let d = self.layout.dense;
+        self.carried.resize(d * stride, 0.0);
+        self.carried.fill(0.0);
+        for (row, column) in memory[..d * d].chunks_exact(d).zip(columns.chunks_exact(stride)) {
+            for (factor, out) in row.iter().zip(self.carried.chunks_exact_mut(stride)) {
+                linear::add_scaled(out, *factor, column);
+            }
+        }
+        columns[..d * stride].copy_from_slice(&self.carried);
     }
 
     /// The adjoint of a step that [`remember`](Self::remember) wrote: λ ← Φᵀ λ, Λ ← Φᵀ Λ Φ.

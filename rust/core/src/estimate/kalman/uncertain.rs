@@ -2,7 +2,7 @@
 
 use crate::dynamics::Kinematics;
 use crate::estimate::measurement::{Channel, LinkMotion};
-use crate::robot::{Drive, Robot};
+use crate::robot::{Drive, Robot, Tree};
 use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
 use crate::spatial::Vec3;
@@ -34,6 +34,23 @@ pub enum Uncertain {
     Translation(usize, usize),
     /// Logarithm of an accelerometer's scale, of one axis.
     Scale(usize, usize),
+}
+
+impl Uncertain {
+    /// The joint whose drive, or whose motor, it belongs to.
+    pub(super) fn joint(self) -> Option<usize> {
+        match self {
+            Self::Stiffness(j)
+            | Self::CubicStiffness(j)
+            | Self::Damping(j)
+            | Self::Yielding(j)
+            | Self::LinkFriction(j)
+            | Self::TorqueConstant(j)
+            | Self::MotorFriction(j)
+            | Self::MotorInertia(j) => Some(j),
+            _ => None,
+        }
+    }
 }
 
 /// A number of the robot and its standard deviation, in the number's own measure.
@@ -78,21 +95,13 @@ impl<T: Scalar> LinkMotion<T> {
     ) {
         out.fill(T::default());
         for (column, tolerance) in tolerances.iter().enumerate() {
-            let mut put = |row: usize, value: T| out[row * stride + column] = value;
+            let put = |row: usize, value: T| out[row * stride + column] = value;
             match tolerance.parameter {
                 Uncertain::Mass(j) => self.mass_signature(robot, channels, j, dq, dtheta, put),
-                Uncertain::Rotation(s, axis) => {
-                    self.of_sensor(robot, channels, s, |row, own, y, _| put(row, y.cross(&unit(axis)).0[own]));
+                parameter if parameter.joint().is_some() => {
+                    self.drive_signature(robot, channels, parameter, dq, dtheta, put);
                 }
-                Uncertain::Translation(s, axis) => {
-                    self.of_sensor(robot, channels, s, |row, own, _, carry| put(row, carry(&unit(axis)).0[own]));
-                }
-                Uncertain::Scale(s, axis) => self.of_sensor(robot, channels, s, |row, own, y, _| {
-                    if own == axis {
-                        put(row, y.0[own]);
-                    }
-                }),
-                parameter => self.drive_signature(robot, channels, parameter, dq, dtheta, put),
+                parameter => of_sensor(&self.kinematics, robot, channels, parameter, put),
             }
         }
     }
@@ -156,14 +165,7 @@ impl<T: Scalar> LinkMotion<T> {
         dtheta: &[f64],
         mut put: impl FnMut(usize, T),
     ) {
-        let tree = &robot.tree;
-        let Some(body) = tree.bodies.iter().position(|b| b.joint == link) else { return };
-        let state = &self.kinematics.bodies[body];
-        let inertia = self.kinematics.inertia(tree, body);
-        let force = inertia.apply(&state.acceleration) + state.velocity.cross_force(&inertia.apply(&state.velocity));
-        for i in tree.path(body) {
-            let j = tree.bodies[i].joint;
-            let share = self.kinematics.bodies[i].axis.dot(&force);
+        shares_of_link(&self.kinematics, &robot.tree, link, |j, share| {
             let drive = &robot.drives[j];
             if let Some(row) = position(channels, Channel::Torque(j)) {
                 put(row, share);
@@ -171,29 +173,53 @@ impl<T: Scalar> LinkMotion<T> {
             if let Some(row) = position(channels, Channel::Motor(j)).filter(|_| drive.elastic) {
                 put(row, self.spring(drive, j, dq[j], dtheta[j]).1 * share);
             }
-        }
+        });
     }
+}
 
-    /// Hands over each row of accelerometer `s`: its row, its axis, the whole reading in the sensor's axes, and what a
-    /// displacement in these axes adds to it.
-    #[inline(always)]
-    fn of_sensor(
-        &self,
-        robot: &Robot,
-        channels: &[Channel],
-        s: usize,
-        mut each: impl FnMut(usize, usize, &Vec3<T>, &dyn Fn(&Vec3<T>) -> Vec3<T>),
-    ) {
-        let sensor = &robot.accelerometers[s];
-        let Some(first) =
-            channels.iter().position(|c| matches!(c, Channel::Acceleration { sensor, .. } if *sensor == s))
-        else {
-            return;
-        };
-        let (reading, carry) = seen(&self.kinematics, sensor);
-        for (r, &axis) in sensor.axes.iter().enumerate() {
-            each(first + r, axis, &reading, &carry);
+/// Hands over each joint that carries `link`, and the torque that it holds on account of this link's inertia.
+#[inline(always)]
+pub(super) fn shares_of_link<T: Scalar>(
+    kinematics: &Kinematics<T>,
+    tree: &Tree,
+    link: usize,
+    mut each: impl FnMut(usize, T),
+) {
+    let Some(body) = tree.bodies.iter().position(|b| b.joint == link) else { return };
+    let state = &kinematics.bodies[body];
+    let inertia = kinematics.inertia(tree, body);
+    let force = inertia.apply(&state.acceleration) + state.velocity.cross_force(&inertia.apply(&state.velocity));
+    for i in tree.path(body) {
+        each(tree.bodies[i].joint, kinematics.bodies[i].axis.dot(&force));
+    }
+}
+
+/// What an accelerometer's mounting or scale does to its own rows, each handed to `put`; other parameters do nothing.
+#[inline(always)]
+pub(super) fn of_sensor<T: Scalar>(
+    kinematics: &Kinematics<T>,
+    robot: &Robot,
+    channels: &[Channel],
+    parameter: Uncertain,
+    mut put: impl FnMut(usize, T),
+) {
+    use Uncertain as U;
+    let (U::Rotation(s, about) | U::Translation(s, about) | U::Scale(s, about)) = parameter else { return };
+    let sensor = &robot.accelerometers[s];
+    let own = |c: &Channel| matches!(c, Channel::Acceleration { sensor, .. } if *sensor == s);
+    let Some(first) = channels.iter().position(own) else { return };
+    let (reading, carry) = seen(kinematics, sensor);
+    let change = match parameter {
+        U::Rotation(..) => reading.cross(&unit(about)),
+        U::Translation(..) => carry(&unit(about)),
+        _ => {
+            let mut along = Vec3::default();
+            along.0[about] = reading.0[about];
+            along
         }
+    };
+    for (r, &axis) in sensor.axes.iter().enumerate() {
+        put(first + r, change.0[axis]);
     }
 }
 

@@ -1,0 +1,331 @@
+//! What errors of a robot's numbers do to its accelerations, and by them to a step of time and to readings.
+
+use super::uncertain::{Tolerance, Uncertain, of_sensor, shares_of_link};
+use crate::dynamics::{ElasticDynamics, ElasticLayout};
+use crate::estimate::measurement::Channel;
+use crate::linear;
+use crate::robot::Robot;
+
+/// ∂q̈/∂p and ∂θ̈/∂p of the elastic-joint model, one column a parameter.
+///
+/// Each parameter is a torque on its joint, or for a mass on the joints that carry it: φ(δ) for ln K, δ³ for hardening,
+/// D δ̇ for ln D between motor and link; −Yᵢπᵢ at the present q̈ for the mass of link i, −friction for a link's friction;
+/// τ, −friction and −B θ̈ on a motor. Accelerations follow from all of them at once.
+#[derive(Clone, Debug, Default)]
+pub(super) struct ElasticSensitivity {
+    tolerances: Vec<Tolerance>,
+    stride: usize,
+    /// ∂q̈/∂p (n × stride).
+    pub(super) links: Vec<f64>,
+    /// ∂θ̈/∂p (n × stride), of elastic joints.
+    pub(super) motors: Vec<f64>,
+    /// What the transmissions give their links more, in the same state (n × stride).
+    transmitted: Vec<f64>,
+}
+
+impl ElasticSensitivity {
+    pub(super) fn new(tolerances: Vec<Tolerance>, joints: usize) -> Self {
+        let stride = tolerances.len().next_multiple_of(linear::LANES);
+        let [links, motors, transmitted] = core::array::from_fn(|_| vec![0.0; joints * stride]);
+        Self { tolerances, stride, links, motors, transmitted }
+    }
+
+    pub(super) fn tolerances(&self) -> &[Tolerance] {
+        &self.tolerances
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.tolerances.is_empty()
+    }
+
+    /// At state `x` under motor torques `tau`, where `dynamics` has been differentiated.
+    #[inline(always)]
+    pub(super) fn set(
+        &mut self,
+        robot: &Robot,
+        layout: &ElasticLayout,
+        dynamics: &ElasticDynamics,
+        x: &[f64],
+        tau: &[f64],
+    ) {
+        let Self { tolerances, stride, links, motors, transmitted } = self;
+        for torques in [&mut *links, &mut *motors, &mut *transmitted] {
+            torques.fill(0.0);
+        }
+        for (column, Tolerance { parameter, .. }) in tolerances.iter().enumerate() {
+            use Uncertain as U;
+            if let U::Mass(link) = *parameter {
+                shares_of_link(&dynamics.kinematics, &robot.tree, link, |j, share| {
+                    links[j * *stride + column] = -share;
+                });
+                continue;
+            }
+            let Some(j) = parameter.joint() else { continue };
+            let (drive, at) = (&robot.drives[j], j * *stride + column);
+            let (torsion, speed, dq) = (x[layout.theta[j]] - x[j], x[layout.dtheta[j]], x[layout.joints + j]);
+            let motor = match parameter {
+                U::Stiffness(_) => drive.spring_torque(torsion),
+                U::CubicStiffness(_) => torsion * torsion * torsion,
+                U::Damping(_) => drive.damping * (speed - dq),
+                U::TorqueConstant(_) => tau[j],
+                U::MotorFriction(_) => -drive.motor_friction(speed).0,
+                U::MotorInertia(_) => -drive.motor_inertia * dynamics.ddtheta[j],
+                _ => 0.0,
+            };
+            match parameter {
+                U::LinkFriction(_) => links[at] = -drive.link_friction(dq).0,
+                U::Stiffness(_) | U::CubicStiffness(_) | U::Damping(_) if drive.elastic => transmitted[at] = motor,
+                U::Stiffness(_) | U::CubicStiffness(_) | U::Damping(_) => {}
+                _ => motors[at] = motor,
+            }
+        }
+        dynamics.respond(robot, links, motors, transmitted, *stride);
+    }
+
+    /// N = ∂h/∂p at state `x`, where [`set`](Self::set) was called, into `out` (channels × `stride`).
+    ///
+    /// Motors and links are states; accelerometers feel ∂q̈/∂p, joint torque sensors what transmissions give more. What a
+    /// joint taken as rigid yields shows between its motor's position and the link.
+    #[inline(always)]
+    pub(super) fn signatures(
+        &self,
+        robot: &Robot,
+        dynamics: &ElasticDynamics,
+        channels: &[Channel],
+        stride: usize,
+        out: &mut [f64],
+    ) {
+        out.fill(0.0);
+        for (row, channel) in channels.iter().enumerate() {
+            match *channel {
+                Channel::Torque(j) => {
+                    out[row * stride..][..stride].copy_from_slice(&self.transmitted[j * stride..][..stride]);
+                }
+                Channel::Acceleration { sensor, axis } => {
+                    let own = &mut out[row * stride..][..stride];
+                    dynamics.kinematics.acceleration_map(&robot.tree, &robot.accelerometers[sensor].frame, |j, by| {
+                        linear::add_scaled(own, by.0[axis], &self.links[j * stride..][..stride]);
+                    });
+                }
+                _ => {}
+            }
+        }
+        for (column, Tolerance { parameter, .. }) in self.tolerances.iter().enumerate() {
+            let put = |row: usize, value: f64| out[row * stride + column] += value;
+            if let Uncertain::Yielding(j) = *parameter {
+                let row = channels.iter().position(|c| *c == Channel::Motor(j) && !robot.drives[j].elastic);
+                row.into_iter().for_each(|row| {
+                    out[row * stride + column] += dynamics.joint_torque(robot, j) / dynamics.inertia(robot, j)
+                });
+            } else {
+                of_sensor(&dynamics.kinematics, robot, channels, *parameter, put);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::kalman::{
+        Discretization, ElasticModel, ElasticNoise, ElasticSettings, Gaussian, Inputs, KalmanSample, Measurement,
+        Model, Process,
+    };
+    use crate::estimate::measurement::Kind;
+    use crate::robot::{BodySpec, Drive, Frame, JointKind, MotorFriction, Sensor, SoftWindup, Tree};
+    use crate::spatial::{Mat3, Vec3};
+    use Uncertain as U;
+    use std::sync::Arc;
+
+    const N: usize = 4;
+    const TAU: [f64; N] = [5.0, -3.0, 2.0, 1.0];
+
+    /// Four joints, one of them sliding, one rigid, coupled, with everything nonlinear; `parameter` is off by `error`.
+    fn robot(parameter: Uncertain, error: f64) -> Robot {
+        let log = |p: Uncertain| if p == parameter { error.exp() } else { 1.0 };
+        let drive = |j: usize| Drive {
+            elastic: j != 2,
+            stiffness: 500.0 * log(U::Stiffness(j)),
+            damping: 2.0 * log(U::Damping(j)),
+            motor_inertia: 3.0 * log(U::MotorInertia(j)),
+            cubic_stiffness: 3e3 * log(U::Stiffness(j)) + if parameter == U::CubicStiffness(j) { error } else { 0.0 },
+            soft_windup: SoftWindup { stiffness: 120.0 * log(U::Stiffness(j)), shape: 80.0 },
+            motor_friction: MotorFriction {
+                viscous: 0.4 * log(U::MotorFriction(j)),
+                coulomb: 0.1 * log(U::MotorFriction(j)),
+                ..MotorFriction::default()
+            },
+            link_friction: {
+                let share = log(U::LinkFriction(j));
+                [0.5 * share, 1.5, 0.5, 0.2 * share, 1.0, 0.5 * share]
+            },
+        };
+        let body = |j: usize| BodySpec {
+            parent: j.checked_sub(1),
+            joint: j,
+            kind: if j == 2 { JointKind::Prismatic } else { JointKind::Revolute },
+            rotation: Mat3::IDENTITY,
+            translation: Vec3([0.4, 0.1, 0.0]),
+            axis: Vec3(if j.is_multiple_of(2) { [0.0, 0.0, 1.0] } else { [0.0, 1.0, 0.0] }),
+            mass: 2.0 * log(U::Mass(j)),
+            com: Vec3([0.2, 0.1, 0.0]),
+            inertia: Mat3::from_rows(
+                [[0.1, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, 0.0, 0.15]]
+                    .map(|row: [f64; 3]| row.map(|x| x * log(U::Mass(j)))),
+            ),
+        };
+        let tree = Tree::new(Vec3([1.0, 0.0, -9.0]), &[0, 1, 2, 3].map(body)).unwrap();
+        let (s, c) = if parameter == U::Rotation(0, 1) { error.sin_cos() } else { (0.0, 1.0) };
+        let moved = if parameter == U::Translation(0, 2) { error } else { 0.0 };
+        let frame = Frame {
+            body: 3,
+            rotation: Mat3::from_rows([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]),
+            translation: Vec3([0.1, -0.2, 0.05 + moved]),
+        };
+        let sensor = Sensor { frame, axes: vec![2, 0], noise_std: 0.1 };
+        let mut coupling = vec![0.0; N * N];
+        (coupling[1], coupling[3], coupling[7], coupling[2], coupling[6]) = (0.2, 0.1, -0.1, 0.05, 0.3);
+        Robot::new(tree, [0, 1, 2, 3].map(drive).to_vec(), coupling, vec![sensor], vec![], None).unwrap()
+    }
+
+    fn parameters() -> Vec<Tolerance> {
+        let mut all = vec![U::Rotation(0, 1), U::Translation(0, 2), U::Scale(0, 2)];
+        for j in 0..N {
+            all.extend([U::Mass(j), U::LinkFriction(j), U::MotorFriction(j), U::TorqueConstant(j), U::MotorInertia(j)]);
+            if j != 2 {
+                all.extend([U::Stiffness(j), U::CubicStiffness(j), U::Damping(j)]);
+            }
+        }
+        all.into_iter().map(|parameter| Tolerance { parameter, std: 1.0 }).collect()
+    }
+
+    fn model(robot: Robot) -> ElasticModel {
+        let channels = 4 * N + 2;
+        let [link, motor, torque, walk, missing] = core::array::from_fn(|_| vec![1e-3; N]);
+        let noise = ElasticNoise {
+            link,
+            motor,
+            torque,
+            disturbance_walk: walk,
+            torque_walk: missing,
+            reading: vec![1e-3; channels],
+            bias_walk: vec![0.0; channels],
+            bias_time: vec![f64::INFINITY; channels],
+            initial: vec![1e-3; 3 * N],
+            initial_bias: vec![0.0; channels],
+        };
+        let settings = ElasticSettings {
+            kinds: vec![Kind::Motor, Kind::Acceleration, Kind::MotorVelocity, Kind::Link, Kind::Torque],
+            disturbances: true,
+            biased: vec![false; channels],
+            held: true,
+            discretization: Discretization::Exact,
+        };
+        ElasticModel::new(Arc::new(robot), &settings, noise).unwrap()
+    }
+
+    fn state() -> Vec<f64> {
+        (0..18).map(|i| 0.3 * (1.7 * f64::from(i)).sin()).collect()
+    }
+
+    fn torques(parameter: Uncertain, error: f64) -> Vec<f64> {
+        let one = |j| TAU[j] * if parameter == U::TorqueConstant(j) { error.exp() } else { 1.0 };
+        (0..N).map(one).collect()
+    }
+
+    /// Central differences between robots that are truly different, of order four.
+    fn slope(parameter: Uncertain, of: impl Fn(f64) -> Vec<f64>) -> Vec<f64> {
+        let h = if matches!(parameter, U::CubicStiffness(_)) { 20.0 } else { 1e-2 };
+        let [a, b, c, d] = [-2.0, -1.0, 1.0, 2.0].map(|k| of(k * h));
+        (0..a.len()).map(|i| (8.0 * (c[i] - b[i]) - (d[i] - a[i])) / (12.0 * h)).collect()
+    }
+
+    fn near(ours: f64, theirs: f64, scale: f64, tolerance: f64, what: &impl core::fmt::Debug) {
+        assert!((ours - theirs).abs() <= tolerance * scale, "{what:?}: {ours} {theirs}");
+    }
+
+    #[test]
+    fn readings_and_accelerations_are_those_of_robots_that_differ() {
+        let tolerances = parameters();
+        let mut ours = model(robot(U::Mass(9), 0.0)).with_tolerances(tolerances.clone());
+        let (x, tau) = (state(), torques(U::Mass(9), 0.0));
+        let m = ours.channels();
+        let readings = vec![0.0; m];
+        fn sample<'a>(readings: &'a [f64], tau: &'a [f64]) -> KalmanSample<'a> {
+            KalmanSample { dt: 1e-3, readings, inputs: Inputs { tau, ..Inputs::default() } }
+        }
+        let measured = ours.measurement_mut();
+        measured.take(&sample(&readings, &tau), true);
+        measured.linearise(&x);
+        let stride = tolerances.len().next_multiple_of(linear::LANES);
+        let mut n = vec![0.0; m * stride];
+        measured.signatures(stride, &mut n);
+        let sensitivity = measured.sensitivity.clone();
+        for (column, &Tolerance { parameter, .. }) in tolerances.iter().enumerate() {
+            let by = slope(parameter, |error| {
+                let (robot, tau) = (robot(parameter, error), torques(parameter, error));
+                let layout = ElasticLayout::new(&robot, true).unwrap();
+                let mut dynamics = ElasticDynamics::new(&robot, &layout);
+                dynamics.accelerate(&robot, &layout, &x, &tau);
+                let mut model = model(robot);
+                model.measurement_mut().take(&sample(&readings, &tau), true);
+                let mut read = model.measurement_mut().evaluate(&x).to_vec();
+                if parameter == U::Scale(0, 2) {
+                    read[N] *= error.exp();
+                }
+                [dynamics.ddq.clone(), dynamics.ddtheta.clone(), read].concat()
+            });
+            let scale = by.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
+            assert!(scale > 0.0, "{parameter:?}");
+            for j in 0..N {
+                near(sensitivity.links[j * stride + column], by[j], scale, 1e-8, &parameter);
+                if j != 2 {
+                    near(sensitivity.motors[j * stride + column], by[N + j], scale, 1e-8, &parameter);
+                }
+            }
+            for i in 0..m {
+                near(n[i * stride + column], by[2 * N + i], scale, 1e-8, &(parameter, i));
+            }
+        }
+    }
+
+    /// Ψ as the model has it, and by robots that differ: the largest difference of each.
+    fn step_error(dt: f64) -> Vec<f64> {
+        let tolerances = parameters();
+        let stride = tolerances.len().next_multiple_of(linear::LANES);
+        let x = state();
+        let moved = |parameter: Uncertain, error: f64| {
+            let mut model = model(robot(parameter, error)).with_tolerances(tolerances.clone());
+            let (tau, readings) = (torques(parameter, error), vec![f64::NAN; model.channels()]);
+            let sample = KalmanSample { dt, readings: &readings, inputs: Inputs { tau: &tau, ..Inputs::default() } };
+            let mut belief = Gaussian::independent(&[0.0; 18]);
+            belief.mean.copy_from_slice(&x);
+            model.resume(&sample, &mut belief);
+            Model::predict(&mut model, &sample, &mut belief);
+            (model, belief.mean)
+        };
+        let (mut ours, _) = moved(U::Mass(9), 0.0);
+        let mut columns = vec![0.0; 18 * stride];
+        ours.process.drive(&mut columns, stride);
+        let of = |(column, t): (usize, &Tolerance)| {
+            let by = slope(t.parameter, |error| moved(t.parameter, error).1);
+            let scale = by.iter().fold(1e-300_f64, |most, x| most.max(x.abs()));
+            by.iter().enumerate().map(|(i, x)| (columns[i * stride + column] - x).abs() / scale).fold(0.0, f64::max)
+        };
+        tolerances.iter().enumerate().map(of).collect()
+    }
+
+    /// The rate is taken in the middle of the step: an error of the third order.
+    #[test]
+    fn a_step_is_that_of_robots_that_differ() {
+        let errors = [4e-3, 1e-3, 2.5e-5].map(step_error);
+        for (i, t) in parameters().iter().enumerate() {
+            let [long, short, least] = [0, 1, 2].map(|k| errors[k][i]);
+            assert!(
+                long < 0.1 && short < 0.1 * long + 1e-9 && least < 1e-5,
+                "{:?}: {long} {short} {least}",
+                t.parameter
+            );
+        }
+    }
+}
