@@ -7,9 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-<<<<<<< HEAD
-from linkside import Estimate, ExtendedKalmanFilter, Log, Noise, RauchTungStriebelSmoother, Robot, demo
-=======
 from linkside import (
     ElasticJointFilter,
     ElasticJointSmoother,
@@ -19,8 +16,8 @@ from linkside import (
     Noise,
     RauchTungStriebelSmoother,
     Robot,
+    demo,
 )
->>>>>>> trust
 from linkside.cli.commands import main
 from linkside.control.controllers import JointPD
 from linkside.findings import largest_nis
