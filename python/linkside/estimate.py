@@ -49,6 +49,8 @@ class Status(IntFlag):
     """Not one reading was used: the row is a prediction."""
     UNWRAPPED = 32
     """An encoder wrapped, and its jump was taken out."""
+    CONTRADICTED = 64
+    """Readings contradict the model: the row and its standard deviations are not to be believed."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -47,6 +47,8 @@ class ParticleEstimate(Estimate):
     ----------
     effective : (T,)
         Effective number of particles 1/Σw², before particles are chosen anew.
+    reseeded : (T,)
+        Whether the cloud was spread anew from the Kalman filter beside it.
     log_likelihood : (T,)
         Logarithm of the probability density of the sample's readings, given those before, as the particles have it.
     used : (T,)
@@ -62,6 +64,7 @@ class ParticleEstimate(Estimate):
     """
 
     effective: FloatArray | None = None
+    reseeded: npt.NDArray[np.bool_] | None = None
     log_likelihood: FloatArray | None = None
     used: npt.NDArray[np.uint32] | None = None
     best: FloatArray | None = None
@@ -109,7 +112,11 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         Link positions at rest that particles start from in turn, each spread by ``noise.position`` [rad]: a belief with
         several peaks, say. None: the posture in which the first motor positions hold the links.
     collapse
-        When no particle explains a sample: ``"raise"``, or ``"recover"``, which goes on as if it were missing.
+        What to do with a cloud that does not explain the readings, as a Kalman filter that runs beside it does.
+        ``"reseed"`` flags the row `Status.CONTRADICTED` and spreads the cloud anew from the Kalman filter's belief; a cloud
+        that has only lost spread is renewed before it comes to that. ``"flag"`` flags the row and leaves the cloud as it is.
+        ``"raise"`` stops with the sample's number. A sample that is impossible to all particles counts as missing unless it
+        stops the run.
     quantiles
         Shares of probability, such as ``(0.05, 0.95)``, whose quantiles of position are kept.
     biases, damping, rate, q, torque
@@ -143,7 +150,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         outliers: Mapping[str, float | Mixture] | None = None,
         limits: Mapping[str, tuple[float, float]] | None = None,
         initial: npt.ArrayLike | None = None,
-        collapse: Literal["raise", "recover"] = "raise",
+        collapse: Literal["reseed", "flag", "raise"] = "reseed",
         quantiles: Sequence[float] = (),
         biases: Sequence[str] = ("motor", "acceleration", "rate"),
         damping: bool = True,
@@ -152,8 +159,8 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         torque: bool | None = None,
     ) -> None:
         super().__init__()
-        if collapse not in ("raise", "recover"):
-            raise EstimatorError(f"collapse is {collapse!r}, expected 'raise' or 'recover'")
+        if collapse not in ("reseed", "flag", "raise"):
+            raise EstimatorError(f"collapse is {collapse!r}, expected 'reseed', 'flag' or 'raise'")
         self.robot = robot
         self._front = ExtendedKalmanFilter(robot, noise, biases=biases, damping=damping, rate=rate, q=q, torque=torque)
         self.noise = self._front.noise
@@ -169,7 +176,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
             "kernel": kernel,
             "limits": _by_joint(robot, limits or {}),
             "initial": _positions(robot, initial),
-            "recover": collapse == "recover",
+            "collapse": collapse,
             "quantiles": list(quantiles),
         }
         self._core(self._front._live_kinds, self.noise)  # settings are checked at once
@@ -189,7 +196,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         LogError
             A column is missing, or a motor position at the first sample.
         NumericalError
-            No particle explains a sample; names the sample.
+            The particles do not explain a sample, with ``collapse="raise"``; names the sample.
         """
         return self._recorded(log, _core.ParticleFilter.run_all, covariance)
 
@@ -270,8 +277,6 @@ class MarginalizedParticleFilter(ParticleFilter):
     accelerations
         Marginalise accelerations, too: particles stand for positions and velocities, and each carries a Kalman filter
         of its accelerations and biases. Exact where springs are linear, else to first order in the acceleration.
-        ``noise`` must let positions and velocities wander by themselves (``position_walk`` and ``velocity_walk``): with
-        noise in acceleration alone, the path of a particle's velocity determines its acceleration.
 
     Raises
     ------

@@ -29,7 +29,7 @@ impl IntoPyErr for RunError {
     fn into_py_err(self) -> PyErr {
         match self {
             Self::Design(design) => design.into_py_err(),
-            Self::NotFinite { .. } | Self::Impossible { .. } | Self::SingularInertia { .. } => {
+            Self::NotFinite { .. } | Self::Impossible { .. } | Self::Lost { .. } | Self::SingularInertia { .. } => {
                 NumericalError::new_err(self.to_string())
             }
         }

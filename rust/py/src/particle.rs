@@ -46,7 +46,7 @@ struct Settings {
     outliers: Vec<Option<Outliers>>,
     limits: Vec<(f64, f64)>,
     initial: Vec<f64>,
-    recover: bool,
+    collapse: String,
     quantiles: Vec<f64>,
 }
 
@@ -68,8 +68,13 @@ impl Settings {
             "multinomial" => Resampling::Multinomial,
             other => return unknown("resampling", other),
         };
+        let collapse = match self.collapse.as_str() {
+            "raise" => Collapse::Stop,
+            "flag" => Collapse::Flag,
+            "reseed" => Collapse::Reseed,
+            other => return unknown("collapse", other),
+        };
         let Self { particles, seed, threshold, kernel, outliers, limits, initial, quantiles, .. } = self;
-        let collapse = if self.recover { Collapse::Recover } else { Collapse::Stop };
         Ok(ParticleSettings {
             particles,
             seed,
@@ -228,11 +233,12 @@ impl ParticleFilter {
     }
 
     fn convert<'py>(&self, py: Python<'py>, o: ParticleOutput) -> PyResult<Bound<'py, PyDict>> {
-        let ParticleOutput { links, effective, best, quantiles } = o;
+        let ParticleOutput { links, effective, reseeded, best, quantiles } = o;
         let (count, n) = (effective.len(), self.filter.model().robot().len());
         let out = into_dict(py, links, self.filter.model(), self.tool)?;
         out.del_item("nis")?;
         out.set_item("effective", shaped(py, effective, vec![count])?)?;
+        out.set_item("reseeded", PyArray1::from_vec(py, reseeded))?;
         if !best.is_empty() {
             out.set_item("best", shaped(py, best, vec![count, n])?)?;
         }

@@ -17,4 +17,6 @@ impl Status {
     pub const PREDICTED: u8 = 16;
     /// An encoder wrapped, and its jump was taken out.
     pub const UNWRAPPED: u8 = 32;
+    /// Readings contradict the model: the row, and its standard deviations, are not to be believed.
+    pub const CONTRADICTED: u8 = 64;
 }

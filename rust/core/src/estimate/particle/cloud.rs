@@ -3,7 +3,7 @@
 use super::accelerations::{Densities, covariance_entries};
 use super::evaluation::Sensed;
 use super::settings::Marginalised;
-use crate::estimate::kalman::JerkModel;
+use crate::estimate::kalman::{Evaluation, JerkModel};
 use crate::scalar::Lanes;
 use rayon::prelude::*;
 
@@ -75,31 +75,37 @@ pub(super) struct Sums {
 #[derive(Clone, Debug)]
 pub(super) struct Scratch {
     pub(super) sensed: Sensed<Wide>,
+    /// There where readings are linearised.
+    pub(super) evaluation: Evaluation<Wide>,
     /// q, q̇, q̈ and biases before the noise, and after it.
     pub(super) before: Vec<Wide>,
     pub(super) after: Vec<Wide>,
-    /// Standard normal numbers, and the increments made of them in units of their standard deviation.
+    /// Standard normal numbers, and those of them, or near the proposal's mode, that are the links' noise.
     pub(super) normal: Vec<Wide>,
     pub(super) noise: Vec<Wide>,
     /// Mode of the proposal.
     pub(super) mode: Vec<Wide>,
     /// Factor of its information matrix, by rows.
     pub(super) factor: Vec<Wide>,
+    /// How a reading changes with the noise.
+    pub(super) row: Vec<Wide>,
 }
 
 impl Scratch {
-    /// For a proposal of `drawn` increments.
+    /// For a proposal of `drawn` numbers.
     pub(super) fn new(model: &JerkModel, drawn: usize) -> Self {
         let room = |size| vec![Wide::default(); size];
         let states = model.states();
         Self {
             sensed: Sensed::new(model),
+            evaluation: Evaluation::new(&model.robot, model.channels()),
             before: room(states),
             after: room(states),
             normal: room(states + 1),
             noise: room(drawn),
             mode: room(drawn),
             factor: room(drawn * drawn),
+            row: room(drawn),
         }
     }
 }
@@ -108,7 +114,7 @@ impl Block {
     fn new(model: &JerkModel, marginalised: Marginalised, first: usize, count: usize) -> Self {
         let (d, n) = (model.states(), model.joints());
         let accelerations = marginalised == Marginalised::Accelerations;
-        let (more, drawn) = if accelerations { (covariance_entries(model), 2 * n) } else { (0, n) };
+        let (more, drawn) = if accelerations { (covariance_entries(model), 2 * n) } else { (0, 3 * n) };
         Self {
             first,
             count,

@@ -3,11 +3,12 @@
 use super::accelerations;
 use super::cloud::Cloud;
 use super::density::Density;
+use super::guard::Guard;
 use super::motion::Motion;
 use super::moves::Moments;
 use super::output::{ParticleOutput, Summary, packed};
 use super::proposal::{Advance, Reading, Sample, Walk};
-use super::settings::{Collapse, Marginalised, ParticleSettings, Proposal};
+use super::settings::{Marginalised, ParticleSettings, Proposal};
 use super::shared::{Probe, Shared};
 use super::start::Start;
 use super::sums::Deviations;
@@ -27,7 +28,9 @@ const PARALLEL: usize = 2048;
 pub struct ParticleFilter {
     pub(super) model: JerkDriven,
     pub(super) settings: ParticleSettings,
-    marginalised: Marginalised,
+    pub(super) marginalised: Marginalised,
+    /// The Kalman filter beside the cloud.
+    pub(super) guard: Guard,
     /// The cloud's mean as it would move, and where motors and biases were last linearised.
     pub(super) belief: Gaussian,
     pub(super) cloud: Cloud,
@@ -57,7 +60,7 @@ impl ParticleFilter {
     /// Settings out of range or that do not fit the model.
     pub fn new(model: JerkDriven, settings: ParticleSettings, marginalised: Marginalised) -> Result<Self, DesignError> {
         let jerk = model.jerk_model();
-        settings.check(jerk, model.noise(), marginalised)?;
+        settings.check(jerk, marginalised)?;
         let (n, m, d) = (jerk.joints(), jerk.channels(), jerk.states());
         let sample = Sample {
             seed: settings.seed,
@@ -65,10 +68,10 @@ impl ParticleFilter {
             dt: 0.0,
             jerk: vec![0.0; n],
             dtheta: vec![f64::NAN; n],
-            increments: vec![0.0; n],
+            factors: vec![[[0.0; 3]; 3]; n],
             readings: Vec::with_capacity(m),
-            walks: Vec::with_capacity(2 * n + m),
-            draws: n,
+            walks: Vec::with_capacity(m),
+            draws: 3 * n,
             offset: 0.0,
             proposal: settings.proposal,
             limits: settings.limits.clone(),
@@ -77,6 +80,7 @@ impl ParticleFilter {
             belief: Gaussian::independent(&vec![0.0; d]),
             cloud: Cloud::new(jerk, marginalised, settings.particles),
             sample,
+            guard: Guard::new(&model, &settings)?,
             shared: Shared::new(jerk),
             sharing: false,
             motion: (marginalised == Marginalised::Accelerations).then(|| Motion::new(jerk)),
@@ -99,6 +103,7 @@ impl ParticleFilter {
     /// Forgets the state: the next sample starts anew, from rest.
     pub fn reset(&mut self) {
         (self.taken, self.started) = (0, false);
+        self.guard.reset();
     }
 
     /// The model.
@@ -114,8 +119,9 @@ impl ParticleFilter {
     /// Takes one sample: moves the particles, weighs them by its readings, and chooses anew where few carry all weight.
     ///
     /// # Errors
-    /// A first sample from which the model cannot start; no particle that explains the readings, if that is to stop it.
+    /// A first sample from which the model cannot start; a cloud that does not explain the readings, if that is to stop it.
     pub fn step(&mut self, sample: KalmanSample<'_>) -> Result<(), RunError> {
+        self.guard.step(sample)?;
         self.resample_if_due();
         if self.started {
             self.model.predict(&sample, &mut self.belief);
@@ -128,7 +134,9 @@ impl ParticleFilter {
         }
         self.share();
         self.advance();
-        if !self.summarise() {
+        if self.summarise() {
+            self.guard()?;
+        } else {
             self.recover()?;
         }
         self.started = true;
@@ -179,10 +187,11 @@ impl ParticleFilter {
         shared.dtheta.copy_from_slice(dtheta);
         for j in 0..n {
             shared.jerk[j] = if first { 0.0 } else { jerk[j] };
-            shared.increments[j] = model.noise().jerk[j] * shared.dt.sqrt();
         }
+        shared.set_noise(model.noise());
         self.summary.status = 0;
         self.summary.used = 0;
+        self.summary.reseeded = false;
         self.plan(sample.readings);
     }
 
@@ -194,16 +203,10 @@ impl ParticleFilter {
         sample.readings.clear();
         sample.walks.clear();
         let jerk = model.jerk_model();
-        sample.draws = jerk.joints();
+        sample.draws = 3 * jerk.joints();
         if let Some(motion) = motion {
             motion.prepare(jerk, model.noise(), sample.dt, first);
-            sample.draws *= 2;
-        }
-        for (entry, walk) in
-            model.noise().link_walk.iter().enumerate().filter(|(_, walk)| motion.is_none() && **walk > 0.0)
-        {
-            sample.walks.push(Walk { entry, std: walk * sample.dt.sqrt(), draw: sample.draws });
-            sample.draws += 1;
+            sample.draws = 2 * jerk.joints();
         }
         for (channel, &value) in readings.iter().enumerate() {
             let bias = jerk.biases[channel];
@@ -268,7 +271,7 @@ impl ParticleFilter {
     }
 
     /// Mean, spread, likelihood and effective number; false when no particle has a weight.
-    fn summarise(&mut self) -> bool {
+    pub(super) fn summarise(&mut self) -> bool {
         let Self { cloud, summary, sample, belief, .. } = self;
         let largest = cloud.blocks.iter().fold(f64::NEG_INFINITY, |l, b| l.max(b.sums.largest));
         if !largest.is_finite() {
@@ -327,21 +330,6 @@ impl ParticleFilter {
                 }
             }
         }
-    }
-
-    /// No particle is possible: stops, or goes on as if the readings were missing.
-    fn recover(&mut self) -> Result<(), RunError> {
-        if self.settings.collapse == Collapse::Stop {
-            return Err(RunError::Impossible { sample: self.taken });
-        }
-        for reading in self.sample.readings.iter().filter(|_| self.marginalised == Marginalised::Biases) {
-            self.bias_variance[reading.channel] = reading.gain * reading.noise.variance;
-        }
-        self.level();
-        self.summarise();
-        (self.summary.used, self.summary.log_likelihood) = (0, 0.0);
-        self.summary.status |= Status::PREDICTED;
-        Ok(())
     }
 
     /// Filters a recording, `count` rows; goes on from where it was, so that it may come in pieces.

@@ -6,6 +6,7 @@ mod conditional;
 mod density;
 mod evaluation;
 mod filter;
+mod guard;
 mod motion;
 mod moves;
 mod output;

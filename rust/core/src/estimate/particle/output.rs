@@ -21,6 +21,8 @@ pub struct Summary {
     pub status: u8,
     /// Readings used.
     pub used: u32,
+    /// Whether the cloud was then spread anew.
+    pub reseeded: bool,
     /// Upper triangle of the covariance, by rows: of the positions, or after a choice of particles of the whole state.
     pub(super) products: Vec<f64>,
     /// Where motors were linearised.
@@ -40,6 +42,7 @@ impl Summary {
             log_likelihood: 0.0,
             status: 0,
             used: 0,
+            reseeded: false,
             products: vec![0.0; d * (d + 1) / 2],
             reference: vec![0.0; 3 * model.joints()],
             shares: vec![0.0; particles.div_ceil(BLOCK)],
@@ -122,6 +125,8 @@ pub struct ParticleOutput {
     pub links: FilterOutput,
     /// Effective number of particles.
     pub effective: Vec<f64>,
+    /// Whether the cloud was spread anew after the sample.
+    pub reseeded: Vec<bool>,
     /// Link positions of the particle of largest weight (n).
     pub best: Vec<f64>,
     /// Quantiles of each link position (quantiles × n).
@@ -135,6 +140,7 @@ impl ParticleOutput {
         Self {
             links: FilterOutput::zeros(count, &filter.model, Keep { innovations: false, ..keep }),
             effective: vec![0.0; count],
+            reseeded: vec![false; count],
             best: vec![0.0; count * n],
             quantiles: vec![0.0; count * n * filter.settings.quantiles.len()],
         }
@@ -149,6 +155,7 @@ impl ParticleOutput {
         }
         let ParticleFilter { cloud, summary, settings, .. } = filter;
         self.effective[i] = summary.effective;
+        self.reseeded[i] = summary.reseeded;
         for j in 0..n {
             self.best[i * n + j] = cloud.at(summary.best, j);
             let levels = settings.quantiles.len();

@@ -17,6 +17,7 @@ pub(super) enum Purpose {
     Tail,
     Ancestors,
     Move,
+    Reseed,
 }
 
 /// The random numbers of one step and purpose.
