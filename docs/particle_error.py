@@ -11,7 +11,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from linkside import Estimate, ExtendedKalmanFilter, Log, MarginalizedParticleFilter, Noise, ParticleFilter, Robot
-from linkside.tune import tune
+from linkside.tuning import tune
 
 FloatArray = npt.NDArray[np.float64]
 

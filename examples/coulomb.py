@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside import ExtendedKalmanFilter, Noise, ParticleFilter, Robot, Sensor, Simulation, simulate
-from linkside.controllers import JointPD
+from linkside.control.controllers import JointPD
 
 FloatArray = npt.NDArray[np.float64]
 Method = ExtendedKalmanFilter | ParticleFilter

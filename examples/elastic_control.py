@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 import linkside
 from linkside import AccelerationObserver, Log, Robot, simulate
 from linkside.control import inverse_dynamics
-from linkside.feedback import StateFeedback, motor_only, pole_placement
-from linkside.trajectories import rest_to_rest
+from linkside.control.feedback import StateFeedback, motor_only, pole_placement
+from linkside.control.trajectories import rest_to_rest
 
 PERIOD = 5e-4
 MOTIONS = {"short": (5.0, 0.2), "long": (30.0, 0.4)}  # [°], [s]

@@ -22,8 +22,8 @@ from scipy.signal import lsim
 
 import linkside
 from linkside import ElasticJointFilter, ElasticNoise, Robot
-from linkside.controllers import SimpleAdaptive
-from linkside.simulate import Sensor, Simulation, simulate
+from linkside.control.controllers import SimpleAdaptive
+from linkside.simulation import Sensor, Simulation, simulate
 
 LENGTH, MASS, HALF, SPEED = 4.5, 1.5075, 6.3, 0.84  # m, kg, m, m/s
 INERTIA = MASS * LENGTH**2 / 12  # slender rods: the paper gives masses and lengths only [kg m²]

@@ -18,8 +18,8 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 import linkside
-from linkside.plots import COLOURS
-from linkside.tune import tune
+from linkside.figures import COLOURS
+from linkside.tuning import tune
 
 Array = npt.NDArray[np.float64]
 

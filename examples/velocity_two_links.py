@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside import NicosiaTomeiObserver, ReducedOrderObserver, Robot
-from linkside.gain_design import design_gain
+from linkside.velocity.gain_design import design_gain
 
 Array = npt.NDArray[np.float64]
 Torque = Callable[[float, Array, Array], Array]

@@ -10,10 +10,10 @@ from timing import Result, microseconds
 import linkside
 from linkside import AccelerationObserver, Estimate, Log, Robot, simulate
 from linkside.control import Desired, inverse_dynamics
-from linkside.feedback import StateFeedback, pole_placement
-from linkside.placement import candidates, place
-from linkside.trajectories import Trajectory, rest_to_rest
-from linkside.tune_observer import tune_observer
+from linkside.control.feedback import StateFeedback, pole_placement
+from linkside.control.trajectories import Trajectory, rest_to_rest
+from linkside.observability import candidates, place
+from linkside.tuning import tune_observer
 
 PERIOD = 5e-4
 AGREE = 1e-3  # of the largest torque: the peer differentiates by differences

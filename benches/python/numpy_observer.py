@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from linkside import Robot
-from linkside.config import FrameConfig, JointConfig
+from linkside.robot.config import FrameConfig, JointConfig
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from numpy_observer import NumpyObserver
 from timing import Result, microseconds
 
 from linkside import AccelerationObserver, Log, Robot
-from linkside.poles import damped
+from linkside.observers.poles import damped
 
 FOLDER = Path(__file__).parents[2] / "tests/data/kr15_six_axes"
 POLES = damped(250)

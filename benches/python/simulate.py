@@ -9,7 +9,7 @@ import pinocchio as pin
 from timing import Result, microseconds
 
 from linkside import Robot, simulate
-from linkside.controllers import JointPD
+from linkside.control.controllers import JointPD
 
 ROOT = Path(__file__).parents[2]
 RATE = 4000.0

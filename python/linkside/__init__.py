@@ -8,22 +8,40 @@
 (2000, 6)
 """
 
-from . import control, controllers, demo, feedback, poles, sensors, trajectories
-from .elastic import ElasticJointFilter, ElasticJointSmoother, ElasticNoise
-from .errors import ConfigError, EstimatorError, LinksideError, LogError, NumericalError, OutputError
-from .estimate import Estimate, EstimateWriter, Status
-from .filtering import KalmanEstimate
-from .fixed_lag import FixedLagSmoother
-from .gain_map import GainMap
-from .kalman import ExtendedKalmanFilter, RauchTungStriebelSmoother
-from .log import Log
-from .noise import Noise
-from .observers import AccelerationObserver
+import sys
+
+from . import demo
+from .control import controllers, feedback, trajectories
+from .errors import (
+    ConfigError,
+    EstimatorError,
+    LinksideError,
+    LinksideWarning,
+    LogError,
+    NumericalError,
+    OutputError,
+    RecordingWarning,
+    RobotWarning,
+)
+from .kalman import (
+    ElasticJointFilter,
+    ElasticJointSmoother,
+    ElasticNoise,
+    ExtendedKalmanFilter,
+    FixedLagSmoother,
+    KalmanEstimate,
+    Noise,
+    RauchTungStriebelSmoother,
+    smooth_file,
+)
+from .moved import Moved
+from .observability import sensors
+from .observers import AccelerationObserver, poles
 from .particle import MarginalizedParticleFilter, Mixture, ParticleEstimate, ParticleFilter
+from .recording import Estimate, EstimateWriter, Finding, Log, Status, inspect
 from .robot import Robot
-from .simulate import Sensor, Simulation, simulate
-from .stretches import smooth_file
-from .velocity import HybridGain, NicosiaTomeiObserver, ReducedOrderObserver, VelocityEstimate
+from .simulation import Sensor, Simulation, simulate
+from .velocity import GainMap, HybridGain, NicosiaTomeiObserver, ReducedOrderObserver, VelocityEstimate
 
 __all__ = [
     "AccelerationObserver",
@@ -35,11 +53,13 @@ __all__ = [
     "EstimateWriter",
     "EstimatorError",
     "ExtendedKalmanFilter",
+    "Finding",
     "FixedLagSmoother",
     "GainMap",
     "HybridGain",
     "KalmanEstimate",
     "LinksideError",
+    "LinksideWarning",
     "Log",
     "LogError",
     "MarginalizedParticleFilter",
@@ -51,8 +71,10 @@ __all__ = [
     "ParticleEstimate",
     "ParticleFilter",
     "RauchTungStriebelSmoother",
+    "RecordingWarning",
     "ReducedOrderObserver",
     "Robot",
+    "RobotWarning",
     "Sensor",
     "Simulation",
     "Status",
@@ -61,9 +83,12 @@ __all__ = [
     "controllers",
     "demo",
     "feedback",
+    "inspect",
     "poles",
     "sensors",
     "simulate",
     "smooth_file",
     "trajectories",
 ]
+
+sys.meta_path.append(Moved())

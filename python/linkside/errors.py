@@ -1,8 +1,15 @@
 """What linkside raises: one family, each member also the built-in error a caller would expect."""
 
+LONGEST = 500
+"""Characters of a message."""
+
 
 class LinksideError(Exception):
     """Base of every error that linkside raises on purpose. Its message is one line: what is wrong, and where."""
+
+    def __str__(self) -> str:
+        """One printable line of at most 500 characters."""
+        return printable(super().__str__())
 
 
 class ConfigError(LinksideError, ValueError):
@@ -23,3 +30,24 @@ class NumericalError(LinksideError, ArithmeticError):
 
 class OutputError(LinksideError, OSError):
     """A file that cannot be written."""
+
+
+class LinksideWarning(UserWarning):
+    """Base of what linkside warns of: an estimate is possible, and may be wrong for the reason given."""
+
+
+class RecordingWarning(LinksideWarning):
+    """Something in a recording is suspicious, or was put right: names the column, the row and the remedy."""
+
+
+class RobotWarning(LinksideWarning):
+    """Something in a description of a robot is suspicious, or is not used."""
+
+
+def printable(message: str) -> str:
+    """Fold a message into one printable line, the middle left out if it is long."""
+    line = " ".join(message.split())
+    if not line.isprintable():
+        line = "".join(c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in line)
+    half = (LONGEST - 3) // 2
+    return line if len(line) <= LONGEST else f"{line[:half]} … {line[-half:]}"

@@ -7,8 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linkside import Log, Robot, demo, sensors
-from linkside.check import LOG_ROWS, CheckReport, Sight, check, describe
-from linkside.plots import save
+from linkside.figures import save
+from linkside.observability import CheckReport, Sight, check
+from linkside.observability.analysis import LOG_ROWS
+from linkside.observability.findings import describe
 
 from .robots import ARM, DATA, spring
 
@@ -109,7 +111,7 @@ def test_rows_without_motor_positions_are_left_out_and_long_logs_thinned(monkeyp
     log = Log.read(demo.LOG, robot)
     columns = {f"theta_{name}": log.theta[:, joint].copy() for joint, name in enumerate(robot.names)}
     columns["theta_a2"][10:20] = np.nan
-    monkeypatch.setattr("linkside.check.LOG_ROWS", 500)
+    monkeypatch.setattr("linkside.observability.analysis.LOG_ROWS", 500)
     report = check(robot, Log.from_table({"t": log.t} | columns, robot))
     assert 300 < len(report.path.t) <= 500 < LOG_ROWS
     assert np.isfinite(report.path.worst).all()

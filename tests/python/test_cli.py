@@ -16,7 +16,8 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
-from linkside import AccelerationObserver, Estimate, Log, Noise, Robot, cli, demo, methods, poles, progress
+from linkside import AccelerationObserver, Estimate, Log, Noise, Robot, cli, demo, poles
+from linkside.cli import bar, commands, methods
 
 DATA = Path(__file__).parents[1] / "data"
 ACCURACY = {  # RMS of the tool error, offset out [mm]
@@ -112,7 +113,7 @@ def test_recordings_are_estimated_to_their_accuracy(tmp_path, recording, bound):
 def test_pieces_of_any_size_give_the_same_bytes(folder, monkeypatch, rows):
     robot = Robot.load("robot.yaml")
     AccelerationObserver(robot).run(Log.read("log.parquet", robot)).write("whole.parquet")
-    monkeypatch.setattr(cli, "ROWS", rows)
+    monkeypatch.setattr(commands, "ROWS", rows)
     succeed(*estimate())
     assert Path("out.parquet").read_bytes() == Path("whole.parquet").read_bytes()
 
@@ -122,8 +123,8 @@ def test_a_method_that_needs_the_whole_log_has_it(folder, monkeypatch):
         return lambda pieces: map(AccelerationObserver(robot).run, pieces)
 
     method = methods.Method("", (), build, whole=lambda _: True)
-    monkeypatch.setitem(cli.METHODS, "observer", method)
-    monkeypatch.setattr(cli, "ROWS", 7)
+    monkeypatch.setitem(commands.METHODS, "observer", method)
+    monkeypatch.setattr(commands, "ROWS", 7)
     succeed(*estimate())
     whole = AccelerationObserver(robot := Robot.load("robot.yaml")).run(Log.read("log.parquet", robot))
     np.testing.assert_array_equal(Estimate.read("out.parquet").q, whole.q)
@@ -317,7 +318,7 @@ def test_a_urdf_that_cannot_be(folder):
 )
 @pytest.mark.parametrize("rows", [300, 8192])
 def test_a_recording_that_cannot_be(folder, monkeypatch, column, change, words, rows):
-    monkeypatch.setattr(cli, "ROWS", rows)
+    monkeypatch.setattr(commands, "ROWS", rows)
     alter(column, change)
     refuse(*estimate(), words=["log.parquet", *words])
 
@@ -438,8 +439,8 @@ def raise_interrupt():
 
 @pytest.mark.parametrize("out", ["out.parquet", "new"])
 def test_an_interrupt_leaves_nothing(folder, monkeypatch, out):
-    monkeypatch.setitem(cli.METHODS, "observer", interrupting(raise_interrupt))
-    monkeypatch.setattr(cli, "ROWS", 500)
+    monkeypatch.setitem(commands.METHODS, "observer", interrupting(raise_interrupt))
+    monkeypatch.setattr(commands, "ROWS", 500)
     shutil.copy("log.parquet", "second.parquet")
     before = sorted(folder.rglob("*"))
     result = linkside(*estimate(out=out), *(["second.parquet"] if out == "new" else []))
@@ -449,8 +450,8 @@ def test_an_interrupt_leaves_nothing(folder, monkeypatch, out):
 
 
 def test_a_job_that_is_ended_leaves_nothing(folder, monkeypatch):
-    monkeypatch.setitem(cli.METHODS, "observer", interrupting(lambda: os.kill(os.getpid(), signal.SIGTERM)))
-    monkeypatch.setattr(cli, "ROWS", 500)
+    monkeypatch.setitem(commands.METHODS, "observer", interrupting(lambda: os.kill(os.getpid(), signal.SIGTERM)))
+    monkeypatch.setattr(commands, "ROWS", 500)
     before = sorted(folder.rglob("*"))
     assert linkside(*estimate()).exit_code == 143
     assert sorted(folder.rglob("*")) == before
@@ -491,8 +492,8 @@ def test_a_bar_appears_only_when_work_takes_long(monkeypatch, delay, shown):
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setattr(progress, "DELAY", delay)
-    with progress.bar(100) as advance:
+    monkeypatch.setattr(bar, "DELAY", delay)
+    with bar.bar(100) as advance:
         time.sleep(0.01)
         advance("log.parquet", 40)
         time.sleep(0.2)

@@ -5,11 +5,11 @@ import pytest
 from scipy.linalg import expm
 
 from linkside import AccelerationObserver, EstimatorError, Robot, Sensor, simulate
-from linkside.closed_loop import closed_loop_poles
 from linkside.control import inverse_dynamics
-from linkside.feedback import StateFeedback, linearised, motor_only, pole_placement
-from linkside.poles import damped
-from linkside.trajectories import rest_to_rest
+from linkside.control.closed_loop import closed_loop_poles
+from linkside.control.feedback import StateFeedback, linearised, motor_only, pole_placement
+from linkside.control.trajectories import rest_to_rest
+from linkside.observers.poles import damped
 
 from .robots import ARM, spring
 

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
-from linkside.config import JointConfig, RobotConfig, RobotFile, load_config
 from linkside.errors import ConfigError
-from linkside.source import Source
+from linkside.files.yaml_source import Source
+from linkside.robot.config import JointConfig, RobotConfig, RobotFile, load_config
 
 from .robots import DATA
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from linkside import EstimatorError, ExtendedKalmanFilter, KalmanEstimate, Noise, RauchTungStriebelSmoother
-from linkside.consistency import autocovariance, consistency, long_run_variance
+from linkside.consistency import consistency
+from linkside.statistics import autocovariance, long_run_variance
 
 from .drawn import arm, draw
 

@@ -9,7 +9,7 @@ from scipy.interpolate import make_interp_spline
 
 from linkside import EstimatorError, Robot
 from linkside.control import derivative_order, inverse_dynamics
-from linkside.trajectories import Trajectory, rest_to_rest, spline
+from linkside.control.trajectories import Trajectory, rest_to_rest, spline
 
 from .robots import ARM, spring
 

@@ -289,5 +289,3 @@ def test_logs_that_cannot_be_filtered_are_refused():
         ekf.step(dt=5e-4, theta=[0, 0, 0], tau=[0, 0])
     with pytest.raises(EstimatorError, match="out has 4 entries"):
         ekf.step(dt=5e-4, theta=[0, 0], tau=[0, 0], out=np.empty(4))
-    with pytest.raises(EstimatorError, match="a smoother looks back"):
-        ElasticJointSmoother(robot).run_pieces([log])

@@ -16,8 +16,8 @@ def endure(hours):
     robot = Robot.load(FOLDER / "robot.yaml")
     log = Log.read(FOLDER / "log.parquet", robot)
     ekf = ExtendedKalmanFilter(robot, Noise(jerk=15.0))
-    kinds = ekf._kinds(log)
-    arrays, core = ekf._arrays(log, kinds), ekf._core(kinds, ekf.noise)
+    kinds = ekf.kinds(log)
+    arrays, core = ekf.arrays(log, kinds), ekf.core(kinds, ekf.noise)
     least, before = np.inf, None
     for _ in range(round(hours * 3600 / log.t[-1])):
         result = core.run(arrays, False, False)

@@ -18,9 +18,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linkside import demo
-from linkside import estimate as module
 from linkside.errors import EstimatorError, LogError, OutputError
-from linkside.estimate import Estimate, EstimateWriter, Status, check_writable
+from linkside.files.writing import check_writable
+from linkside.recording import Estimate, EstimateWriter, Status
+from linkside.recording import writer as module
 
 DATA = Path(__file__).parents[1] / "data"
 TRUTHS = [DATA / "arm2_square" / "truth.parquet", demo.TRUTH]
@@ -132,7 +133,7 @@ def test_pieces_make_the_same_file_bit_for_bit(tmp_path_factory, rows, cuts, suf
     folder, estimate = tmp_path_factory.mktemp("out"), motion(rows)
     whole, pieces = folder / f"whole{suffix}", folder / f"pieces{suffix}"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "_GROUP", group)
+        patch.setattr(module, "GROUP", group)
         estimate.write(whole)
         write_pieces(pieces, estimate, [min(cut, rows) for cut in cuts])
     assert whole.read_bytes() == pieces.read_bytes()
@@ -360,13 +361,13 @@ def test_a_disk_that_fills_while_rows_are_written(suffix, tmp_path, monkeypatch)
         def __getattr__(self, name):
             return getattr(self.file, name)
 
-    path, original = tmp_path / f"estimate{suffix}", module._open_part
+    path, original = tmp_path / f"estimate{suffix}", module.open_part
 
     def opened(where):
         part, file = original(where)
         return part, Full(file)
 
-    monkeypatch.setattr(module, "_open_part", opened)
+    monkeypatch.setattr(module, "open_part", opened)
     refusal(OutputError, lambda: motion(5000).write(path), f"{path}: cannot be written", "No space left")
     assert list(tmp_path.iterdir()) == []
 

@@ -8,12 +8,12 @@ import pytest
 
 import linkside
 from linkside import AccelerationObserver, EstimatorError, Log, Robot, simulate
-from linkside.closed_loop import closed_loop_poles
-from linkside.config import MotorFriction
 from linkside.control import inverse_dynamics
-from linkside.feedback import StateFeedback, linearised, lqr, motor_only, pole_placement
-from linkside.poles import damped
-from linkside.trajectories import rest_to_rest
+from linkside.control.closed_loop import closed_loop_poles
+from linkside.control.feedback import StateFeedback, linearised, lqr, motor_only, pole_placement
+from linkside.control.trajectories import rest_to_rest
+from linkside.observers.poles import damped
+from linkside.robot.config import MotorFriction
 
 from .robots import ARM, DATA, spring
 

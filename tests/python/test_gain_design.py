@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linkside import EstimatorError, Robot
-from linkside.gain_design import christoffel, coriolis_bound, design_gain, survey
-from linkside.velocity import rigid_inertia
+from linkside.velocity.gain_design import christoffel, coriolis_bound, design_gain, survey
+from linkside.velocity.inertia import rigid_inertia
 
 from . import two_rods
 from .robots import robots, spring, states

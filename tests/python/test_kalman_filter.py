@@ -230,7 +230,7 @@ def reference(robot, log, noise, kinds, ekf):
     """The same filter with dense matrices and an inverse, its derivatives from differences of its own predictions."""
     n, m = robot.n, len(robot.acceleration_channels)
     arrays = noise.arrays(robot, kinds)
-    dt, readings, dtheta, jerk = ekf._arrays(log, kinds)
+    dt, readings, dtheta, jerk = ekf.arrays(log, kinds)
     k = np.array([d.stiffness for d in robot.drives])
     d = np.array([d.damping for d in robot.drives])
 

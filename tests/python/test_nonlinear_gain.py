@@ -8,9 +8,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from linkside import Estimate, EstimatorError, GainMap, Log, NicosiaTomeiObserver, ReducedOrderObserver, Robot
-from linkside.check import prismatic
-from linkside.gain_design import design_gain
-from linkside.nonlinear_gain import approximate_inverse, reduce_deformation, shaped
+from linkside.robot.workspace import prismatic
+from linkside.velocity.gain_design import design_gain
+from linkside.velocity.shaped_gain import approximate_inverse, reduce_deformation, shaped
 
 from . import two_rods
 from .robots import robots

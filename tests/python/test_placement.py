@@ -8,10 +8,10 @@ import pytest
 from ruamel.yaml import YAML
 
 import linkside
-from linkside import ConfigError, EstimatorError, Log, Robot, tree
-from linkside.check import Sight
+from linkside import ConfigError, EstimatorError, Log, Robot
 from linkside.cli import main
-from linkside.placement import Placement, candidates, place, read_candidates
+from linkside.observability import Placement, Sight, candidates, place, read_candidates
+from linkside.robot import compile as tree
 
 from .robots import ARM, DATA, spring
 
@@ -80,9 +80,9 @@ def test_every_set_is_looked_at_where_they_are_few():
 def test_exchange_is_nearly_as_good_as_every_set(monkeypatch):
     sensors = candidates(ROBOT, ["link2", "link3", "link4"], steps=2, axes=("x", "y", "z"))[::2]
     every = place(ROBOT, sensors, LOGS[0], count=3)
-    monkeypatch.setattr("linkside.placement.EVERY_SET", 10)
+    monkeypatch.setattr("linkside.observability.placement.EVERY_SET", 10)
     exchanged = place(ROBOT, sensors, LOGS[0], count=3)
-    monkeypatch.setattr("linkside.placement.EVERY_SET", 10**6)
+    monkeypatch.setattr("linkside.observability.placement.EVERY_SET", 10**6)
     assert place(ROBOT, sensors, LOGS[0], count=3).score <= min(every.score, exchanged.score) * (1 + 1e-9)
     assert exchanged.score < 1.3 * place(ROBOT, sensors, LOGS[0], count=3).score
 

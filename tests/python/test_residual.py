@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from linkside import EstimatorError, Log, ReducedOrderObserver
-from linkside.residual import momentum_residual
+from linkside.velocity.residual import momentum_residual
 
 from . import two_rods
 

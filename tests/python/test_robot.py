@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linkside.config import JointConfig
 from linkside.errors import ConfigError, EstimatorError
 from linkside.robot import Robot
+from linkside.robot.config import JointConfig
 
 from .robots import ARM, DATA, EXAMPLES, build_model, models, robots, spring, states
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from linkside import EstimatorError, ExtendedKalmanFilter, Log, RauchTungStriebelSmoother, Robot
-from linkside.sensing import Schedule, unfiltered
+from linkside.kalman.late_sensors import Schedule, unfiltered
 
 FOLDER = Path(__file__).parents[1] / "data/arm2_square"
 ROBOT = Robot.load(FOLDER / "robot.yaml")

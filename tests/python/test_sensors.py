@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from linkside.errors import EstimatorError
+from linkside.observability.sensors import AccelerationMap, acceleration_map
 from linkside.robot import Robot
-from linkside.sensors import AccelerationMap, acceleration_map
 
 from .robots import ARM, DATA, robots, spring, states
 

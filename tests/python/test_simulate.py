@@ -19,7 +19,7 @@ from linkside import (
     Sensor,
     simulate,
 )
-from linkside.controllers import JointPD, SimpleAdaptive
+from linkside.control.controllers import JointPD, SimpleAdaptive
 
 from .robots import ARM, spring
 

@@ -21,9 +21,8 @@ from linkside import (
     RauchTungStriebelSmoother,
     Robot,
 )
-from linkside import stretches as module
-from linkside.fixed_lag import FixedLagSmoother
-from linkside.stretches import smooth_file, smooth_pieces
+from linkside.kalman import FixedLagSmoother, smooth_file, smooth_pieces
+from linkside.kalman import stretches as module
 
 from .robots import DATA
 from .test_long_log import write_log
@@ -153,7 +152,7 @@ def test_an_output_that_cannot_be_is_refused_first(tmp_path):
 SMOOTH = """
 import sys
 from linkside import Noise, RauchTungStriebelSmoother, Robot
-from linkside.stretches import smooth_file
+from linkside.kalman import smooth_file
 
 robot = Robot.load(sys.argv[1])
 smooth_file(RauchTungStriebelSmoother(robot, Noise(jerk=15.0)), sys.argv[2], robot, sys.argv[3], 4000)

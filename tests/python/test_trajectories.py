@@ -10,7 +10,7 @@ from scipy.special import betainc
 
 import linkside
 from linkside import EstimatorError, Robot
-from linkside.trajectories import Trajectory, polyline, rest_to_rest, spline
+from linkside.control.trajectories import Trajectory, polyline, rest_to_rest, spline
 
 from .robots import ARM, spring
 
@@ -83,7 +83,7 @@ def test_pauses_are_at_rest():
 
 
 def tool(robot, q):
-    joint, pose = linkside.tree.mount(robot.model, robot.tool)
+    joint, pose = linkside.robot.compile.mount(robot.model, robot.tool)
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, robot.to_pinocchio(q))
     placed = data.oMi[joint] * pose

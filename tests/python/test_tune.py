@@ -17,7 +17,7 @@ from linkside import (
     RauchTungStriebelSmoother,
     Robot,
 )
-from linkside.tune import tune
+from linkside.tuning import tune
 
 from .drawn import arm, draw
 from .robots import DATA

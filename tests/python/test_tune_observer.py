@@ -9,10 +9,10 @@ import linkside
 from linkside import AccelerationObserver, ConfigError, Estimate, EstimatorError, Log, LogError, Robot, simulate
 from linkside.cli import main
 from linkside.control import inverse_dynamics
-from linkside.feedback import StateFeedback, pole_placement
-from linkside.observer_tuning import ObserverTuning
-from linkside.trajectories import rest_to_rest
-from linkside.tune_observer import OBJECTIVES, tune_observer
+from linkside.control.feedback import StateFeedback, pole_placement
+from linkside.control.trajectories import rest_to_rest
+from linkside.observers.tuning_file import ObserverTuning
+from linkside.tuning.observer_front import OBJECTIVES, tune_observer
 
 from .robots import DATA
 

@@ -6,7 +6,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from linkside import HybridGain, ReducedOrderObserver
-from linkside.gain_design import christoffel, coriolis_bound
+from linkside.velocity.gain_design import christoffel, coriolis_bound
 
 from . import two_rods
 from .robots import robots

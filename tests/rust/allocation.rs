@@ -8,8 +8,9 @@ use core::cell::Cell;
 use core::hint::black_box;
 use linkside_core::dynamics::{Kinematics, Loads};
 use linkside_core::estimate::kalman::{
-    ExtendedKalmanFilter, FilterSettings, Further, Inputs, JerkDriven, JerkModel, KalmanSample, Noise,
+    ExtendedKalmanFilter, FilterSettings, Inputs, JerkDriven, JerkModel, KalmanSample, Noise,
 };
+use linkside_core::estimate::measurement::Kind;
 use linkside_core::estimate::observer::{
     AccelerationObserver, AccelerationSource, Complex, Form, Sample, Settings, link_position_at_rest,
 };
@@ -115,7 +116,7 @@ fn a_step_allocates_nothing() {
 fn a_kalman_step_allocates_nothing() {
     let model = JerkModel::new(
         Arc::new(robot()),
-        Further { links: true, torques: true, rates: false, motor_velocities: true },
+        &[Kind::Motor, Kind::Acceleration, Kind::MotorVelocity, Kind::Link, Kind::Torque],
         &[true; 30],
     )
     .unwrap();
@@ -184,7 +185,7 @@ fn a_velocity_observers_step_allocates_nothing() {
 #[test]
 fn a_particle_filters_step_allocates_nothing() {
     for marginalised in [Marginalised::Nothing, Marginalised::Biases, Marginalised::Accelerations] {
-        let model = JerkModel::new(Arc::new(robot()), Further::default(), &[true; 12]).unwrap();
+        let model = JerkModel::new(Arc::new(robot()), &[Kind::Motor, Kind::Acceleration], &[true; 12]).unwrap();
         let noise = Noise {
             jerk: vec![20.0; 6],
             link_walk: vec![1e-5; 12],

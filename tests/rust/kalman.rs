@@ -4,9 +4,10 @@ mod arm;
 
 use arm::{Mounting, arm, drive};
 use linkside_core::estimate::kalman::{
-    Evaluation, ExtendedKalmanFilter, FilterSettings, Further, Gaussian, Inputs, JerkDriven, JerkModel,
-    KalmanRecording, KalmanSample, Keep, Model, Noise, Smoother,
+    ExtendedKalmanFilter, FilterSettings, Gaussian, Inputs, JerkDriven, JerkModel, KalmanRecording, KalmanSample, Keep,
+    Model, Noise, Smoother,
 };
+use linkside_core::estimate::measurement::{Evaluation, Kind};
 use linkside_core::robot::{Drive, Robot, Sensor, SoftWindup};
 use linkside_core::scalar::Dual;
 use linkside_core::spatial::{Mat3, Vec3};
@@ -14,9 +15,9 @@ use proptest::prelude::*;
 use std::sync::Arc;
 
 const JOINTS: usize = 3;
-const ALL: Further = Further { motor_velocities: true, rates: true, links: true, torques: true };
-/// Motors, an accelerometer's two axes, motor velocities, a gyroscope's three axes, links, torques.
-const CHANNELS: usize = 4 * JOINTS + 5;
+const ALL: &[Kind] = &Kind::ALL;
+/// Motors, an accelerometer's two axes, motor velocities, a gyroscope's three axes, links, torques, links' velocities.
+const CHANNELS: usize = 5 * JOINTS + 5;
 
 /// Three joints, one rigid, one with everything nonlinear that a drive can have.
 fn robot() -> Robot {

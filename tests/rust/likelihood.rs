@@ -5,9 +5,10 @@ mod arm;
 use arm::{Mounting, arm, drive};
 use linkside_core::error::{DesignError, RunError};
 use linkside_core::estimate::kalman::{
-    ExtendedKalmanFilter, FilterSettings, Further, Inputs, JerkDriven, JerkModel, KalmanRecording, Keep, Noise,
+    ExtendedKalmanFilter, FilterSettings, Inputs, JerkDriven, JerkModel, KalmanRecording, Keep, Noise,
 };
 use linkside_core::estimate::likelihood::{Likelihood, LikelihoodRecording, LikelihoodSettings, Parameter};
+use linkside_core::estimate::measurement::Kind;
 use linkside_core::robot::{Drive, Robot, SoftWindup};
 use std::sync::Arc;
 
@@ -72,7 +73,7 @@ fn likelihood(torque: bool, held: bool) -> Likelihood {
 fn equals_that_of_the_kalman_filter() {
     let LikelihoodSettings { noise, biased, .. } = settings(false, true);
     let log = recording(false);
-    let model = JerkModel::new(robot(), Further::default(), &biased).unwrap();
+    let model = JerkModel::new(robot(), &[Kind::Motor, Kind::Acceleration], &biased).unwrap();
     let model = JerkDriven::new(model, noise, true).unwrap();
     let mut filter = ExtendedKalmanFilter::new(model, FilterSettings { gate: None, iterations: 1 }).unwrap();
     let mut readings = Vec::new();

@@ -7,9 +7,9 @@ use arm::{Mounting, arm, drive};
 use linkside_core::error::{DesignError, RunError};
 use linkside_core::estimate::Status;
 use linkside_core::estimate::kalman::{
-    Evaluation, ExtendedKalmanFilter, FilterSettings, Further, Inputs, JerkDriven, JerkModel, KalmanRecording, Keep,
-    Noise,
+    ExtendedKalmanFilter, FilterSettings, Inputs, JerkDriven, JerkModel, KalmanRecording, Keep, Noise,
 };
+use linkside_core::estimate::measurement::{Evaluation, Kind};
 use linkside_core::estimate::particle::{
     Collapse, Density, MOST_PARTICLES, Marginalised, ParticleFilter, ParticleOutput, ParticleSettings, Proposal,
     Resampling,
@@ -21,7 +21,7 @@ use std::sync::Arc;
 const JOINTS: usize = 3;
 /// Motors, an accelerometer's two axes, a gyroscope's three axes, links, torques.
 const CHANNELS: usize = 3 * JOINTS + 5;
-const FURTHER: Further = Further { motor_velocities: false, rates: true, links: true, torques: true };
+const KINDS: &[Kind] = &[Kind::Motor, Kind::Acceleration, Kind::Rate, Kind::Link, Kind::Torque];
 const DT: f64 = 1e-3;
 const LINEARISED: Proposal = Proposal::Linearised { iterations: 1, tail: None };
 
@@ -60,7 +60,7 @@ fn certain(jerk: f64) -> Noise {
 }
 
 fn model(noise: Noise) -> JerkDriven {
-    let model = JerkModel::new(Arc::new(robot()), FURTHER, &[true; CHANNELS]).unwrap();
+    let model = JerkModel::new(Arc::new(robot()), KINDS, &[true; CHANNELS]).unwrap();
     JerkDriven::new(model, noise, true).unwrap()
 }
 
@@ -90,7 +90,7 @@ struct Signals {
 
 fn signals(count: usize) -> Signals {
     let wave = |i: usize, scale: f64| scale * (0.7 * i as f64).sin();
-    let model = JerkModel::new(Arc::new(robot()), FURTHER, &[true; CHANNELS]).unwrap();
+    let model = JerkModel::new(Arc::new(robot()), KINDS, &[true; CHANNELS]).unwrap();
     let mut rest = Evaluation::new(&robot(), CHANNELS);
     rest.evaluate(&robot(), model.channel_list(), &[0.0; 3 * JOINTS], &[f64::NAN; JOINTS]);
     Signals {
@@ -318,9 +318,9 @@ fn settings_out_of_range_are_named() {
         assert_eq!(refused(change, Nothing), what);
     }
     assert_eq!(refused(&|s| s.densities[0] = Density::Student { freedom: 4.0 }, Biases), "outliers");
-    let further = Further { motor_velocities: true, rates: true, links: true, torques: true };
     let channels = CHANNELS + JOINTS;
-    let model = JerkModel::new(Arc::new(robot()), further, &vec![true; channels]).unwrap();
+    let kinds = [KINDS, &[Kind::MotorVelocity]].concat();
+    let model = JerkModel::new(Arc::new(robot()), &kinds, &vec![true; channels]).unwrap();
     let none = vec![0.0; channels];
     let noise = Noise { reading: vec![1.0; channels], bias_walk: none.clone(), initial_bias: none, ..noise() };
     let model = JerkDriven::new(model, noise, true).unwrap();

@@ -1,7 +1,8 @@
 """Calibration of a robot from its own recordings: stiffness, damping, loads, sensors, with standard errors."""
 
 from .calibrate import calibrate
-from .result import Calibration, Estimated, Fit
+from .calibration import Calibration
+from .result import Estimated, Fit
 from .search import Step
 from .uncertainty import Contradiction
 

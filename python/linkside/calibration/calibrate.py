@@ -6,20 +6,21 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
-from ..log import Log
-from ..noise import Noise
-from ..robot import Robot
+from linkside.arrays import FloatArray
+from linkside.kalman.noise import Noise
+from linkside.recording.log import Log
+from linkside.recording.motion import moving
+from linkside.robot import Robot
+
+from .calibration import Calibration
 from .equations import better
 from .parameters import NOISE, Bounds, Parameter, choose
 from .problem import Problem
-from .recordings import moving, refuse, use_torque
-from .result import Calibration, Estimated, Fit
+from .recordings import refuse, use_torque
+from .result import Estimated, Fit
 from .search import GAIN, ROUGH, Progress, Search
 from .uncertainty import Alone, Contradiction, Uncertainty, compare, uncertainty, untold
-
-FloatArray = npt.NDArray[np.float64]
 
 ROUNDS = 3
 """How often parameters that turn out not to be told are left out and the rest is estimated anew."""

@@ -10,18 +10,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 import scipy.optimize
 import scipy.signal
 
-from ..config import JointConfig
-from ..errors import NumericalError
-from ..log import Log
-from ..robot import Robot
+from linkside.arrays import FloatArray
+from linkside.errors import NumericalError
+from linkside.recording.log import Log
+from linkside.robot import Robot
+from linkside.robot.config import JointConfig
+
 from .problem import Problem
 from .signals import derivative, filled, signals
 
-FloatArray = npt.NDArray[np.float64]
 Drive = dict[str, float]
 Equation = tuple[dict[str, FloatArray], FloatArray]
 

@@ -5,17 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from ..errors import EstimatorError, NumericalError
-from ..source import suggest
+from linkside.arrays import FloatArray
+from linkside.errors import EstimatorError, NumericalError
+from linkside.files.yaml_source import suggest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from .result import Calibration
+    from .result import Result
 
-FloatArray = npt.NDArray[np.float64]
 
 SPAN = 3.0
 """Half the width of a profile in standard errors."""
@@ -27,7 +26,7 @@ def _figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def estimates(calibration: Calibration) -> Figure:
+def estimates(calibration: Result) -> Figure:
     """Draw each estimate with two standard errors, as its distance from robot.yaml in tolerances."""
     names = [e.parameter.name for e in calibration.estimates]
     figure = _figure(8, 1.2 + 0.28 * len(names))
@@ -43,7 +42,7 @@ def estimates(calibration: Calibration) -> Figure:
     return figure
 
 
-def correlation(calibration: Calibration) -> Figure:
+def correlation(calibration: Result) -> Figure:
     """Draw the estimates' correlations."""
     names = [e.parameter.name for e in calibration.estimates]
     size = 3 + 0.3 * len(names)
@@ -56,7 +55,7 @@ def correlation(calibration: Calibration) -> Figure:
     return figure
 
 
-def whiteness(calibration: Calibration) -> Figure:
+def whiteness(calibration: Result) -> Figure:
     """Draw the autocorrelation of innovations before and after."""
     figure = _figure(9, 3.5)
     left, right = figure.subplots(1, 2, sharey=True)
@@ -71,7 +70,7 @@ def whiteness(calibration: Calibration) -> Figure:
     return figure
 
 
-def profile(calibration: Calibration, first: str, second: str, points: int) -> Figure:
+def profile(calibration: Result, first: str, second: str, points: int = 15) -> Figure:
     """Draw the log-posterior over a pair of parameters, exact at each point, the others moved along its ridge.
 
     Contours enclose 39 and 86 %, one and two standard errors of each parameter, as the likelihood has them.
@@ -103,7 +102,7 @@ def profile(calibration: Calibration, first: str, second: str, points: int) -> F
     return figure
 
 
-def _drop(calibration: Calibration, pair: list[int], grids: list[FloatArray]) -> FloatArray:
+def _drop(calibration: Result, pair: list[int], grids: list[FloatArray]) -> FloatArray:
     """The log-posterior's fall from its maximum on the grid; inf outside bounds and where the filter breaks down."""
     covariance = calibration.correlation * np.outer(calibration.uncertainty.std, calibration.uncertainty.std)
     ridge = covariance[:, pair] @ np.linalg.inv(covariance[np.ix_(pair, pair)])

@@ -13,15 +13,16 @@ import pinocchio as pin
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 
-from ..estimate import write_text
-from ..source import Source
+from linkside.files.writing import write_text
+from linkside.files.yaml_source import Source
+
 from .parameters import AXES, SHORTEST_FILTER
-from .result import Calibration, Estimated
+from .result import Estimated, Result
 
 Writer = Callable[[Any, Estimated], None]
 
 
-def write(calibration: Calibration, source: str | Path, out: str | Path) -> None:
+def write(calibration: Result, source: str | Path, out: str | Path) -> None:
     """Write the calibrated robot.yaml.
 
     Parameters
@@ -142,7 +143,7 @@ def _of_sensor(tree: Any, e: Estimated) -> None:
         _note(sensor, "corner_frequency", f"± {std:.2g}")
 
 
-def _write_rotation(sensor: Any, calibration: Calibration, index: int) -> None:
+def _write_rotation(sensor: Any, calibration: Result, index: int) -> None:
     found = {e.parameter.core[2]: e for e in calibration.estimates if e.parameter.core[:2] == ("rotation", index)}
     vector = np.array([found[a].value if a in found else 0.0 for a in range(3)])
     turned = pin.rpy.rpyToMatrix(*map(float, sensor.get("rpy", [0.0] * 3))) @ pin.exp3(vector)

@@ -7,14 +7,12 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from ..config import AccelerometerConfig, JointConfig, TolerancesConfig
-from ..errors import EstimatorError
-from ..robot import Robot
-from ..source import suggest
+from linkside.errors import EstimatorError
+from linkside.files.yaml_source import suggest
+from linkside.robot import Robot
+from linkside.robot.config import AccelerometerConfig, JointConfig, TolerancesConfig
 
-FloatArray = npt.NDArray[np.float64]
 CoreName = tuple[str, int, int]
 Bounds = Mapping[str, tuple[float, float]]
 Owner = Literal["joint", "coupling", "payload", "payload axis", "sensor", "sensor axis"]

@@ -7,18 +7,18 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
 
-from .. import _core, tree
-from ..config import PayloadConfig
-from ..log import Log
-from ..noise import Noise
-from ..robot import Robot
+from linkside import _core
+from linkside.arrays import FloatArray
+from linkside.kalman.noise import Noise
+from linkside.recording.log import Log
+from linkside.robot import Robot
+from linkside.robot import compile as tree
+from linkside.robot.config import PayloadConfig
+
 from .parameters import CoreName, Parameter, catalogue
 from .signals import noise_arrays, signals
-
-FloatArray = npt.NDArray[np.float64]
 
 HUBER = 4.0
 """Innovations beyond so many standard deviations count linearly."""

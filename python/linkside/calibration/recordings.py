@@ -7,20 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import EstimatorError, LogError
-from ..log import Log
-from ..robot import Robot
-from ..tune import LEAST_MOTION
-
-FloatArray = npt.NDArray[np.float64]
+from linkside.errors import EstimatorError, LogError
+from linkside.recording.log import Log
+from linkside.recording.motion import LEAST_MOTION, moving
+from linkside.robot import Robot
+from linkside.robot.requirements import refuse_unsupported
 
 SATURATED = 10
 """So many samples in a row at an extreme value are a sensor at the end of its range."""
-
-
-def moving(log: Log) -> npt.NDArray[np.bool_]:
-    """Which joints' motors move at all, (n,)."""
-    return np.asarray(np.nanmax(log.theta, axis=0) - np.nanmin(log.theta, axis=0) > LEAST_MOTION)
 
 
 def use_torque(robot: Robot, logs: Sequence[Log], torque: bool | None) -> bool:
@@ -54,6 +48,7 @@ def refuse(robot: Robot, logs: Sequence[Log]) -> None:
     """
     if not logs:
         raise EstimatorError("there is no log to calibrate with")
+    refuse_unsupported(robot, "calibration")
     if not robot.elastic.any():
         raise EstimatorError("no joint of the robot is elastic: there is nothing to calibrate")
     for log in logs:

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..estimate import write_text
+from linkside.files.writing import write_text
+
 from . import figures
-from .result import Calibration
+from .result import Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,12 +26,12 @@ td:first-child, th:first-child, td:last-child { text-align: left } img { max-wid
 """
 
 
-def write(calibration: Calibration, out: str | Path) -> None:
+def write(calibration: Result, out: str | Path) -> None:
     """Write the report."""
     write_text(out, to_html(calibration))
 
 
-def to_html(calibration: Calibration) -> str:
+def to_html(calibration: Result) -> str:
     """Give the report as one HTML page that needs no other file."""
     sources = ", ".join(log.source for log in calibration.problem.logs)
     parts = [
@@ -63,7 +64,7 @@ def _table(head: list[str], rows: list[list[str]]) -> str:
     return "<table><tr>" + cells + "</tr>" + "".join(lines) + "</table>"
 
 
-def _estimates(calibration: Calibration) -> str:
+def _estimates(calibration: Result) -> str:
     head = ["parameter", "robot.yaml", "estimate", "std. error", "widened by", "unit", ""]
     rows = [
         [
@@ -75,14 +76,14 @@ def _estimates(calibration: Calibration) -> str:
     return _table(head, rows)
 
 
-def _refused(calibration: Calibration) -> str:
+def _refused(calibration: Result) -> str:
     if not calibration.refused:
         return ""
     rows = [[name, reason] for name, reason in calibration.refused.items()]
     return "<h2>Not estimated</h2>" + _table(["parameter", "reason"], rows)
 
 
-def _fit(calibration: Calibration) -> str:
+def _fit(calibration: Result) -> str:
     before, after = calibration.before, calibration.after
     rows = [["log-likelihood", f"{before.log_likelihood:.1f}", f"{after.log_likelihood:.1f}"]]
     if calibration.held_out is not None:
@@ -94,12 +95,12 @@ def _fit(calibration: Calibration) -> str:
     return _table(["", "before", "after"], rows)
 
 
-def _closest(calibration: Calibration) -> str:
+def _closest(calibration: Result) -> str:
     """The profile of the pair that is most correlated."""
     strength = np.abs(calibration.correlation) - np.eye(len(calibration.estimates))
     i, j = np.unravel_index(int(np.argmax(strength)), strength.shape)
     first, second = (calibration.estimates[int(k)].parameter.name for k in (i, j))
-    return _image(calibration.profile(first, second), f"profile of {first} and {second}")
+    return _image(figures.profile(calibration, first, second), f"profile of {first} and {second}")
 
 
 def _image(figure: Figure, text: str) -> str:

@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from ..consistency import autocovariance
+from linkside.arrays import FloatArray
+from linkside.statistics import autocovariance
+
 from .parameters import Parameter
 from .problem import Evidence, Problem
 from .uncertainty import Contradiction, Uncertainty
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-FloatArray = npt.NDArray[np.float64]
 
 LAGS = 50
 
@@ -77,7 +71,7 @@ class Fit:
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class Result:
     """Parameters under which recordings are most probable, and how far to believe them.
 
     Attributes
@@ -126,24 +120,6 @@ class Calibration:
     def __getitem__(self, name: str) -> Estimated:
         """Give an estimate by its parameter's name, such as ``stiffness_axis2``."""
         return next(e for e in self.estimates if e.parameter.name == name)
-
-    def write(self, source: str | Path, out: str | Path) -> None:
-        """Write the robot.yaml ``source`` with the estimates in place of its values; see `output.write`."""
-        from .output import write
-
-        write(self, source, out)
-
-    def write_report(self, out: str | Path) -> None:
-        """Write a report with figures: one HTML file."""
-        from .report import write
-
-        write(self, out)
-
-    def profile(self, first: str, second: str, points: int = 15) -> Figure:
-        """Draw the posterior over a pair of parameters, see `figures.profile`."""
-        from .figures import profile
-
-        return profile(self, first, second, points)
 
     def to_text(self) -> str:
         """Report in words."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from ..errors import ConfigError
+from linkside.errors import ConfigError
+
 from .search import Step
 
 

@@ -6,14 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 import scipy.optimize
 
-from ..errors import NumericalError
+from linkside.arrays import FloatArray
+from linkside.errors import NumericalError
+
 from .problem import Evidence, Problem
 
-FloatArray = npt.NDArray[np.float64]
 Progress = Callable[["Step"], None]
 
 EVALUATIONS = 60

@@ -6,15 +6,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy.signal
 
-from ..kalman import commanded_jerk
-from ..log import Log
-from ..noise import Noise
-from ..robot import Robot
-
-FloatArray = npt.NDArray[np.float64]
+from linkside.arrays import FloatArray
+from linkside.kalman.jerk_driven import commanded_jerk
+from linkside.kalman.noise import Noise
+from linkside.recording.log import Log
+from linkside.robot import Robot
 
 SMOOTHING = 0.01
 """Over this time motor positions are taken for a cubic, to be differentiated [s]."""

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy import stats
+
+from linkside.arrays import FloatArray
 
 from .parameters import NOISE, Parameter
 from .problem import Evidence, Problem
-
-FloatArray = npt.NDArray[np.float64]
 
 MEMORY = 0.1
 """Errors of a model are correlated over about this time [s]."""

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from linkside.arrays import FloatArray
 from linkside.demo import LOG, ROBOT, TRUTH
-from linkside.estimate import Estimate, EstimateError
-from linkside.log import Log
-from linkside.observers import AccelerationObserver
+from linkside.observers.acceleration import AccelerationObserver
+from linkside.recording.estimate import Estimate, EstimateError
+from linkside.recording.log import Log
 from linkside.robot import Robot
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,12 +32,12 @@ class DemoResult:
         Its torsion θ − q, estimated and true [rad].
     """
 
-    t: Array
+    t: FloatArray
     errors: dict[str, EstimateError]
-    tool_distance: dict[str, Array]
+    tool_distance: dict[str, FloatArray]
     joint: str
-    torsion: Array
-    torsion_true: Array
+    torsion: FloatArray
+    torsion_true: FloatArray
 
 
 def run() -> DemoResult:
@@ -63,7 +61,7 @@ def motor_guess(robot: Robot, log: Log) -> Estimate:
     return Estimate(log.t, log.theta, unknown, log.theta, unknown, status, robot.names, tool_position=tool)
 
 
-def _distance(guess: Estimate, truth: Estimate) -> Array:
+def _distance(guess: Estimate, truth: Estimate) -> FloatArray:
     assert guess.tool_position is not None
     assert truth.tool_position is not None
     return np.asarray(1e3 * np.linalg.norm(guess.tool_position - truth.tool_position, axis=1))

@@ -1,6 +1,7 @@
 //! Small dense products on rows padded to a multiple of [`LANES`], accumulated in registers.
 
 use crate::scalar::Scalar;
+use crate::simd::{self, Kernel};
 
 /// Columns that one vector register holds, and to a multiple of which rows are padded.
 pub(crate) const LANES: usize = 4;
@@ -23,15 +24,32 @@ fn accumulate(sum: &mut Lane, a: f64, b: &Lane) {
 }
 
 /// `out[i] = Σⱼ left[i][j] · right[j]`: `left` has rows of `inner` numbers, `right` at least `inner` rows of `stride`.
-#[inline(always)]
 pub(crate) fn product(left: &[f64], inner: usize, right: &[f64], stride: usize, out: &mut [f64]) {
-    let rows = left.len() / inner;
-    let whole = rows / ROWS * ROWS;
-    for i in (0..whole).step_by(ROWS) {
-        product_rows::<ROWS>(&left[i * inner..], inner, right, stride, &mut out[i * stride..]);
-    }
-    for i in whole..rows {
-        product_rows::<1>(&left[i * inner..], inner, right, stride, &mut out[i * stride..]);
+    simd::phase(Product { left, inner, right, stride, out });
+}
+
+struct Product<'a> {
+    left: &'a [f64],
+    inner: usize,
+    right: &'a [f64],
+    stride: usize,
+    out: &'a mut [f64],
+}
+
+impl Kernel for Product<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { left, inner, right, stride, out } = self;
+        let rows = left.len() / inner;
+        let whole = rows / ROWS * ROWS;
+        for i in (0..whole).step_by(ROWS) {
+            product_rows::<ROWS>(&left[i * inner..], inner, right, stride, &mut out[i * stride..]);
+        }
+        for i in whole..rows {
+            product_rows::<1>(&left[i * inner..], inner, right, stride, &mut out[i * stride..]);
+        }
     }
 }
 
@@ -75,21 +93,38 @@ fn product_block<const R: usize, const W: usize>(
 /// `p −= Σᵢ aᵢ bᵢᵀ + bᵢ aᵢᵀ` on and above the diagonal, the lower triangle then copied from the upper.
 ///
 /// `p` has `n` rows of `stride`, `a` and `b` one row of `stride` for each i.
-#[inline(always)]
 pub(crate) fn subtract_outer(p: &mut [f64], n: usize, stride: usize, a: &[f64], b: &[f64]) {
-    let step = stride / LANES;
-    for r in 0..step {
-        let rows = LANES.min(n - r * LANES);
-        let mut c = r;
-        while c + 2 <= step {
-            outer_block::<2>(p, step, (lanes(a), lanes(b)), r, c, rows);
-            c += 2;
+    simd::phase(SubtractOuter { p, n, stride, a, b });
+}
+
+struct SubtractOuter<'a> {
+    p: &'a mut [f64],
+    n: usize,
+    stride: usize,
+    a: &'a [f64],
+    b: &'a [f64],
+}
+
+impl Kernel for SubtractOuter<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { p, n, stride, a, b } = self;
+        let step = stride / LANES;
+        for r in 0..step {
+            let rows = LANES.min(n - r * LANES);
+            let mut c = r;
+            while c + 2 <= step {
+                outer_block::<2>(p, step, (lanes(a), lanes(b)), r, c, rows);
+                c += 2;
+            }
+            if c < step {
+                outer_block::<1>(p, step, (lanes(a), lanes(b)), r, c, rows);
+            }
         }
-        if c < step {
-            outer_block::<1>(p, step, (lanes(a), lanes(b)), r, c, rows);
-        }
+        mirror(p, n, stride);
     }
-    mirror(p, n, stride);
 }
 
 /// `rows` rows from lane `r` on by W lanes from lane `c` on.

@@ -1,7 +1,11 @@
 //! One portable binary, and the widest instructions of the machine that it runs on.
 //!
-//! A kernel is written once, `#[inline(always)]` all the way down, and compiled for several levels; the level is chosen
-//! once a recording. Without fused multiply-add each level gives the same bits, so the choice is never visible in a result.
+//! A kernel is written once, `#[inline(always)]` all the way down, and compiled for several levels. Without fused
+//! multiply-add each level gives the same bits, so the choice is never visible in a result.
+//!
+//! The level is chosen anew for each [`phase`] of a sample (predict, linearise, update, report), which takes about a
+//! nanosecond. A phase is a function of its own, never inlined into its caller: compilers need far more than twice as long
+//! for a function that is twice as large, and what two loops share is compiled once.
 #![allow(unsafe_code)] // calling a function compiled for instructions that the processor was asked for
 
 use std::sync::LazyLock;
@@ -26,6 +30,7 @@ pub trait Kernel {
 }
 
 /// The level in use: the machine's widest, or the environment variable `LINKSIDE_SIMD`: `baseline`, or `avx2` at most.
+#[inline]
 pub fn level() -> Level {
     static LEVEL: LazyLock<Level> = LazyLock::new(|| {
         let forced = std::env::var("LINKSIDE_SIMD").unwrap_or_default().to_ascii_lowercase();
@@ -38,8 +43,15 @@ pub fn level() -> Level {
     *LEVEL
 }
 
-#[cfg(all(target_arch = "x86_64", not(one_level)))]
+/// The level of this machine, asked once.
+#[inline]
 fn widest() -> Level {
+    static WIDEST: LazyLock<Level> = LazyLock::new(detect);
+    *WIDEST
+}
+
+#[cfg(all(target_arch = "x86_64", not(one_level)))]
+fn detect() -> Level {
     use std::is_x86_feature_detected as has;
     if has!("avx512f") && has!("avx512dq") && has!("avx512vl") && has!("avx512bw") {
         Level::Avx512
@@ -52,8 +64,14 @@ fn widest() -> Level {
 
 /// Other processors, and builds in a hurry (`--cfg one_level`), have one level.
 #[cfg(any(not(target_arch = "x86_64"), one_level))]
-fn widest() -> Level {
+fn detect() -> Level {
     Level::Baseline
+}
+
+/// Runs `kernel` with the instructions of [`level`], AVX2 at most.
+#[inline]
+pub fn phase<K: Kernel>(kernel: K) -> K::Output {
+    dispatch(level(), kernel)
 }
 
 /// Runs `kernel` with the instructions of `level`, AVX2 at most, or of what the machine has of them.
@@ -62,12 +80,12 @@ fn widest() -> Level {
 #[inline]
 pub fn dispatch<K: Kernel>(level: Level, kernel: K) -> K::Output {
     match level.min(widest()) {
-        Level::Baseline => kernel.run(),
+        Level::Baseline => baseline(kernel),
         // SAFETY: `widest` has asked the processor.
         #[cfg(all(target_arch = "x86_64", not(one_level)))]
         Level::Avx2 | Level::Avx512 => unsafe { avx2(kernel) },
         #[cfg(any(not(target_arch = "x86_64"), one_level))]
-        Level::Avx2 | Level::Avx512 => kernel.run(),
+        Level::Avx2 | Level::Avx512 => baseline(kernel),
     }
 }
 
@@ -82,14 +100,21 @@ pub fn dispatch_lanes<K: Kernel>(level: Level, kernel: K) -> K::Output {
     }
 }
 
+#[inline(never)]
+fn baseline<K: Kernel>(kernel: K) -> K::Output {
+    kernel.run()
+}
+
 #[cfg(all(target_arch = "x86_64", not(one_level)))]
 #[target_feature(enable = "avx2")]
+#[inline(never)]
 fn avx2<K: Kernel>(kernel: K) -> K::Output {
     kernel.run()
 }
 
 #[cfg(all(target_arch = "x86_64", not(one_level)))]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx512bw")]
+#[inline(never)]
 fn avx512<K: Kernel>(kernel: K) -> K::Output {
     kernel.run()
 }

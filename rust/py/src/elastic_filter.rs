@@ -3,11 +3,11 @@
 use crate::array::{Signal, rows, shaped, write_into};
 use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
-use crate::kalman::{Matrix, into_dict};
+use crate::kalman::{Matrix, into_dict, named};
 use crate::robot::Robot;
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
-    Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterSettings, Further, Inputs,
+    Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterSettings, Inputs,
     KalmanRecording, KalmanSample, Keep, Model,
 };
 use numpy::{PyArray1, PyReadonlyArray1, PyUntypedArrayMethods};
@@ -50,16 +50,11 @@ type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'py>);
 impl ElasticJointFilter {
     #[new]
     #[pyo3(signature = (
-        robot, *, accelerations, motor_velocities, rates, links, torques, disturbances, biased, first_order, held, noise,
-        gate, iterations
+        robot, *, kinds, disturbances, biased, first_order, held, noise, gate, iterations
     ))]
     fn new(
         robot: &Robot,
-        accelerations: bool,
-        motor_velocities: bool,
-        rates: bool,
-        links: bool,
-        torques: bool,
+        kinds: Vec<String>,
         disturbances: bool,
         biased: Vec<bool>,
         first_order: bool,
@@ -69,8 +64,7 @@ impl ElasticJointFilter {
         iterations: usize,
     ) -> PyResult<Self> {
         let settings = ElasticSettings {
-            further: Further { motor_velocities, rates, links, torques },
-            accelerations,
+            kinds: named(&kinds)?,
             disturbances,
             biased,
             held,

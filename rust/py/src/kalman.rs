@@ -1,14 +1,14 @@
 //! Kalman filter and smoother on the acceleration-driven model.
 
 use crate::array::{Signal, rows, shaped, write_into};
-use crate::error::{IntoPyErr, outcome};
+use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
 use crate::robot::Robot;
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
-    self, FilterOutput, FilterSettings, Further, Inputs, JerkDriven, JerkModel, KalmanRecording, KalmanSample, Keep,
-    Model,
+    self, FilterOutput, FilterSettings, Inputs, JerkDriven, JerkModel, KalmanRecording, KalmanSample, Keep, Model,
 };
+use linkside_core::estimate::measurement::Kind;
 use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -99,6 +99,14 @@ impl Live {
     }
 }
 
+/// Kinds of channels by name.
+pub(crate) fn named(kinds: &[String]) -> PyResult<Vec<Kind>> {
+    let find = |name: &String| {
+        Kind::named(name).ok_or_else(|| EstimatorError::new_err(format!("{name:?} is no kind of channel")))
+    };
+    kinds.iter().map(find).collect()
+}
+
 /// Copies a signal, or NaN where there is none.
 pub(crate) fn fill(to: &mut [f64], name: &str, signal: Option<&Signal<'_>>) -> PyResult<()> {
     match signal {
@@ -114,22 +122,19 @@ pub(crate) type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'
 #[pymethods]
 impl ExtendedKalmanFilter {
     #[new]
-    #[pyo3(signature = (robot, *, motor_velocities, rates, links, torques, biased, noise, gate, iterations, damping))]
+    #[pyo3(signature = (robot, *, kinds, biased, noise, gate, iterations, damping))]
     fn new(
         robot: &Robot,
-        motor_velocities: bool,
-        rates: bool,
-        links: bool,
-        torques: bool,
+        kinds: Vec<String>,
         biased: Vec<bool>,
         noise: Noise,
         gate: Option<f64>,
         iterations: usize,
         damping: bool,
     ) -> PyResult<Self> {
+        let kinds = named(&kinds)?;
         let build = || {
-            let model =
-                JerkModel::new(Arc::clone(&robot.0), Further { motor_velocities, rates, links, torques }, &biased)?;
+            let model = JerkModel::new(Arc::clone(&robot.0), &kinds, &biased)?;
             let model = JerkDriven::new(model, noise.into(), damping)?;
             kalman::ExtendedKalmanFilter::new(model, FilterSettings { gate, iterations })
         };

@@ -3,10 +3,10 @@
 use crate::array::{Signal, shaped, write_into};
 use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
-use crate::kalman::{Arrays, Live, Noise, into_dict, recording};
+use crate::kalman::{Arrays, Live, Noise, into_dict, named, recording};
 use crate::robot::Robot;
 use linkside_core::error::{DesignError, RunError};
-use linkside_core::estimate::kalman::{Further, JerkDriven, JerkModel, KalmanRecording, KalmanSample, Keep, Model};
+use linkside_core::estimate::kalman::{JerkDriven, JerkModel, KalmanRecording, KalmanSample, Keep, Model};
 use linkside_core::estimate::particle::{
     self, Collapse, Density, Marginalised, ParticleOutput, ParticleSettings, Proposal, Resampling,
 };
@@ -104,13 +104,10 @@ pub(crate) struct ParticleFilter {
 #[pymethods]
 impl ParticleFilter {
     #[new]
-    #[pyo3(signature = (robot, *, motor_velocities, rates, links, torques, biased, noise, damping, marginalised, settings))]
+    #[pyo3(signature = (robot, *, kinds, biased, noise, damping, marginalised, settings))]
     fn new(
         robot: &Robot,
-        motor_velocities: bool,
-        rates: bool,
-        links: bool,
-        torques: bool,
+        kinds: Vec<String>,
         biased: Vec<bool>,
         noise: Noise,
         damping: bool,
@@ -124,10 +121,9 @@ impl ParticleFilter {
             "accelerations" => Marginalised::Accelerations,
             other => return unknown("marginalised", other),
         };
-        let levels = settings.quantiles.len();
+        let (levels, kinds) = (settings.quantiles.len(), named(&kinds)?);
         let build = || -> Result<_, DesignError> {
-            let model =
-                JerkModel::new(Arc::clone(&robot.0), Further { motor_velocities, rates, links, torques }, &biased)?;
+            let model = JerkModel::new(Arc::clone(&robot.0), &kinds, &biased)?;
             let model = JerkDriven::new(model, noise.into(), damping)?;
             particle::ParticleFilter::new(model, settings, marginalised)
         };

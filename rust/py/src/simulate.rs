@@ -9,9 +9,10 @@ use linkside_core::control::{
     AdaptiveGains, Controller, JointPd, Reference, Refused, SimpleAdaptive, State, StateFeedback,
 };
 use linkside_core::error::{DesignError, SimulationError};
+use linkside_core::estimate::measurement::Kind;
 use linkside_core::simulate::{
-    self as core, Feedback, FilterFeedback, Kind, ObserverFeedback, Plan, Recording, SensorFeedback, SensorModel,
-    Start, Stepping, Suite, Tolerance, TrueState,
+    self as core, Feedback, FilterFeedback, ObserverFeedback, Plan, Recording, SensorFeedback, SensorModel, Start,
+    Stepping, Suite, Tolerance, TrueState,
 };
 use numpy::PyArray1;
 use pyo3::exceptions::PyException;
@@ -142,7 +143,7 @@ pub(crate) fn simulate<'py>(
     let recording = match told {
         Told::Truth(true) => job.with(py, TrueState, law),
         Told::Truth(false) => {
-            let velocities = Kind::Motor.width(&robot.0) + Kind::Acceleration.width(&robot.0);
+            let velocities = Kind::all_channels(&[Kind::Motor, Kind::Acceleration], &robot.0).len();
             job.with(py, SensorFeedback { velocities }, law)
         }
         Told::Filter(filter, channels) => {
@@ -242,7 +243,7 @@ fn into_dict<'py>(
     robot: &linkside_core::robot::Robot,
 ) -> PyResult<Bound<'py, PyDict>> {
     let (n, count) = (robot.len(), recording.t.len());
-    let channels = Kind::ALL.iter().map(|kind| kind.width(robot)).sum();
+    let channels = Kind::all_channels(&Kind::ALL, robot).len();
     let out = PyDict::new(py);
     out.set_item("t", PyArray1::from_vec(py, recording.t))?;
     if robot.tool.is_some() {

@@ -4,6 +4,7 @@ use super::{Kinematics, Loads};
 use crate::error::DesignError;
 use crate::linear;
 use crate::robot::Robot;
+use crate::simd::{self, Kernel};
 
 /// Where in the state each joint's numbers are: (q, q̇, θ, θ̇ of the elastic joints, disturbance torques).
 #[derive(Clone, Debug)]
@@ -112,8 +113,12 @@ impl ElasticDynamics {
     }
 
     /// Accelerations at state `x` (dense) under motor torques `tau` (n) [N m]; NaN when the inertia is not positive definite.
-    #[inline(always)]
     pub fn accelerate(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[f64], tau: &[f64]) {
+        simd::phase(Accelerate { dynamics: self, robot, layout, x, tau });
+    }
+
+    #[inline(always)]
+    fn accelerate_here(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[f64], tau: &[f64]) {
         let n = layout.joints;
         let (q, dq) = (&x[..n], &x[n..2 * n]);
         let Self { kinematics, loads, load, mass, .. } = self;
@@ -214,8 +219,12 @@ impl ElasticDynamics {
     }
 
     /// Derivatives of the accelerations, after [`accelerate`](Self::accelerate) at the same state.
-    #[inline(always)]
     pub fn differentiate(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[f64]) {
+        simd::phase(Differentiate { dynamics: self, robot, layout, x });
+    }
+
+    #[inline(always)]
+    fn differentiate_here(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[f64]) {
         let (n, d) = (layout.joints, layout.dense);
         let (q, dq) = (&x[..n], &x[n..2 * n]);
         let Self { kinematics, loads, by_q, by_dq, ignored, load, .. } = self;
@@ -292,6 +301,39 @@ impl ElasticDynamics {
         if let Some(k) = disturbance {
             own[k] = 1.0;
         }
+    }
+}
+
+struct Accelerate<'a> {
+    dynamics: &'a mut ElasticDynamics,
+    robot: &'a Robot,
+    layout: &'a ElasticLayout,
+    x: &'a [f64],
+    tau: &'a [f64],
+}
+
+impl Kernel for Accelerate<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.dynamics.accelerate_here(self.robot, self.layout, self.x, self.tau);
+    }
+}
+
+struct Differentiate<'a> {
+    dynamics: &'a mut ElasticDynamics,
+    robot: &'a Robot,
+    layout: &'a ElasticLayout,
+    x: &'a [f64],
+}
+
+impl Kernel for Differentiate<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.dynamics.differentiate_here(self.robot, self.layout, self.x);
     }
 }
 

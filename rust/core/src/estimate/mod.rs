@@ -3,6 +3,7 @@
 pub(crate) mod jerk_noise;
 pub mod kalman;
 pub mod likelihood;
+pub mod measurement;
 pub mod observer;
 pub mod particle;
 mod status;

@@ -33,15 +33,6 @@ impl Sensor {
         self.axes.len()
     }
 
-    /// The same for a value in the axes of the body that carries it.
-    #[inline(always)]
-    pub(crate) fn record_of_body<T: Scalar>(&self, value: &Vec3<T>, out: &mut [T]) -> usize {
-        for (slot, &axis) in out.iter_mut().zip(&self.axes) {
-            *slot = value.dot_constant(&self.frame.rotation.0[axis]);
-        }
-        self.axes.len()
-    }
-
     fn check(&self, owner: &str) -> Result<(), RobotError> {
         let (std, owner) = (self.noise_std, || owner.to_string());
         expect(std > 0.0 && std.is_finite(), "noise_std", owner, std, "greater than 0")?;

@@ -7,14 +7,13 @@ use crate::error::DesignError;
 use crate::estimate::kalman::{ElasticModel, ExtendedKalmanFilter, Inputs, KalmanSample};
 use crate::estimate::observer::{AccelerationObserver, Sample};
 use crate::robot::Robot;
-use crate::simd;
 
 /// What is known at a sample.
 #[derive(Clone, Copy, Debug)]
 pub struct Known<'a> {
     /// The truth.
     pub truth: Motion<'a>,
-    /// Readings of all sensors, in the order of [`Kind::ALL`](super::Kind::ALL).
+    /// Readings of all sensors, in the order of [`Kind::ALL`](crate::estimate::measurement::Kind::ALL).
     pub readings: &'a [f64],
     /// Motor torques until now (n) [N m].
     pub tau: &'a [f64],
@@ -36,7 +35,6 @@ pub trait Feedback {
 pub struct TrueState;
 
 impl Feedback for TrueState {
-    #[inline(always)]
     fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError> {
         out.q.copy_from_slice(known.truth.q);
         out.dq.copy_from_slice(known.truth.dq);
@@ -54,7 +52,6 @@ pub struct SensorFeedback {
 }
 
 impl Feedback for SensorFeedback {
-    #[inline(always)]
     fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError> {
         let State { q, dq, theta, dtheta } = out;
         for (from, motor, link) in [(0, theta, q), (self.velocities, dtheta, dq)] {
@@ -93,29 +90,13 @@ impl FilterFeedback {
     }
 }
 
-/// A sample of the filter, compiled once for every level of instructions.
-struct Step<'a> {
-    feedback: &'a mut FilterFeedback,
-    known: Known<'a>,
-}
-
-impl simd::Kernel for Step<'_> {
-    type Output = Result<(), DesignError>;
-
-    #[inline(always)]
-    fn run(self) -> Self::Output {
-        let Self { feedback: FilterFeedback { filter, channels, readings, .. }, known } = self;
-        for (reading, &channel) in readings.iter_mut().zip(channels.iter()) {
+impl Feedback for FilterFeedback {
+    fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError> {
+        for (reading, &channel) in self.readings.iter_mut().zip(&self.channels) {
             *reading = known.readings[channel];
         }
         let inputs = Inputs { tau: known.tau, ..Inputs::default() };
-        filter.step(KalmanSample { dt: known.dt, readings, inputs })
-    }
-}
-
-impl Feedback for FilterFeedback {
-    fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError> {
-        simd::dispatch(simd::level(), Step { feedback: self, known })?;
+        self.filter.step(KalmanSample { dt: known.dt, readings: &self.readings, inputs })?;
         let (n, mean) = (self.layout.joints, &self.filter.belief().mean);
         out.q.copy_from_slice(&mean[..n]);
         out.dq.copy_from_slice(&mean[n..2 * n]);
@@ -152,7 +133,6 @@ impl ObserverFeedback {
 }
 
 impl Feedback for ObserverFeedback {
-    #[inline(always)]
     fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError> {
         let Self { observer } = self;
         let (theta, others) = known.readings.split_at(observer.joints());

@@ -18,5 +18,5 @@ pub use integrator::{RungeKutta, largest_stable_step};
 pub use plant::Plant;
 pub use recording::Recording;
 pub use run::{Plan, Stepping, simulate};
-pub use sensors::{Kind, Motion, SensorModel, Suite};
+pub use sensors::{Motion, SensorModel, Suite};
 pub use start::Start;

@@ -5,7 +5,7 @@
 pub struct Recording {
     /// Time [s].
     pub t: Vec<f64>,
-    /// Readings in the order of [`Kind::ALL`](super::Kind::ALL).
+    /// Readings in the order of [`Kind::ALL`](crate::estimate::measurement::Kind::ALL).
     pub readings: Vec<f64>,
     /// Motor torques from this sample until the next (n) [N m].
     pub tau: Vec<f64>,

@@ -10,7 +10,7 @@ use super::start::Start;
 use crate::control::{Controller, State};
 use crate::error::{DesignError, SimulationError};
 use crate::robot::Robot;
-use crate::simd;
+use crate::simd::{self, Kernel};
 
 /// How the robot moves between samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -75,7 +75,11 @@ pub fn simulate(
             return Err(SimulationError::Step { step, limit, substeps: (plan.period / limit).ceil() });
         }
     }
-    simd::dispatch(simd::level(), Run { robot, plan, world, suite, feedback, controller })
+    let mut run = Run { robot, plan, world, suite, feedback, controller };
+    for sample in 0..plan.count {
+        run.sample(sample)?;
+    }
+    Ok(run.world.out)
 }
 
 /// A [`Stepping`] with its room.
@@ -140,7 +144,6 @@ impl World {
     }
 
     /// Moves from one sample to the next.
-    #[inline(always)]
     fn advance(&mut self, robot: &Robot, t: f64, dt: f64) -> Result<(), SimulationError> {
         let Self { x, tau, plant, mover, .. } = self;
         match mover {
@@ -177,6 +180,39 @@ impl World {
     }
 }
 
+/// [`World::look`], to be compiled for each instruction set.
+struct Look<'a> {
+    world: &'a mut World,
+    robot: &'a Robot,
+}
+
+impl Kernel for Look<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.world.look(self.robot);
+    }
+}
+
+/// All sensors of a sample.
+struct Read<'a> {
+    suite: &'a mut Suite,
+    robot: &'a Robot,
+    world: &'a World,
+    sample: usize,
+}
+
+impl Kernel for Read<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { suite, robot, world, sample } = self;
+        suite.read(robot, &world.plant, &world.x, sample);
+    }
+}
+
 struct Run<'a> {
     robot: &'a Robot,
     plan: Plan,
@@ -186,28 +222,15 @@ struct Run<'a> {
     controller: &'a mut dyn Controller,
 }
 
-impl simd::Kernel for Run<'_> {
-    type Output = Result<Recording, SimulationError>;
-
-    #[inline(always)]
-    fn run(mut self) -> Self::Output {
-        for sample in 0..self.plan.count {
-            self.sample(sample)?;
-        }
-        Ok(self.world.out)
-    }
-}
-
 impl Run<'_> {
-    #[inline(always)]
     fn sample(&mut self, sample: usize) -> Result<(), SimulationError> {
         let Self { robot, plan, world, suite, feedback, controller } = self;
         let (dt, t) = (plan.period, sample as f64 * plan.period);
-        world.look(robot);
+        simd::phase(Look { world, robot });
         if !world.plant.dynamics.ddq.iter().chain(&world.x).all(|value| value.is_finite()) {
             return Err(SimulationError::NotFinite { time: t });
         }
-        suite.read(robot, world.motion(), &world.plant.dynamics, sample);
+        simd::phase(Read { suite, robot, world, sample });
         let mut told = core::mem::take(&mut world.told);
         let known = Known { truth: world.motion(), readings: &suite.readings, tau: &world.tau, dt };
         feedback.state_into(known, &mut told)?;

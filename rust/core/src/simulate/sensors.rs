@@ -1,43 +1,11 @@
 //! What sensors make of the truth.
 
+use super::plant::Plant;
 use super::random::Random;
-use crate::dynamics::ElasticDynamics;
 use crate::error::DesignError;
-use crate::robot::{Robot, Sensor};
-use crate::spatial::Vec3;
+use crate::estimate::measurement::{Channel, Elastic, Kind, Values, read_all};
+use crate::robot::Robot;
 use core::f64::consts::TAU;
-
-/// What a sensor measures. Readings of a robot are in this order.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
-    /// θ (n) [rad].
-    Motor,
-    /// Specific force, one number a channel of the accelerometers [m/s²].
-    Acceleration,
-    /// θ̇ (n) [rad/s].
-    MotorVelocity,
-    /// Angular velocity, one number a channel of the gyroscopes [rad/s].
-    Rate,
-    /// q (n) [rad].
-    Link,
-    /// What the transmission gives the link (n) [N m].
-    Torque,
-}
-
-impl Kind {
-    /// All, in order.
-    pub const ALL: [Self; 6] =
-        [Self::Motor, Self::Acceleration, Self::MotorVelocity, Self::Rate, Self::Link, Self::Torque];
-
-    /// Channels of `robot`.
-    pub fn width(self, robot: &Robot) -> usize {
-        match self {
-            Self::Acceleration => robot.acceleration_channels(),
-            Self::Rate => robot.gyroscope_channels(),
-            _ => robot.len(),
-        }
-    }
-}
 
 /// One channel: low-pass, then delay, bias, noise, steps, and a reading every so many samples.
 #[derive(Clone, Copy, Debug)]
@@ -79,9 +47,9 @@ impl SensorModel {
     }
 }
 
-/// One channel with its past.
+/// One channel's sensor with its past.
 #[derive(Clone, Debug)]
-struct Channel {
+struct Reader {
     model: SensorModel,
     /// What the low-pass takes over in a sample.
     share: f64,
@@ -92,7 +60,7 @@ struct Channel {
     lag: f64,
 }
 
-impl Channel {
+impl Reader {
     fn new(model: SensorModel, period: f64) -> Self {
         let lag = model.delay / period;
         let share = -(-TAU * model.corner_frequency * period).exp_m1();
@@ -125,50 +93,40 @@ impl Channel {
 #[derive(Clone, Debug)]
 pub struct Suite {
     channels: Vec<Channel>,
+    readers: Vec<Reader>,
     random: Random,
     truth: Vec<f64>,
-    /// The last readings, in the order of [`Kind::ALL`].
+    /// The last readings, of all kinds in the order of [`Kind::ALL`].
     pub readings: Vec<f64>,
 }
 
 impl Suite {
-    /// One model a channel, in the order of [`Kind::ALL`], read every `period` [s].
+    /// One model a channel, of all kinds in the order of [`Kind::ALL`], read every `period` [s].
     ///
     /// # Errors
     /// A model out of range, or not as many as channels.
     pub fn new(robot: &Robot, models: &[SensorModel], period: f64, seed: u64) -> Result<Self, DesignError> {
-        let expected = Kind::ALL.iter().map(|kind| kind.width(robot)).sum();
+        let channels = Kind::all_channels(&Kind::ALL, robot);
+        let expected = channels.len();
         if models.len() != expected {
             return Err(DesignError::Length { what: "sensors", found: models.len(), expected });
         }
         for model in models {
             model.check()?;
         }
-        let channels = models.iter().map(|&model| Channel::new(model, period)).collect();
+        let readers = models.iter().map(|&model| Reader::new(model, period)).collect();
         let [truth, readings] = core::array::from_fn(|_| vec![0.0; expected]);
-        Ok(Self { channels, random: Random { seed }, truth, readings })
+        Ok(Self { channels, readers, random: Random { seed }, truth, readings })
     }
 
-    /// Reads everything: `dynamics` with the accelerations at the state, and the kinematics with them.
+    /// Reads everything in `state` of `plant`: its dynamics with the accelerations there, and the kinematics with them.
     #[inline(always)]
-    pub(super) fn read(&mut self, robot: &Robot, motion: Motion<'_>, dynamics: &ElasticDynamics, sample: usize) {
-        let (n, kinematics) = (robot.len(), &dynamics.kinematics);
-        let (motor, rest) = self.truth.split_at_mut(n);
-        let (acceleration, rest) = rest.split_at_mut(robot.acceleration_channels());
-        let (velocity, rest) = rest.split_at_mut(n);
-        let (rate, rest) = rest.split_at_mut(robot.gyroscope_channels());
-        let (link, torque) = rest.split_at_mut(n);
-        motor.copy_from_slice(motion.theta);
-        velocity.copy_from_slice(motion.dtheta);
-        link.copy_from_slice(motion.q);
-        axes(&robot.accelerometers, acceleration, |sensor| kinematics.specific_force(&sensor.frame));
-        axes(&robot.gyroscopes, rate, |sensor| kinematics.angular_rate(&sensor.frame));
-        for (j, torque) in torque.iter_mut().enumerate() {
-            *torque = dynamics.joint_torque(robot, j);
-        }
+    pub(super) fn read(&mut self, robot: &Robot, plant: &Plant, state: &[f64], sample: usize) {
+        let view = Elastic { layout: &plant.layout, dynamics: &plant.dynamics, state };
+        read_all(robot, &self.channels, &view, &mut Values(&mut self.truth));
         let (random, truth) = (self.random, &self.truth);
-        for (stream, (channel, reading)) in self.channels.iter_mut().zip(&mut self.readings).enumerate() {
-            *reading = channel.read(truth[stream], random, stream as u64, sample);
+        for (stream, (reader, reading)) in self.readers.iter_mut().zip(&mut self.readings).enumerate() {
+            *reading = reader.read(truth[stream], random, stream as u64, sample);
         }
     }
 }
@@ -184,15 +142,4 @@ pub struct Motion<'a> {
     pub theta: &'a [f64],
     /// θ̇ [rad/s].
     pub dtheta: &'a [f64],
-}
-
-#[inline(always)]
-fn axes(sensors: &[Sensor], out: &mut [f64], see: impl Fn(&Sensor) -> Vec3<f64>) {
-    let recorded = sensors.iter().flat_map(|sensor| {
-        let value = see(sensor).0;
-        sensor.axes.iter().map(move |&axis| value[axis])
-    });
-    for (out, value) in out.iter_mut().zip(recorded) {
-        *out = value;
-    }
 }

@@ -1,6 +1,5 @@
 //! The acceleration-driven model as a filter runs it.
 
-use super::channels::{Channel, Evaluation};
 use super::gaussian::{Gaussian, Symmetric};
 use super::jerk::{JerkModel, Noise};
 use super::model::{Linearised, Model};
@@ -8,6 +7,7 @@ use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample};
 use super::slope::Slope;
 use crate::error::DesignError;
+use crate::estimate::measurement::{Channel, Evaluation};
 use crate::estimate::observer::link_position_at_rest;
 use crate::robot::Robot;
 use crate::scalar::Dual;

@@ -1,16 +1,14 @@
 //! The elastic-joint model: links and motors moved by motor torques, everything that is recorded as a measurement.
 
-use super::channels::Channel;
 use super::gaussian::{Gaussian, Symmetric};
-use super::jerk::Further;
 use super::model::{Linearised, Model};
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample, check_deviations, check_readings, expect_length};
 use super::transition::Transition;
 use crate::dynamics::ElasticLayout;
 use crate::error::DesignError;
+use crate::estimate::measurement::{Chained, Channel, Elastic, Kind, read_all};
 use crate::estimate::observer::link_position_at_rest;
-use crate::linear;
 use crate::robot::Robot;
 use std::sync::Arc;
 
@@ -47,10 +45,8 @@ pub enum Discretization {
 /// What the elastic-joint model consists of.
 #[derive(Clone, Debug)]
 pub struct ElasticSettings {
-    /// Channels beside motor positions and accelerometers.
-    pub further: Further,
-    /// Whether accelerometers are read.
-    pub accelerations: bool,
+    /// What is measured; motor positions among them.
+    pub kinds: Vec<Kind>,
     /// Whether each motor has a slowly changing torque of its own beside the measured one.
     pub disturbances: bool,
     /// Which channels have a bias state, in their order.
@@ -86,8 +82,7 @@ impl ElasticModel {
     /// # Errors
     /// Motors on links, noise or biases that do not fit the channels, a negative standard deviation, a reading without noise.
     pub fn new(robot: Arc<Robot>, settings: &ElasticSettings, noise: ElasticNoise) -> Result<Self, DesignError> {
-        let mut channels = settings.further.channels(&robot);
-        channels.retain(|c| settings.accelerations || !matches!(c, Channel::Acceleration { .. }));
+        let channels = Kind::all_channels(&settings.kinds, &robot);
         expect_length("biased", settings.biased.len(), channels.len())?;
         let layout = ElasticLayout::new(&robot, settings.disturbances)?;
         let (n, m, d) = (robot.len(), channels.len(), layout.dense);
@@ -163,76 +158,6 @@ impl ElasticModel {
         }
         self.transition.add_torque_noise(&self.robot, p, &noise.torque, dt);
     }
-
-    /// Rows of an accelerometer at q̈ of the model: by q and q̇ directly, and by all that moves q̈.
-    #[inline(always)]
-    fn acceleration(&mut self, row: usize, sensor: usize) -> usize {
-        let Self { robot, transition, prediction, jacobian, .. } = self;
-        let (dynamics, d, n) = (&transition.dynamics, transition.layout.dense, robot.len());
-        let sensor = &robot.accelerometers[sensor];
-        sensor.record(&dynamics.kinematics.specific_force(&sensor.frame), &mut prediction[row..]);
-        dynamics.kinematics.specific_force_derivatives(&robot.tree, &sensor.frame, |joint, [by_q, by_dq, by_ddq]| {
-            for (r, &axis) in sensor.axes.iter().enumerate() {
-                let out = &mut jacobian[(row + r) * d..][..d];
-                out[joint] += by_q.0[axis];
-                out[n + joint] += by_dq.0[axis];
-                linear::add_scaled(out, by_ddq.0[axis], &dynamics.ddq_by[joint * d..][..d]);
-            }
-        });
-        sensor.axes.len()
-    }
-
-    #[inline(always)]
-    fn rate(&mut self, row: usize, sensor: usize) -> usize {
-        let Self { robot, transition, prediction, jacobian, .. } = self;
-        let (dynamics, d, n) = (&transition.dynamics, transition.layout.dense, robot.len());
-        let sensor = &robot.gyroscopes[sensor];
-        sensor.record(&dynamics.kinematics.angular_rate(&sensor.frame), &mut prediction[row..]);
-        dynamics.kinematics.angular_rate_derivatives(&robot.tree, &sensor.frame, |joint, [by_q, by_dq]| {
-            for (r, &axis) in sensor.axes.iter().enumerate() {
-                let out = &mut jacobian[(row + r) * d..][..d];
-                out[joint] = by_q.0[axis];
-                out[n + joint] = by_dq.0[axis];
-            }
-        });
-        sensor.axes.len()
-    }
-
-    /// What a transmission gives its link: τ_e, or behind a rigid one what the motor has left for it.
-    #[inline(always)]
-    fn torque(&mut self, row: usize, j: usize, x: &[f64]) -> usize {
-        let Self { robot, transition, prediction, jacobian, .. } = self;
-        let Transition { layout, dynamics, .. } = transition;
-        let (drive, n) = (&robot.drives[j], robot.len());
-        let out = &mut jacobian[row * layout.dense..][..layout.dense];
-        prediction[row] = dynamics.joint_torque(robot, j);
-        if drive.elastic {
-            let kappa = drive.tangent_stiffness(x[layout.theta[j]] - x[j]);
-            out[layout.theta[j]] = kappa;
-            out[j] = -kappa;
-            out[layout.dtheta[j]] = drive.damping;
-            out[n + j] = -drive.damping;
-            return 1;
-        }
-        let slip = drive.motor_friction(x[n + j]).1;
-        out[n + j] = -slip;
-        if let Some(first) = layout.disturbance {
-            out[first + j] = 1.0;
-        }
-        for i in 0..=j {
-            let inertia = if i == j { drive.motor_inertia } else { robot.coupling[i * n + j] };
-            linear::add_scaled(out, -inertia, &dynamics.ddq_by[i * layout.dense..][..layout.dense]);
-        }
-        1
-    }
-
-    /// One reading that is a state.
-    #[inline(always)]
-    fn state(&mut self, row: usize, index: usize, x: &[f64]) -> usize {
-        self.prediction[row] = x[index];
-        self.jacobian[row * self.transition.layout.dense + index] = 1.0;
-        1
-    }
 }
 
 impl Model for ElasticModel {
@@ -282,23 +207,14 @@ impl Model for ElasticModel {
 
     #[inline(always)]
     fn linearise(&mut self, reference: &[f64]) {
-        let Self { robot, transition, tau, jacobian, .. } = self;
+        let Self { robot, channels, transition, tau, prediction, jacobian, .. } = self;
         let Transition { dynamics, layout, .. } = transition;
         dynamics.accelerate(robot, layout, reference, tau);
         dynamics.differentiate(robot, layout, reference);
         jacobian.fill(0.0);
-        let mut i = 0;
-        while i < self.channels.len() {
-            let ElasticLayout { theta, dtheta, .. } = &self.transition.layout;
-            i += match self.channels[i] {
-                Channel::Motor(j) => self.state(i, theta[j], reference),
-                Channel::MotorVelocity(j) => self.state(i, dtheta[j], reference),
-                Channel::Link(j) => self.state(i, j, reference),
-                Channel::Torque(j) => self.torque(i, j, reference),
-                Channel::Acceleration { sensor, .. } => self.acceleration(i, sensor),
-                Channel::Rate { sensor, .. } => self.rate(i, sensor),
-            };
-        }
+        let view = Elastic { layout, dynamics, state: reference };
+        let (joints, dense, ddq_by) = (robot.len(), layout.dense, &dynamics.ddq_by);
+        read_all(robot, channels, &view, &mut Chained { prediction, rows: jacobian, joints, dense, ddq_by });
     }
 
     #[inline(always)]

@@ -2,12 +2,11 @@
 
 use super::correction::Correction;
 use super::gaussian::Gaussian;
-use super::model::Model;
 use super::output::{FilterOutput, Keep, Tool};
+use super::phases::{Linearise, Phases, Predict, Report, Update};
 use super::recording::{KalmanRecording, KalmanSample};
 use super::smoother::{History, Smoother};
 use crate::error::{DesignError, RunError};
-use crate::simd::{self, Kernel};
 use rayon::prelude::*;
 
 /// What a filter does beyond the textbook.
@@ -48,7 +47,7 @@ pub struct ExtendedKalmanFilter<M> {
     started: bool,
 }
 
-impl<M: Model> ExtendedKalmanFilter<M> {
+impl<M: Phases> ExtendedKalmanFilter<M> {
     /// A filter that starts from rest at its first sample.
     ///
     /// # Errors
@@ -115,7 +114,6 @@ impl<M: Model> ExtendedKalmanFilter<M> {
     ///
     /// # Errors
     /// Only on a first sample from which the model cannot [start](Model::start).
-    #[inline(always)]
     pub fn step(&mut self, sample: KalmanSample<'_>) -> Result<(), DesignError> {
         self.advance(&sample)?;
         self.correct(&sample);
@@ -123,10 +121,9 @@ impl<M: Model> ExtendedKalmanFilter<M> {
     }
 
     /// To the sample's time; afterwards the belief is what was predicted.
-    #[inline(always)]
     fn advance(&mut self, sample: &KalmanSample<'_>) -> Result<(), DesignError> {
         if self.started {
-            self.model.predict(sample, &mut self.belief);
+            M::predict_phase(Predict { model: &mut self.model, sample, belief: &mut self.belief });
         } else {
             self.model.start(sample, &mut self.belief)?;
             self.started = true;
@@ -135,28 +132,31 @@ impl<M: Model> ExtendedKalmanFilter<M> {
     }
 
     /// Uses the sample's readings.
-    #[inline(always)]
     fn correct(&mut self, sample: &KalmanSample<'_>) {
         self.correction.gated.fill(false);
         if self.settings.iterations > 1 {
             self.prior.copy_from(&self.belief);
         }
         self.linearise();
-        self.correction.update(&self.model, &mut self.belief, sample.readings, self.settings.gate);
+        self.update(sample.readings, self.settings.gate);
         for _ in 1..self.settings.iterations {
             self.linearise();
             self.belief.copy_from(&self.prior);
-            self.correction.update(&self.model, &mut self.belief, sample.readings, None);
+            self.update(sample.readings, None);
         }
     }
 
+    fn update(&mut self, readings: &[f64], gate: Option<f64>) {
+        let Self { model, correction, belief, .. } = self;
+        M::update_phase(Update { model: &*model, correction, belief, readings, gate });
+    }
+
     /// At the present mean.
-    #[inline(always)]
     fn linearise(&mut self) {
         let reference = &mut self.correction.reference;
         let d = reference.len();
         reference.copy_from_slice(&self.belief.mean[..d]);
-        self.model.linearise(reference);
+        M::linearise_phase(Linearise { model: &mut self.model, reference });
     }
 
     /// Filters a recording, `count` rows; goes on from where it was, so that it may come in pieces.
@@ -165,7 +165,7 @@ impl<M: Model> ExtendedKalmanFilter<M> {
     /// As [`step`](Self::step), wrong lengths, or a sample after which the estimate is not finite.
     pub fn run(&mut self, recording: KalmanRecording<'_>, keep: Keep) -> Result<FilterOutput, RunError> {
         self.model.check(&recording)?;
-        simd::dispatch(simd::level(), Run { filter: self, recording, keep, history: None })
+        self.run_with(recording, keep, None)
     }
 
     /// Runs each of `recordings` from a fresh start, on all cores; through the smoother where `smooth`.
@@ -187,8 +187,7 @@ impl<M: Model> ExtendedKalmanFilter<M> {
     }
 
     /// As [`run`](Self::run), remembering what a smoother needs.
-    #[inline(always)]
-    fn run_with(
+    pub(super) fn run_with(
         &mut self,
         recording: KalmanRecording<'_>,
         keep: Keep,
@@ -228,32 +227,11 @@ impl<M: Model> ExtendedKalmanFilter<M> {
         self.correction.compare(&self.model, &self.belief, sample.readings, innovation, std);
     }
 
-    #[inline(always)]
     fn report(&mut self, i: usize, out: &mut FilterOutput, whole: bool) {
-        let Gaussian { mean, covariance } = &self.belief;
-        self.memory.clear();
-        self.model.remember(&mut self.memory);
-        self.model.report(&self.memory, mean, i, out);
-        out.write_links(i, self.model.robot(), mean, |r, c| covariance.at(r, c), &mut self.tool);
-        if whole {
-            out.write_state(i, mean, &covariance.data, covariance.stride);
-        }
-    }
-}
-
-/// A filter's run, to be compiled for each instruction set.
-pub(super) struct Run<'a, 'b, M> {
-    pub(super) filter: &'a mut ExtendedKalmanFilter<M>,
-    pub(super) recording: KalmanRecording<'b>,
-    pub(super) keep: Keep,
-    pub(super) history: Option<&'a mut History>,
-}
-
-impl<M: Model> Kernel for Run<'_, '_, M> {
-    type Output = Result<FilterOutput, RunError>;
-
-    #[inline(always)]
-    fn run(self) -> Self::Output {
-        self.filter.run_with(self.recording, self.keep, self.history)
+        let Self { model, belief: Gaussian { mean, covariance }, memory, tool, .. } = self;
+        memory.clear();
+        model.remember(memory);
+        let (covariance, stride) = (&covariance.data, covariance.stride);
+        M::report_phase(Report { model, memory, mean, covariance, stride, tool, i, out, whole });
     }
 }

@@ -1,10 +1,10 @@
 //! The acceleration-driven model: links moved by jerk, motor and sensors as measurements, readings with slow biases.
 
-use super::channels::Channel;
 use super::gaussian::{Gaussian, Symmetric};
 use super::recording::{check_deviations, check_readings, expect_length};
 use crate::error::DesignError;
 use crate::estimate::jerk_noise;
+use crate::estimate::measurement::{Channel, Kind};
 use crate::robot::Robot;
 use std::sync::Arc;
 
@@ -38,45 +38,13 @@ pub struct Noise {
     pub initial_bias: Vec<f64>,
 }
 
-/// Channels that a log may have beside motor positions and accelerometers.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Further {
-    /// Motor velocities of all joints.
-    pub motor_velocities: bool,
-    /// The robot's gyroscopes.
-    pub rates: bool,
-    /// Link positions of all joints.
-    pub links: bool,
-    /// Transmission torques of all joints.
-    pub torques: bool,
-}
-
-impl Further {
-    /// All channels: motor positions, accelerometer axes, motor velocities, gyroscope axes, link positions, torques.
-    pub(super) fn channels(self, robot: &Robot) -> Vec<Channel> {
-        let joints = || 0..robot.len();
-        let mut channels: Vec<_> = joints().map(Channel::Motor).collect();
-        for (sensor, s) in robot.accelerometers.iter().enumerate() {
-            channels.extend(s.axes.iter().map(|&axis| Channel::Acceleration { sensor, axis }));
-        }
-        channels.extend(joints().filter(|_| self.motor_velocities).map(Channel::MotorVelocity));
-        for (sensor, s) in robot.gyroscopes.iter().enumerate().filter(|_| self.rates) {
-            channels.extend(s.axes.iter().map(|&axis| Channel::Rate { sensor, axis }));
-        }
-        channels.extend(joints().filter(|_| self.links).map(Channel::Link));
-        channels.extend(joints().filter(|_| self.torques).map(Channel::Torque));
-        channels
-    }
-}
-
 impl JerkModel {
-    /// Motor positions and accelerometers, and `further` channels that the log has; each with a bias state where `biased`
-    /// says so, in the same order.
+    /// The channels of `kinds`, motor positions among them; each with a bias state where `biased` says so, in the same order.
     ///
     /// # Errors
     /// Lengths that differ.
-    pub fn new(robot: Arc<Robot>, further: Further, biased: &[bool]) -> Result<Self, DesignError> {
-        let channels = further.channels(&robot);
+    pub fn new(robot: Arc<Robot>, kinds: &[Kind], biased: &[bool]) -> Result<Self, DesignError> {
+        let channels = Kind::all_channels(kinds, &robot);
         expect_length("biased", biased.len(), channels.len())?;
         let mut states = 3 * robot.len();
         let mut number = |&biased: &bool| {

@@ -4,6 +4,7 @@ use super::correction::Correction;
 use super::model::Model;
 use crate::dynamics::Kinematics;
 use crate::robot::Robot;
+use crate::simd::{self, Kernel};
 
 /// What to keep of each sample beyond the estimate.
 #[derive(Clone, Copy, Debug, Default)]
@@ -171,8 +172,12 @@ impl Tool {
     }
 
     /// Position at `q`, the derivative beside; none of a robot without a tool.
-    #[inline(always)]
     fn set(&mut self, robot: &Robot, q: &[f64]) -> Option<[f64; 3]> {
+        simd::phase(SetTool { tool: self, robot, q })
+    }
+
+    #[inline(always)]
+    fn set_here(&mut self, robot: &Robot, q: &[f64]) -> Option<[f64; 3]> {
         let frame = robot.tool.as_ref()?;
         let Self { kinematics, jacobian } = self;
         kinematics.set_position(&robot.tree, q);
@@ -183,5 +188,20 @@ impl Tool {
             }
         });
         Some(kinematics.position(frame).0)
+    }
+}
+
+struct SetTool<'a> {
+    tool: &'a mut Tool,
+    robot: &'a Robot,
+    q: &'a [f64],
+}
+
+impl Kernel for SetTool<'_> {
+    type Output = Option<[f64; 3]>;
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        self.tool.set_here(self.robot, self.q)
     }
 }

@@ -5,14 +5,15 @@
 //! covariance P⁻ − P⁻ΛP⁻. No predicted covariance is inverted, badly scaled as they are (10⁻¹² to 1).
 
 use super::correction::Correction;
-use super::filter::{ExtendedKalmanFilter, Run};
+use super::filter::ExtendedKalmanFilter;
 use super::gaussian::{Gaussian, Innovation, Symmetric};
 use super::model::Model;
 use super::output::{FilterOutput, Keep};
+use super::phases::{Phases, Report};
 use super::recording::KalmanRecording;
 use crate::error::RunError;
 use crate::linear;
-use crate::simd::{self, Kernel};
+use crate::simd::Kernel;
 
 /// What the filter knew at each sample of a stretch.
 #[derive(Clone, Debug)]
@@ -100,34 +101,46 @@ pub struct Smoother<M> {
     smoothed: Vec<f64>,
 }
 
-/// The way back through a stretch, to be compiled for each instruction set.
-struct Back<'a, M> {
+/// Past sample `i`'s readings, and the smoothed estimate there.
+pub(super) struct Back<'a, M> {
     smoother: &'a mut Smoother<M>,
     history: &'a History,
-    out: &'a mut FilterOutput,
-    keep: Keep,
+    i: usize,
+    whole: bool,
 }
 
-impl<M: Model> Kernel for Back<'_, M> {
+impl<M: Phases> Kernel for Back<'_, M> {
     type Output = ();
 
     #[inline(always)]
     fn run(self) {
-        let Self { smoother, history, out, keep } = self;
-        for i in (0..history.dt.len()).rev() {
-            smoother.back(history, i);
-            smoother.smooth(history, i, keep.covariance);
-            smoother.report(history, i, out, keep);
-            let Smoother { filter, lambda, big, .. } = &mut *smoother;
-            filter.model.retreat(history.memory(i), history.dt[i], lambda, big);
-        }
+        let Self { smoother, history, i, whole } = self;
+        smoother.back(history, i);
+        smoother.smooth(history, i, whole);
+    }
+}
+
+/// From sample `i` to the one before.
+pub(super) struct Retreat<'a, M> {
+    smoother: &'a mut Smoother<M>,
+    history: &'a History,
+    i: usize,
+}
+
+impl<M: Phases> Kernel for Retreat<'_, M> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { smoother: Smoother { filter, lambda, big, .. }, history, i } = self;
+        filter.model.retreat(history.memory(i), history.dt[i], lambda, big);
     }
 }
 
 /// Bytes of history that a stretch may take.
 const STRETCH: usize = 256 << 20;
 
-impl<M: Model> Smoother<M> {
+impl<M: Phases> Smoother<M> {
     /// A smoother on `filter`'s model, noise and settings; it starts from rest at a recording's first sample.
     pub fn new(filter: &ExtendedKalmanFilter<M>) -> Self {
         let mut filter = filter.clone();
@@ -200,9 +213,13 @@ impl<M: Model> Smoother<M> {
         let count = recording.dt.len();
         filter.model.check(&recording)?;
         let mut history = History::with_capacity(count, &filter.model, self.big.stride, keep.covariance);
-        let run = Run { filter: &mut filter, recording, keep, history: Some(&mut history) };
-        let mut out = simd::dispatch(simd::level(), run)?;
-        simd::dispatch(simd::level(), Back { smoother: self, history: &history, out: &mut out, keep });
+        let mut out = filter.run_with(recording, keep, Some(&mut history))?;
+        let history = &history;
+        for i in (0..count).rev() {
+            M::back_phase(Back { smoother: &mut *self, history, i, whole: keep.covariance });
+            self.report(history, i, &mut out, keep.covariance);
+            M::retreat_phase(Retreat { smoother: &mut *self, history, i });
+        }
         Ok(out)
     }
 
@@ -273,15 +290,10 @@ impl<M: Model> Smoother<M> {
         }
     }
 
-    #[inline(always)]
-    fn report(&mut self, history: &History, i: usize, out: &mut FilterOutput, keep: Keep) {
-        let Self { filter, mean, smoothed, big, .. } = self;
+    fn report(&mut self, history: &History, i: usize, out: &mut FilterOutput, whole: bool) {
+        let Self { filter, mean, smoothed: covariance, big: Symmetric { stride, .. }, .. } = self;
         let ExtendedKalmanFilter { model, tool, .. } = filter;
-        let stride = big.stride;
-        model.report(history.memory(i), mean, i, out);
-        out.write_links(i, model.robot(), mean, |r, c| smoothed[r * stride + c], tool);
-        if keep.covariance {
-            out.write_state(i, mean, smoothed, stride);
-        }
+        let (memory, stride) = (history.memory(i), *stride);
+        M::report_phase(Report { model, memory, mean, covariance, stride, tool, i, out, whole });
     }
 }

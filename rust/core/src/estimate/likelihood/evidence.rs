@@ -1,15 +1,15 @@
 //! The likelihood of a recording, its gradient and its information.
 
 use super::evaluation::Evaluation;
-use super::filter::{Advance, Filter, Innovation};
+use super::filter::{Filter, Innovation};
 use super::moments::{Lateness, moments};
 use super::parameters::{Parameter, Parameters};
 use super::recording::LikelihoodRecording;
 use crate::error::{DesignError, RunError};
-use crate::estimate::kalman::{Further, JerkModel, Noise};
+use crate::estimate::kalman::{JerkModel, Noise};
+use crate::estimate::measurement::Kind;
 use crate::robot::Robot;
 use crate::scalar::{Dual, Scalar};
-use crate::simd;
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -76,8 +76,12 @@ impl Likelihood {
             return Err(DesignError::Range { what: "huber", value, expected: "greater than 0" });
         }
         recording.check(&robot, settings.torque)?;
-        let further = Further { torques: settings.torque, ..Further::default() };
-        let model = JerkModel::new(robot, further, &settings.biased)?;
+        let kinds: &[_] = if settings.torque {
+            &[Kind::Motor, Kind::Acceleration, Kind::Torque]
+        } else {
+            &[Kind::Motor, Kind::Acceleration]
+        };
+        let model = JerkModel::new(robot, kinds, &settings.biased)?;
         model.check(&settings.noise)?;
         Ok(Self { model, settings, recording })
     }
@@ -163,9 +167,7 @@ impl Likelihood {
         let recording = &self.recording;
         let mut slopes = [vec![0.0; p], vec![0.0; p]];
         for _ in 0..filters[0].stretches(STRETCH) {
-            filters.par_iter_mut().for_each(|filter| {
-                simd::dispatch(simd::level(), Advance { filter, recording, count: STRETCH });
-            });
+            filters.par_iter_mut().for_each(|filter| filter.advance(recording, STRETCH));
             for i in 0..filters[0].innovations.len() {
                 for (k, (value, variance)) in slopes_of(&filters, i).take(p).enumerate() {
                     (slopes[0][k], slopes[1][k]) = (value, variance);

@@ -3,9 +3,10 @@
 use super::evaluation::{Evaluation, Reading};
 use super::moments::Moment;
 use super::recording::LikelihoodRecording;
-use crate::estimate::kalman::{Channel, JerkModel, Noise};
+use crate::estimate::kalman::{JerkModel, Noise};
+use crate::estimate::measurement::Channel;
 use crate::scalar::Scalar;
-use crate::simd::Kernel;
+use crate::simd::{self, Kernel};
 
 /// A reading less its prediction by all readings before it.
 #[derive(Clone, Copy, Debug)]
@@ -70,21 +71,21 @@ impl<T: Scalar> Filter<T> {
         }
     }
 
-    /// In how many calls of [`Advance`] with `count` moments each the recording is done.
+    /// In how many calls of [`advance`](Self::advance) with `count` moments each the recording is done.
     pub(super) fn stretches(&self, count: usize) -> usize {
         self.moments.len().div_ceil(count)
     }
 
     /// Innovations of the next `count` moments.
-    #[inline(always)]
-    fn advance(&mut self, recording: &LikelihoodRecording, count: usize) {
+    pub(super) fn advance(&mut self, recording: &LikelihoodRecording, count: usize) {
         self.innovations.clear();
         for i in self.next..(self.next + count).min(self.moments.len()) {
             let moment = self.moments[i];
             if i == 0 {
                 self.start(recording);
             } else {
-                self.predict(recording, self.moments[i - 1], moment);
+                let from = self.moments[i - 1];
+                simd::phase(Predict { filter: self, recording, from, to: moment });
             }
             self.correct(recording, moment);
         }
@@ -169,20 +170,19 @@ impl<T: Scalar> Filter<T> {
     }
 
     /// One reading after the other, all linearised where the moment was predicted.
-    #[inline(always)]
     fn correct(&mut self, recording: &LikelihoodRecording, moment: Moment) {
         let d = self.reference.len();
         self.reference.copy_from_slice(&self.mean[..d]);
-        self.evaluation.evaluate(recording, moment, &self.reference);
+        simd::phase(Evaluate { evaluation: &mut self.evaluation, recording, moment, state: &self.reference });
         for i in 0..self.evaluation.readings.len() {
-            self.use_reading(i, moment.row);
+            simd::phase(UseReading { filter: self, i, row: moment.row });
         }
     }
 
     #[inline(always)]
     fn use_reading(&mut self, i: usize, row: usize) {
         let reading = self.evaluation.readings[i];
-        let predicted = self.project(i, &reading);
+        let predicted = self.project(&reading);
         let (predicted, spread) = match self.memories[reading.channel] {
             Some((state, alpha)) => self.remember(state, alpha, predicted),
             None => predicted,
@@ -204,9 +204,9 @@ impl<T: Scalar> Filter<T> {
 
     /// A prediction h(x) without bias at the present mean, and its variance h P hᵀ; leaves P hᵀ in the gain.
     #[inline(always)]
-    fn project(&mut self, i: usize, reading: &Reading<T>) -> (T, T) {
+    fn project(&mut self, reading: &Reading<T>) -> (T, T) {
         let (d, states) = (self.reference.len(), self.mean.len());
-        let h = &self.evaluation.jacobian[i * d..][..d];
+        let h = &self.evaluation.jacobian[reading.channel * d..][..d];
         let (mut predicted, mut spread) = (reading.prediction, T::default());
         self.gain.fill(T::default());
         for (k, (slope, column)) in h.iter().zip(self.covariance.chunks_exact(states)).enumerate() {
@@ -281,18 +281,52 @@ fn held_spread<T: Scalar>(dt: T) -> [[T; 3]; 3] {
     parts.map(|a| parts.map(|b| a * b))
 }
 
-/// A filter's next stretch, to be compiled for each instruction set.
-pub(super) struct Advance<'a, T> {
-    pub(super) filter: &'a mut Filter<T>,
-    pub(super) recording: &'a LikelihoodRecording,
-    pub(super) count: usize,
+/// [`Filter::predict`], to be compiled for each instruction set.
+struct Predict<'a, T> {
+    filter: &'a mut Filter<T>,
+    recording: &'a LikelihoodRecording,
+    from: Moment,
+    to: Moment,
 }
 
-impl<T: Scalar> Kernel for Advance<'_, T> {
+impl<T: Scalar> Kernel for Predict<'_, T> {
     type Output = ();
 
     #[inline(always)]
     fn run(self) {
-        self.filter.advance(self.recording, self.count);
+        self.filter.predict(self.recording, self.from, self.to);
+    }
+}
+
+/// [`Evaluation::evaluate`], likewise.
+struct Evaluate<'a, T> {
+    evaluation: &'a mut Evaluation<T>,
+    recording: &'a LikelihoodRecording,
+    moment: Moment,
+    state: &'a [T],
+}
+
+impl<T: Scalar> Kernel for Evaluate<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.evaluation.evaluate(self.recording, self.moment, self.state);
+    }
+}
+
+/// [`Filter::use_reading`], likewise.
+struct UseReading<'a, T> {
+    filter: &'a mut Filter<T>,
+    i: usize,
+    row: usize,
+}
+
+impl<T: Scalar> Kernel for UseReading<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.filter.use_reading(self.i, self.row);
     }
 }

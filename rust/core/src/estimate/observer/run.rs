@@ -134,8 +134,12 @@ impl AccelerationObserver {
     ///
     /// # Errors
     /// Only on a first sample without every motor position, or without a static equilibrium.
-    #[inline(always)]
     pub fn step(&mut self, sample: Sample<'_>) -> Result<(), DesignError> {
+        simd::phase(Step { observer: self, sample })
+    }
+
+    #[inline(always)]
+    fn step_here(&mut self, sample: Sample<'_>) -> Result<(), DesignError> {
         self.status = 0;
         if self.started {
             self.predict();
@@ -353,11 +357,6 @@ impl AccelerationObserver {
     /// # Errors
     /// As [`step`](Self::step), wrong lengths, or a sample after which the estimate is not finite.
     pub fn run(&mut self, recording: Recording<'_>) -> Result<Trajectory, RunError> {
-        simd::dispatch(simd::level(), Run { observer: self, recording })
-    }
-
-    #[inline(always)]
-    fn run_here(&mut self, recording: Recording<'_>) -> Result<Trajectory, RunError> {
         let Recording { count, theta, tau, acceleration } = recording;
         let (n, m) = (self.joints(), self.channels());
         for (what, given, width) in [("theta", theta, n), ("tau", tau, n), ("acceleration", acceleration, m)] {
@@ -386,7 +385,6 @@ impl AccelerationObserver {
         recordings.par_iter().map(|&recording| self.clone().run(recording)).collect()
     }
 
-    #[inline(always)]
     fn append(&self, out: &mut Trajectory) {
         out.q.extend_from_slice(&self.q);
         out.dq.extend_from_slice(&self.dq);
@@ -403,17 +401,17 @@ impl AccelerationObserver {
     }
 }
 
-/// An observer's run, to be compiled for each instruction set.
-struct Run<'a, 'b> {
+/// An observer's step, to be compiled for each instruction set.
+struct Step<'a, 'b> {
     observer: &'a mut AccelerationObserver,
-    recording: Recording<'b>,
+    sample: Sample<'b>,
 }
 
-impl Kernel for Run<'_, '_> {
-    type Output = Result<Trajectory, RunError>;
+impl Kernel for Step<'_, '_> {
+    type Output = Result<(), DesignError>;
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        self.observer.run_here(self.recording)
+        self.observer.step_here(self.sample)
     }
 }

@@ -1,9 +1,9 @@
 //! Where the particles are kept: blocks of fixed size, a row of numbers for each entry of the state.
 
 use super::accelerations::{Densities, covariance_entries};
-use super::evaluation::Sensed;
 use super::settings::Marginalised;
-use crate::estimate::kalman::{Evaluation, JerkModel};
+use crate::estimate::kalman::JerkModel;
+use crate::estimate::measurement::{Evaluation, Predictions};
 use crate::scalar::Lanes;
 use rayon::prelude::*;
 
@@ -74,7 +74,7 @@ pub(super) struct Sums {
 /// Room for [`WIDE`] particles on their way.
 #[derive(Clone, Debug)]
 pub(super) struct Scratch {
-    pub(super) sensed: Sensed<Wide>,
+    pub(super) sensed: Predictions<Wide>,
     /// There where readings are linearised.
     pub(super) evaluation: Evaluation<Wide>,
     /// q, q̇, q̈ and biases before the noise, and after it.
@@ -97,7 +97,7 @@ impl Scratch {
         let room = |size| vec![Wide::default(); size];
         let states = model.states();
         Self {
-            sensed: Sensed::new(model),
+            sensed: Predictions::new(&model.robot, model.channels()),
             evaluation: Evaluation::new(&model.robot, model.channels()),
             before: room(states),
             after: room(states),

@@ -14,7 +14,9 @@ use super::start::Start;
 use super::sums::Deviations;
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
-use crate::estimate::kalman::{FilterOutput, Gaussian, JerkDriven, KalmanRecording, KalmanSample, Keep, Model, Tool};
+use crate::estimate::kalman::{
+    FilterOutput, Gaussian, JerkDriven, KalmanRecording, KalmanSample, Keep, Linearise, Model, Phases, Predict, Tool,
+};
 use crate::simd;
 use rayon::prelude::*;
 
@@ -124,7 +126,7 @@ impl ParticleFilter {
         self.guard.step(sample)?;
         self.resample_if_due();
         if self.started {
-            self.model.predict(&sample, &mut self.belief);
+            JerkDriven::predict_phase(Predict { model: &mut self.model, sample: &sample, belief: &mut self.belief });
         } else {
             self.start(&sample)?;
         }
@@ -178,7 +180,7 @@ impl ParticleFilter {
         let (dt, first) = (sample.dt, !self.started);
         let mut reference = core::mem::take(&mut self.summary.reference);
         reference.copy_from_slice(&self.belief.mean[..3 * n]);
-        self.model.linearise(&reference);
+        JerkDriven::linearise_phase(Linearise { model: &mut self.model, reference: &reference });
         self.summary.reference = reference;
         let Self { model, sample: shared, .. } = self;
         shared.step = self.taken as u32;

@@ -127,7 +127,6 @@ impl Guard {
         // The weights are geometric: the sum's variance is that of half as many independent squares, two each.
         !(self.excess <= TOLERANCE * self.readings.max(0.5 * WINDOW).sqrt())
     }
-
 }
 
 impl ParticleFilter {

@@ -4,7 +4,6 @@ mod accelerations;
 mod cloud;
 mod conditional;
 mod density;
-mod evaluation;
 mod filter;
 mod guard;
 mod motion;

@@ -3,7 +3,7 @@
 use super::cloud::{BLOCK, Cloud};
 use super::filter::ParticleFilter;
 use super::sums::dot;
-use crate::estimate::kalman::{FilterOutput, Gaussian, JerkModel, Keep, Model};
+use crate::estimate::kalman::{FilterOutput, Gaussian, JerkDriven, JerkModel, Keep, Linearise, Model, Phases};
 use crate::scalar::ln;
 
 /// The cloud after a sample, in a few numbers.
@@ -169,7 +169,7 @@ impl ParticleOutput {
     fn report_links(&mut self, i: usize, filter: &mut ParticleFilter) {
         let n = filter.model.robot().len();
         let ParticleFilter { model, summary, tool, memory, .. } = filter;
-        model.linearise(&summary.mean[..3 * n]);
+        JerkDriven::linearise_phase(Linearise { model, reference: &summary.mean[..3 * n] });
         memory.clear();
         model.remember(memory);
         model.report(memory, &summary.mean, i, &mut self.links);

@@ -122,7 +122,7 @@ impl Scratch {
             Proposal::Linearised { iterations, tail } => self.propose(model, sample, shared, items, iterations, tail),
         };
         self.apply_noise(sample);
-        self.sensed.predict(model, &self.after, &sample.dtheta);
+        self.sensed.predict(&model.robot, &model.channels, &self.after, &sample.dtheta);
         change += self.weigh_and_learn(sample);
         change + self.within_limits(sample)
     }

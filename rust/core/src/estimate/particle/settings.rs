@@ -2,7 +2,8 @@
 
 use super::density::Density;
 use crate::error::DesignError;
-use crate::estimate::kalman::{Channel, JerkModel};
+use crate::estimate::kalman::JerkModel;
+use crate::estimate::measurement::Channel;
 
 /// Most particles that a filter takes.
 pub const MOST_PARTICLES: usize = 1 << 22;

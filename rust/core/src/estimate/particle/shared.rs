@@ -125,7 +125,8 @@ impl Kernel for Probe<'_> {
                 }
                 let own = evaluation.prediction[reading.channel].0[l];
                 missed[l] += ((own - expected) / deviation).powi(2);
-                turned[l] += by_noise.iter().zip(shared).map(|(own, row)| (own.0[l] / deviation - row).powi(2)).sum::<f64>();
+                turned[l] +=
+                    by_noise.iter().zip(shared).map(|(own, row)| (own.0[l] / deviation - row).powi(2)).sum::<f64>();
             }
         }
         (0..WIDE).all(|l| missed[l] < SLACK * SLACK && turned[l] < SLACK * SLACK * whole)

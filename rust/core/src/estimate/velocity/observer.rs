@@ -9,6 +9,7 @@ use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
 use crate::linear::add_scaled;
 use crate::robot::Robot;
+use crate::simd::{self, Kernel};
 use std::sync::Arc;
 
 /// Velocity observer of one robot with rigid joints.
@@ -115,8 +116,12 @@ impl VelocityObserver {
     ///
     /// # Errors
     /// A first sample that lacks a position, a spring too stiff for the period there, an inertia that is singular.
-    #[inline(always)]
     pub fn step(&mut self, q: &[f64], torque: &[f64]) -> Result<(), RunError> {
+        simd::phase(Step { observer: self, q, torque })
+    }
+
+    #[inline(always)]
+    fn step_here(&mut self, q: &[f64], torque: &[f64]) -> Result<(), RunError> {
         self.status = 0;
         let regular = if self.samples == 0 { self.begin(q)? } else { self.advance(q) };
         if !regular {
@@ -302,6 +307,22 @@ impl VelocityObserver {
     /// Tool centre point [m]; NaN when the robot has none.
     pub fn tool(&self) -> [f64; 3] {
         self.dynamics.tool().map_or([f64::NAN; 3], |tool| tool.0)
+    }
+}
+
+/// An observer's step, to be compiled for each instruction set.
+struct Step<'a> {
+    observer: &'a mut VelocityObserver,
+    q: &'a [f64],
+    torque: &'a [f64],
+}
+
+impl Kernel for Step<'_> {
+    type Output = Result<(), RunError>;
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        self.observer.step_here(self.q, self.torque)
     }
 }
 

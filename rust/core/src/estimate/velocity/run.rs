@@ -2,7 +2,6 @@
 
 use super::VelocityObserver;
 use crate::error::RunError;
-use crate::simd::{Kernel, dispatch, level};
 
 /// A recording: `count` samples of positions and torques, row-major.
 #[derive(Clone, Copy, Debug)]
@@ -38,10 +37,22 @@ impl VelocityObserver {
     /// # Errors
     /// As [`step`](Self::step), and when the estimate is no longer finite; names the sample.
     pub fn run(&mut self, recording: Recording<'_>) -> Result<Trajectory, RunError> {
-        dispatch(level(), Run { observer: self, recording })
+        let n = self.joints();
+        let tool = self.has_tool();
+        let mut out = Trajectory::default();
+        for values in [&mut out.q, &mut out.dq, &mut out.ddq] {
+            values.reserve(recording.count * n);
+        }
+        for (q, torque) in recording.q.chunks_exact(n).zip(recording.torque.chunks_exact(n)) {
+            self.step(q, torque)?;
+            if !self.is_finite() {
+                return Err(RunError::NotFinite { sample: self.samples() - 1 });
+            }
+            self.report(&mut out, tool);
+        }
+        Ok(out)
     }
 
-    #[inline(always)]
     fn report(&self, out: &mut Trajectory, tool: bool) {
         out.q.extend_from_slice(self.q());
         out.dq.extend_from_slice(self.dq());
@@ -51,33 +62,5 @@ impl VelocityObserver {
         }
         out.level.push(u8::try_from(self.level()).unwrap_or(u8::MAX));
         out.status.push(self.status());
-    }
-}
-
-struct Run<'a> {
-    observer: &'a mut VelocityObserver,
-    recording: Recording<'a>,
-}
-
-impl Kernel for Run<'_> {
-    type Output = Result<Trajectory, RunError>;
-
-    #[inline(always)]
-    fn run(self) -> Self::Output {
-        let Self { observer, recording } = self;
-        let n = observer.joints();
-        let tool = observer.has_tool();
-        let mut out = Trajectory::default();
-        for values in [&mut out.q, &mut out.dq, &mut out.ddq] {
-            values.reserve(recording.count * n);
-        }
-        for (q, torque) in recording.q.chunks_exact(n).zip(recording.torque.chunks_exact(n)) {
-            observer.step(q, torque)?;
-            if !observer.is_finite() {
-                return Err(RunError::NotFinite { sample: observer.samples() - 1 });
-            }
-            observer.report(&mut out, tool);
-        }
-        Ok(out)
     }
 }

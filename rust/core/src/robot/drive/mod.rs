@@ -90,6 +90,15 @@ impl Drive {
         square * (3.0 * self.cubic_stiffness) + self.stiffness + self.soft_windup.tangent(square)
     }
 
+    /// One over the slope of the spring's torque at torsion δ [rad] [rad/(N m)].
+    #[inline(always)]
+    pub(crate) fn compliance<T: Scalar>(&self, torsion: T) -> T {
+        if self.is_linear() {
+            return T::constant(1.0 / self.stiffness);
+        }
+        T::constant(1.0) / self.tangent_stiffness(torsion)
+    }
+
     /// Torsion at which the spring holds `torque` [N m] [rad].
     #[inline(always)]
     pub fn torsion<T: Scalar>(&self, torque: T) -> T {

@@ -1,7 +1,8 @@
 //! Clouds that share, and clouds that do not.
 
 use super::super::{Collapse, Density, Marginalised, ParticleFilter, ParticleSettings, Proposal, Resampling};
-use crate::estimate::kalman::{Further, Inputs, JerkDriven, JerkModel, KalmanSample, Noise};
+use crate::estimate::kalman::{Inputs, JerkDriven, JerkModel, KalmanSample, Noise};
+use crate::estimate::measurement::Kind;
 use crate::robot::{BodySpec, Drive, JointKind, MotorFriction, Robot, Sensor, SoftWindup, Tree};
 use crate::spatial::{Mat3, Vec3};
 use std::sync::Arc;
@@ -42,7 +43,12 @@ fn model() -> JerkDriven {
         initial: vec![1e-4, 1e-3, 0.1],
         initial_bias: vec![1e-5, 0.1, 0.1],
     };
-    JerkDriven::new(JerkModel::new(Arc::new(robot), Further::default(), &[true; 3]).unwrap(), noise, true).unwrap()
+    JerkDriven::new(
+        JerkModel::new(Arc::new(robot), &[Kind::Motor, Kind::Acceleration], &[true; 3]).unwrap(),
+        noise,
+        true,
+    )
+    .unwrap()
 }
 
 /// Whether each of three steps at rest shared its linearisation, and the likelihood of the last.

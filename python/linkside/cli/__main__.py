@@ -1,0 +1,5 @@
+"""``python -m linkside.cli``."""
+
+from . import main
+
+main()

@@ -1,0 +1,33 @@
+"""A bar while work goes on."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+DELAY = 2.0
+"""Work that takes less than this needs no bar [s]."""
+
+
+@contextmanager
+def bar(total: int | None) -> Iterator[Callable[[str, int], None]]:
+    """Show a bar on standard error, if that is a terminal and work takes long; yields ``advance(what, rows)``."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+    task = progress.add_task("", total=total)
+    begun = time.monotonic()
+
+    def advance(what: str, rows: int) -> None:
+        progress.update(task, description=what, advance=rows)
+        if time.monotonic() - begun > DELAY:
+            progress.start()
+
+    try:
+        yield advance
+    finally:
+        progress.stop()

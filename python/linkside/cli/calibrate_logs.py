@@ -1,0 +1,62 @@
+"""The command line's calibration: files in, files out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from linkside.calibration import Calibration, Step, calibrate
+from linkside.calibration import resume as state
+from linkside.errors import EstimatorError
+from linkside.recording.log import Log
+from linkside.robot import Robot
+
+
+def run(
+    robot: str,
+    logs: Sequence[str],
+    out: str,
+    resume: bool,
+    advance: Callable[[str, int], None],
+    *,
+    report: str | None,
+    free: str | None,
+    torque: bool | None,
+    bounds: Sequence[str],
+    held_out: Sequence[str],
+) -> Calibration:
+    """Calibrate and write; the best so far is kept beside ``out`` until all is done."""
+    partial = Path(f"{out}.partial")
+    start = state.kept(partial) if resume else None
+    limits = dict(map(_bound, bounds))
+    loaded = Robot.load(robot)
+
+    def show(step: Step) -> None:
+        state.keep(partial, step)
+        change = f"{step.changed} by {step.change:+.3g} tolerances" if step.change else "start"
+        advance(f"log-likelihood {step.log_likelihood:.1f}, {change}", 1)
+
+    result = calibrate(
+        loaded,
+        [Log.read(log, loaded) for log in logs],
+        None if free is None else free.split(","),
+        torque=torque,
+        bounds=limits,
+        held_out=[Log.read(log, loaded) for log in held_out],
+        start=start,
+        progress=show,
+    )
+    result.write(robot, out)
+    if report is not None:
+        result.write_report(report)
+    partial.unlink(missing_ok=True)
+    return result
+
+
+def _bound(text: str) -> tuple[str, tuple[float, float]]:
+    name, _, interval = text.partition("=")
+    low, _, high = interval.partition(":")
+    try:
+        return name, (float(low), float(high))
+    except ValueError:
+        raise EstimatorError(f"--bound {text}: expected NAME=LOW:HIGH") from None

@@ -1,0 +1,290 @@
+"""The command line: ``linkside estimate``, ``tune``, ``check``, ``place`` and ``demo``.
+
+Whatever a user can get wrong is one line on standard error and exit status 2, and leaves no file behind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+
+from linkside.errors import EstimatorError, OutputError
+from linkside.files.writing import check_writable
+from linkside.kalman.noise import Noise
+from linkside.observers import poles as patterns
+from linkside.recording.estimate import Estimate
+from linkside.recording.log import Log
+from linkside.robot import Robot
+from linkside.text import show
+
+from .bar import bar
+from .error_tables import tool_table
+from .estimate_logs import Job, estimate_all, naming, output_folder
+from .failures import Commands
+from .methods import METHODS, Options
+
+ROWS = 8192
+"""Rows of a log that are in memory at a time."""
+
+WHOLE = 2**62
+"""More rows than a log has."""
+
+PATTERNS: dict[str, Callable[[float], patterns.PolePattern]] = {
+    "damped": patterns.damped,
+    "bessel": patterns.bessel,
+    "butterworth": patterns.butterworth,
+}
+
+
+class Poles(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.4 only
+    """``250``, or a pattern of `linkside.poles` and its frequency, ``bessel:250``."""
+
+    name = "poles"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> patterns.PolePattern:
+        """Read the pattern."""
+        kind, _, frequency = str(value).rpartition(":")
+        try:
+            return PATTERNS[kind or "damped"](float(frequency))
+        except EstimatorError as error:
+            self.fail(str(error), param, ctx)
+        except (KeyError, ValueError):
+            self.fail(f"{value!r} is neither a frequency nor one of {', '.join(PATTERNS)} with one", param, ctx)
+
+
+@click.group(cls=Commands, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="linkside")
+@click.option("--debug", is_flag=True, help="Show where in the program an error comes from.")
+@click.pass_context
+def main(ctx: click.Context, debug: bool) -> None:
+    """Where the links of an elastic-joint robot really are."""
+    if ctx.invoked_subcommand is None:
+        click.echo(ctx.get_help())
+
+
+@main.command(epilog="Methods: " + "; ".join(f"{name}: {method.help}" for name, method in METHODS.items()) + ".")
+@click.argument("robot", type=click.Path())
+@click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
+@click.option("--with", "method", type=click.Choice(list(METHODS)), default="observer", show_default=True)
+@click.option("--out", required=True, help="Parquet or CSV file; for several logs a directory, or a name with {stem}.")
+@click.option("--poles", type=Poles(), default="250", show_default=True, help="Frequency [rad/s], or bessel:250 …")
+@click.option("--bias", is_flag=True, help="Estimate a bias of each link acceleration as well.")
+@click.option("--form", type=click.Choice(["current", "predictor"]), default="current", show_default=True)
+@click.option("--tuning", type=click.Path(), help="As `linkside tune` writes it for this method.")
+@click.option("--gate", type=float, help="Leave out readings more than so many standard deviations off.")
+@click.option("--particles", type=int, default=1000, show_default=True, help="How many a particle filter has.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of a particle filter's random numbers.")
+@click.option("--gain", type=float, default=100, show_default=True, help="Gain of a velocity observer [1/s].")
+@click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this file; one for each log.")
+def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, truths: tuple[str, ...], **options: Any) -> None:
+    """Estimate the motion of ROBOT's links from recordings.
+
+    ROBOT is a robot.yaml, each LOG a Parquet or CSV file. Logs are read piece by piece and may be larger than memory.
+    """
+    if truths and len(truths) != len(logs):
+        raise click.UsageError(f"--truth is there {len(truths)} times, for {len(logs)} logs")
+    _refuse_untaken(method)
+    loaded = Robot.load(robot)
+    if options["tuning"] is not None:
+        options["tuning"] = METHODS[method].read_tuning(options["tuning"])
+    with naming(robot):
+        run = METHODS[method].build(loaded, Options(**options))
+    rows = WHOLE if METHODS[method].whole(loaded) else ROWS
+    with output_folder(out, logs) as outputs:
+        _refuse_clashes(outputs, [robot, *logs, *truths])
+        for output in outputs:
+            check_writable(output)
+        files = zip(logs, outputs, truths or [None] * len(logs), strict=True)
+        estimate_all([Job(loaded, run, rows, *three) for three in files])
+
+
+def _refuse_untaken(method: str) -> None:
+    """An option that the method would not look at is a mistake to hear of."""
+    context = click.get_current_context()
+    for option in sorted({option for other in METHODS.values() for option in other.takes}):
+        given = context.get_parameter_source(option) == click.core.ParameterSource.COMMANDLINE
+        if given and option not in METHODS[method].takes:
+            raise click.UsageError(f"--{option} is not for --with {method}")
+
+
+@main.command()
+@click.argument("robot", type=click.Path())
+@click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
+@click.option("--with", "method", type=click.Choice(["ekf", "observer"]), default="ekf", show_default=True)
+@click.option("--out", required=True, type=click.Path(), help="The tuning file, for `linkside estimate --tuning`.")
+@click.option("--start", type=click.Path(), help="A tuning file to start from (ekf).")
+@click.option("--free", help="Which values, by their keys in that file, a,b,c.  [default: transmission, poles]")
+@click.option("--states", multiple=True, type=click.Path(), help="What the links did, one for each LOG (observer).")
+@click.option("--figure", type=click.Path(), help="Draw the Pareto front (observer).")
+@click.option("--evaluations", type=click.IntRange(1), default=2000, help="How often to estimate LOGs (observer).")
+def tune(robot: str, logs: tuple[str, ...], method: str, **options: Any) -> None:
+    """Find the noise of a Kalman filter under which recordings are most likely, or the poles of an observer.
+
+    With `--with observer` also stiffness, damping and motor_inertia of ROBOT's drives can be free; the links' states
+    are measured ones (--states), or the smoother's.
+    """
+    for option in ("start",) if method == "observer" else ("states", "figure"):
+        if options[option]:
+            raise click.UsageError(f"--{option} is not for --with {method}")
+    _refuse_clashes([Path(options["out"])], [robot, *logs, *options["states"]])
+    check_writable(options["out"], (".yaml", ".yml"))
+    (_tune_observer if method == "observer" else _tune_noise)(robot, logs, options)
+    click.echo(f"tuning: {options['out']}")
+
+
+def _tune_noise(robot: str, logs: Sequence[str], options: dict[str, Any]) -> None:
+    from linkside.tuning import noise_likelihood as module
+
+    loaded = Robot.load(robot)
+    noise = None if options["start"] is None else Noise.read(options["start"])
+    recordings = [Log.read(log, loaded) for log in logs]
+    free = tuple((options["free"] or "transmission").split(","))
+    with bar(None) as advance:
+        result = module.tune(loaded, recordings, noise, free, partial(_show_best, advance, "log-likelihood"))
+    result.after.write(options["out"])
+    click.echo(result.to_text(), nl=False)
+
+
+def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> None:
+    from linkside.tuning import observer_front as tune_observer
+
+    loaded = Robot.load(robot)
+    _check_figure(options["figure"], [robot, *logs, *options["states"], options["out"]])
+    recordings = [Log.read(log, loaded) for log in logs]
+    states = [Estimate.read(file) for file in options["states"]] or None
+    free = tuple((options["free"] or "poles").split(","))
+    with bar(None) as advance:
+        shown = partial(_show_best, advance, "sum of ratios")
+        count = options["evaluations"]
+        front = tune_observer.tune_observer(loaded, recordings, states, free, shown, evaluations=count)
+    front.best.write(options["out"])
+    click.echo(front.to_text(), nl=False)
+    if options["figure"] is not None:
+        _draw(front.figure(), options["figure"])
+
+
+@main.command()
+@click.argument("robot", type=click.Path())
+@click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
+@click.option("--out", required=True, type=click.Path(), help="The calibrated robot.yaml.")
+@click.option("--report", type=click.Path(), help="A report with figures, one HTML file.")
+@click.option("--free", help="Kinds or names of parameters, a,b,c; by default those that the logs can tell.")
+@click.option("--torque/--no-torque", default=None, help="Whether motor torques are readings, too.")
+@click.option("--bound", "bounds", multiple=True, help="NAME=LOW:HIGH, least and largest value of a parameter.")
+@click.option("--held-out", type=click.Path(), multiple=True, help="A log that only tests the outcome.")
+@click.option("--resume", is_flag=True, help="Go on with an interrupted run.")
+def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **options: Any) -> None:
+    """Find ROBOT's stiffness, damping, load and sensor errors from its own recordings."""
+    from . import calibrate_logs
+
+    outputs = [Path(out), *([Path(options["report"])] if options["report"] else [])]
+    _refuse_clashes(outputs, [robot, *logs, *options["held_out"]])
+    check_writable(out, (".yaml", ".yml"))
+    if options["report"]:
+        check_writable(options["report"], (".html", ".htm"))
+    with bar(None) as advance:
+        result = calibrate_logs.run(robot, logs, out, resume, advance, **options)
+    click.echo(result.to_text(), nl=False)
+    for output in outputs:
+        click.echo(f"written: {output}")
+
+
+@main.command()
+@click.argument("robot", type=click.Path())
+@click.argument("log", type=click.Path(), required=False)
+@click.option("--figure", type=click.Path(), help="Draw it: a file that ends in .png, .pdf or .svg.")
+def check(robot: str, log: str | None, figure: str | None) -> None:
+    """Say which link accelerations ROBOT's sensors see, how well and where, along LOG if it is given."""
+    from linkside.observability import analysis as module
+    from linkside.observability.words import check_tables
+
+    loaded = Robot.load(robot)
+    _check_figure(figure, [robot, log])
+    report = module.check(loaded, None if log is None else Log.stream(log, loaded))
+    show(check_tables(report))
+    if figure is not None:
+        _draw(report.figure(), figure)
+
+
+@main.command()
+@click.option("--figure", type=click.Path(), default="linkside-demo.png", show_default=True, help="Where to draw it.")
+def demo(figure: str) -> None:
+    """Run the observer on a robot and a recording that come with the package."""
+    from linkside.demo import run as module
+    from linkside.demo.figure import demo_figure
+
+    _check_figure(figure, [])
+    result = module.run()
+    show([tool_table(result.errors, "the truth")])
+    _draw(demo_figure(result), figure)
+    click.echo("Next, your own log:   linkside estimate robot.yaml log.parquet --out estimate.parquet")
+    click.echo("      your own robot: linkside check robot.yaml")
+
+
+@main.command()
+@click.argument("robot", type=click.Path())
+@click.argument("logs", metavar="[LOG]...", type=click.Path(), nargs=-1)
+@click.option("--link", "links", multiple=True, help="A link that can carry a sensor; on a grid around its frame.")
+@click.option("--reach", type=float, default=0.3, show_default=True, help="How far that grid goes either way [m].")
+@click.option("--steps", type=click.IntRange(1), default=3, show_default=True, help="Its points along each direction.")
+@click.option("--axes", default="xyz", show_default=True, help="Three-axis sensors, or x,y,z for single axes.")
+@click.option("--candidates", type=click.Path(), help="A file with `accelerometers` to choose from, as in robot.yaml.")
+@click.option("--count", type=int, help="Sensors in the set.  [default: the fewest that can do]")
+@click.option("--limit", type=float, help="Take the smallest set whose score is at most this.")
+@click.option("--by", type=click.Choice(["condition", "covariance"]), default="condition", show_default=True)
+@click.option("--out", type=click.Path(), help="Where to write the chosen `accelerometers`, YAML.")
+@click.option("--figure", type=click.Path(), help="Draw where it is singular: a file that ends in .png, .pdf or .svg.")
+def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: Any) -> None:
+    """Choose accelerometers for ROBOT: those that see its joints best along LOGs, or in the whole workspace."""
+    from linkside.observability import placement
+
+    out, inputs = options["out"], [robot, *logs, options["candidates"]]
+    if out is not None:
+        check_writable(out, (".yaml", ".yml"))
+        _refuse_clashes([Path(out)], inputs)
+    _check_figure(options["figure"], [*inputs, out])
+    loaded = Robot.load(robot)
+    sensors = [] if options["candidates"] is None else list(placement.read_candidates(options["candidates"]))
+    kinds = options["axes"].split(",")
+    with naming(robot):
+        sensors += placement.candidates(loaded, links, reach=options["reach"], steps=options["steps"], axes=kinds)
+        where = [Log.read(log, loaded) for log in logs] or None
+        choice = {"count": options["count"], "limit": options["limit"], "criterion": options["by"]}
+        found = placement.place(loaded, sensors, where, **choice)
+    click.echo(found.to_text(), nl=False)
+    if out is not None:
+        found.write(out)
+        click.echo(f"accelerometers: {out}")
+    if options["figure"] is not None:
+        _draw(found.figure(), options["figure"])
+
+
+def _show_best(advance: Callable[[str, int], None], what: str, _: int, best: float) -> None:
+    advance(f"{what} {best:.5g}", 1)
+
+
+def _refuse_clashes(outputs: Sequence[Path], inputs: Sequence[str | None]) -> None:
+    taken = {Path(path).resolve(): "would be written over what is read" for path in inputs if path is not None}
+    for output in outputs:
+        if (where := output.resolve()) in taken:
+            raise OutputError(f"{output}: {taken[where]}")
+        taken[where] = "is the output of two logs; give --out as a name that differs, or run them apart"
+
+
+def _check_figure(figure: str | None, inputs: Sequence[str | None]) -> None:
+    if figure is not None:
+        from linkside import figures
+
+        figures.check_writable(figure)
+        _refuse_clashes([Path(figure)], inputs)
+
+
+def _draw(figure: Any, path: str) -> None:
+    from linkside.figures import save
+
+    save(figure, path)
+    click.echo(f"figure: {path}")

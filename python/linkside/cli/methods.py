@@ -1,0 +1,135 @@
+"""The methods that ``linkside estimate --with`` knows: one entry each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Literal, TypeAlias
+
+from linkside.kalman.elastic_joint import ElasticJointFilter, ElasticJointSmoother, ElasticNoise
+from linkside.kalman.jerk_driven import ExtendedKalmanFilter, RauchTungStriebelSmoother
+from linkside.kalman.late_sensors import is_late
+from linkside.kalman.noise import Noise
+from linkside.kalman.stretches import smooth_pieces
+from linkside.observers.poles import PolePattern
+from linkside.observers.tuning_file import ObserverTuning
+from linkside.particle.filters import MarginalizedParticleFilter, ParticleFilter
+from linkside.recording.estimate import Estimate
+from linkside.recording.log import Log
+from linkside.robot import Robot
+from linkside.velocity.observers import NicosiaTomeiObserver, ReducedOrderObserver
+
+Run: TypeAlias = Callable[[Iterable[Log]], Iterator[Estimate]]
+"""Estimates from the pieces of a log."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command line says about a method."""
+
+    poles: PolePattern
+    bias: bool
+    form: Literal["current", "predictor"]
+    tuning: Any
+    gate: float | None
+    particles: int
+    seed: int
+    gain: float
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to estimate.
+
+    Attributes
+    ----------
+    help : str
+        A line of help.
+    takes : tuple of str
+        The options that it looks at.
+    build
+        Makes it for a robot.
+    whole
+        Whether it takes a log as one piece, for a robot.
+    read_tuning
+        Reads the file that ``--tuning`` names.
+    """
+
+    help: str
+    takes: tuple[str, ...]
+    build: Callable[[Robot, Options], Run]
+    whole: Callable[[Robot], bool] = lambda _: False
+    read_tuning: Callable[[str], Any] = Noise.read
+
+
+def _observer(robot: Robot, options: Options) -> Run:
+    tuning = options.tuning or ObserverTuning()
+    return tuning.observer(robot, options.poles, bias=options.bias, form=options.form).run_pieces
+
+
+def _ekf(robot: Robot, options: Options) -> Run:
+    ekf = ExtendedKalmanFilter(robot, options.tuning, gate=options.gate)
+    return partial(map, ekf.run) if is_late(robot) else ekf.run_pieces
+
+
+def _smoother(robot: Robot, options: Options) -> Run:
+    smoother = RauchTungStriebelSmoother(robot, options.tuning, gate=options.gate)
+    return partial(map, smoother.run) if is_late(robot) else partial(smooth_pieces, smoother)
+
+
+def _elastic_ekf(robot: Robot, options: Options) -> Run:
+    return ElasticJointFilter(robot, options.tuning, gate=options.gate).run_pieces
+
+
+def _elastic_smoother(robot: Robot, options: Options) -> Run:
+    return partial(map, ElasticJointSmoother(robot, options.tuning, gate=options.gate).run)
+
+
+def _particle(method: type[ParticleFilter], robot: Robot, options: Options) -> Run:
+    return method(robot, options.tuning, particles=options.particles, seed=options.seed).run_pieces
+
+
+def _velocity(method: type[ReducedOrderObserver], robot: Robot, options: Options) -> Run:
+    return method(robot, options.gain).run_pieces
+
+
+METHODS = {
+    "observer": Method(
+        "driven by accelerometers; nothing of the links' dynamics is needed",
+        ("poles", "bias", "form", "tuning"),
+        _observer,
+        read_tuning=ObserverTuning.read,
+    ),
+    "ekf": Method("Kalman filter with the links' dynamics, and how sure it is", ("tuning", "gate"), _ekf, is_late),
+    "smoother": Method("the same by all samples, later ones too", ("tuning", "gate"), _smoother, is_late),
+    "elastic-ekf": Method(
+        "Kalman filter on the elastic-joint dynamics, moved by the motor torques; needs no accelerometer",
+        ("tuning", "gate"),
+        _elastic_ekf,
+        read_tuning=ElasticNoise.read,
+    ),
+    "elastic-smoother": Method(
+        "the same by all samples, later ones too",
+        ("tuning", "gate"),
+        _elastic_smoother,
+        lambda _: True,
+        ElasticNoise.read,
+    ),
+    "particle": Method(
+        "weighted samples of the state", ("tuning", "particles", "seed"), partial(_particle, ParticleFilter)
+    ),
+    "marginalized": Method(
+        "the same, biases in closed form",
+        ("tuning", "particles", "seed"),
+        partial(_particle, MarginalizedParticleFilter),
+    ),
+    "reduced-order": Method(
+        "velocities from motor positions and torques, joints taken as rigid",
+        ("gain",),
+        partial(_velocity, ReducedOrderObserver),
+    ),
+    "nicosia-tomei": Method(
+        "the same, with a spring on the position error", ("gain",), partial(_velocity, NicosiaTomeiObserver)
+    ),
+}

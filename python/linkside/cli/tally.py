@@ -1,0 +1,90 @@
+"""What the terminal shows: a bar while work goes on, tables and a summary when it is done."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeVar
+
+from linkside.kalman.filtering import KalmanEstimate
+from linkside.recording.estimate import Estimate
+
+if TYPE_CHECKING:
+    pass
+
+Item = TypeVar("Item")
+
+
+STATUS_WORDS = {
+    "damped": "damped near a singular posture",
+    "bridged": "bridged over missing samples",
+    "unseen": "with an acceleration that no sensor sees",
+    "gated": "with an outlier left out",
+    "predicted": "predicted without a reading",
+    "unwrapped": "with an encoder's wrap taken out",
+}
+
+
+@dataclass
+class Tally:
+    """Counts what has been estimated, and the time it took without reading the log.
+
+    Attributes
+    ----------
+    rows : int
+        Rows so far.
+    motion : float
+        Time that the log spans [s].
+    seconds : float
+        Time that the method took [s].
+    status : Counter of str
+        Rows by status.
+    nis, used : float
+        Normalised innovation squared and readings used, where the method is a Kalman filter.
+    """
+
+    rows: int = 0
+    motion: float = 0.0
+    seconds: float = 0.0
+    status: Counter[str] = field(default_factory=Counter)
+    nis: float = 0.0
+    used: int = 0
+    _first: float | None = None
+
+    def add(self, estimate: Estimate) -> None:
+        """Count one piece."""
+        if len(estimate):
+            self._first = float(estimate.t[0]) if self._first is None else self._first
+            self.motion = float(estimate.t[-1]) - self._first
+        self.rows += len(estimate)
+        self.status.update(estimate.status_summary())
+        if isinstance(estimate, KalmanEstimate) and estimate.nis is not None and estimate.used is not None:
+            self.nis += float(estimate.nis.sum())
+            self.used += int(estimate.used.sum())
+
+    def timed(self, items: Iterable[Item], sign: int = 1) -> Iterator[Item]:
+        """Add the time that each item takes to come, or with ``sign=-1`` take it off."""
+        iterator = iter(items)
+        while True:
+            begun = time.perf_counter()
+            try:
+                item = next(iterator)
+            except StopIteration:
+                return
+            finally:
+                self.seconds += sign * (time.perf_counter() - begun)
+            yield item
+
+    def __str__(self) -> str:
+        """One line: rows, motion, speed and status."""
+        speed = 1e6 * self.seconds / max(self.rows, 1)
+        nis = f"; NIS {self.nis / self.used:.2f} per reading (1 if the noise is right)" if self.used else ""
+        return f"{self.rows} rows, {self.motion:.6g} s of motion, {speed:.3g} µs per sample; {self._status()}{nis}"
+
+    def _status(self) -> str:
+        if self.status["good"] == self.rows:
+            return "all good"
+        odd = (f"{count} {STATUS_WORDS.get(word, word)}" for word, count in self.status.items() if count)
+        return ", ".join(odd)

@@ -1,0 +1,213 @@
+"""The sampled closed loop of robot, observer and state feedback, linear about a posture at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from linkside.arrays import FloatArray
+from linkside.errors import EstimatorError
+from linkside.observers.acceleration import AccelerationObserver
+from linkside.robot import Robot
+from linkside.robot.config import JointConfig
+
+ComplexArray = npt.NDArray[np.complex128]
+
+
+def closed_loop_poles(
+    observer: AccelerationObserver,
+    gains: npt.ArrayLike,
+    q: npt.ArrayLike,
+    period: float,
+    specimen: Robot | None = None,
+) -> ComplexArray:
+    """Poles of the sampled loop about a posture at rest; it is stable if all are inside the unit circle.
+
+    The robot, rigid joints included, has its torque held between samples; the observer takes gravity off its
+    accelerometers at its own estimate of the posture; the estimate is fed back. Left out are dry friction and nonlinear
+    springs.
+
+    Parameters
+    ----------
+    observer
+        With the robot as it is known.
+    gains : (n, 4 n)
+        On θ, q, θ̇ and q̇.
+    q : (n,)
+        Posture [rad].
+    period
+        [s].
+    specimen
+        The robot as it is; as it is known by default.
+
+    Returns
+    -------
+    poles : (p,)
+        In the plane of z, the largest first. As rates [1/s] they are ``np.log(poles) / period``.
+
+    Raises
+    ------
+    EstimatorError
+        Gains or a specimen of other joints.
+    """
+    known, q, gains = observer.robot, np.asarray(q, float), np.asarray(gains, float)
+    if (specimen or known).n != known.n or gains.shape != (known.n, 4 * known.n):
+        raise EstimatorError(f"expected gains ({known.n}, {4 * known.n}) and a specimen of {known.n} joints")
+    true, estimator, sight = (
+        _Plant.of(specimen or known, q, period),
+        _Estimator.of(observer, period),
+        _sight(observer, q),
+    )
+    coupling = known.coupling.T
+    sizes = [len(true.transition), len(estimator.transition), known.n]
+    x, predicted, measured = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
+
+    z = predicted + estimator.gain @ (true.theta @ x - estimator.theta @ predicted)
+    tau = -gains @ estimator.states @ (predicted if observer.form == "predictor" else z)
+    x_next = true.transition @ x + true.held @ tau
+    ddq = true.acceleration @ np.vstack([x_next, tau])
+    coupled = tau - coupling @ (measured - estimator.bias @ z)
+    held = estimator.transition @ z + estimator.held @ np.vstack([coupled, measured])
+    own = estimator.ddq @ held
+    now = own + sight @ np.vstack([true.q @ x_next - estimator.q @ held, ddq - own])
+    change = now - measured
+    after = held + estimator.ramp @ np.vstack([-coupling @ change, change])
+    poles = np.linalg.eigvals(np.vstack([x_next, after, now]))
+    return np.asarray(poles[np.argsort(-np.abs(poles))], np.complex128)
+
+
+@dataclass(frozen=True)
+class _Plant:
+    """x₊ = transition x + held τ; motors θ and links q of x; q̈ = acceleration (x, τ). Rigid joints are links."""
+
+    transition: FloatArray
+    held: FloatArray
+    acceleration: FloatArray
+    theta: FloatArray
+    q: FloatArray
+
+    @classmethod
+    def of(cls, robot: Robot, q: FloatArray, period: float) -> _Plant:
+        n, zero = robot.n, np.zeros(robot.n)
+        stiffness, _, mass = robot.inverse_dynamics_derivatives(q, zero, zero)
+        k, d, b = (_diagonal(robot, name) for name in ("stiffness", "damping", "motor_inertia"))
+        friction = np.diag([drive.motor_friction.viscous for drive in robot.drives])
+        # All motors and links, and then motors of rigid joints tied to their links.
+        free = np.eye(2 * n)
+        free[np.flatnonzero(~robot.elastic), n + np.flatnonzero(~robot.elastic)] = 1.0
+        free = free[:, np.concatenate([robot.elastic, np.ones(n, bool)])]
+        inertia = free.T @ np.block([[b, robot.coupling.T], [robot.coupling, mass]]) @ free
+        spring = free.T @ np.block([[k, -k], [-k, k + stiffness]]) @ free
+        damper = free.T @ np.block([[d + friction, -d], [-d, d]]) @ free
+        p = len(inertia)
+        lower = -np.linalg.solve(inertia, np.hstack([spring, damper]))
+        a = np.vstack([np.hstack([np.zeros((p, p)), np.eye(p)]), lower])
+        torque = np.linalg.solve(inertia, free[:n].T)
+        transition, held, _ = _sampled(a, np.vstack([np.zeros((p, n)), torque]), period)
+        positions = np.hstack([free, np.zeros_like(free)])
+        return cls(transition, held, free[n:] @ np.hstack([lower, torque]), positions[:n], positions[n:])
+
+
+@dataclass(frozen=True)
+class _Estimator:
+    """z₊ = transition z + held (τ, q̈) + ramp (Δτ, Δq̈) + gain (θ − theta z), all joints; what of z is which state."""
+
+    transition: FloatArray
+    held: FloatArray
+    ramp: FloatArray
+    gain: FloatArray
+    states: FloatArray
+    ddq: FloatArray
+    bias: FloatArray
+
+    @property
+    def theta(self) -> FloatArray:
+        return self.states[: len(self.ddq)]
+
+    @property
+    def q(self) -> FloatArray:
+        return self.states[len(self.ddq) : 2 * len(self.ddq)]
+
+    @classmethod
+    def of(cls, observer: AccelerationObserver, period: float) -> _Estimator:
+        n, orders = observer.robot.n, [len(poles) for poles in observer.poles.values()]
+        size, starts = sum(orders), np.cumsum([0, *orders])
+        transition, gain = np.zeros((size, size)), np.zeros((size, n))
+        held, ramp = np.zeros((2, size, 2 * n))
+        states, ddq, bias = np.zeros((4 * n, size)), np.zeros((n, size)), np.zeros((n, size))
+        for j, (drive, poles) in enumerate(zip(observer.robot.drives, observer.poles.values(), strict=True)):
+            own = slice(starts[j], starts[j + 1])
+            a, b = _joint(drive, len(poles))
+            transition[own, own], held[own, [j, n + j]], ramp[own, [j, n + j]] = _sampled(a, b, period)
+            gain[own, j] = _gain(a, np.asarray(poles), period)
+            order = [0, 1, 2, 3] if drive.elastic else [0, 0, 1, 1]
+            states[j + n * np.arange(4), starts[j] + np.array(order)] = 1.0
+            if not drive.elastic:
+                ddq[j, starts[j] + 2] = 1.0
+            elif len(poles) == 5:
+                bias[j, starts[j] + 4] = 1.0
+        return cls(transition, held, ramp, gain, states, ddq, bias)
+
+
+def _joint(drive: JointConfig, order: int) -> tuple[FloatArray, FloatArray]:
+    """A and the inputs (torque, q̈) of what the observer takes a joint for; De Luca et al. (2007), eqs. (4) and (5)."""
+    a, b = np.zeros((order, order)), np.zeros((order, 2))
+    if not drive.elastic:
+        a[0, 1] = a[1, 2] = 1.0
+        return a, b
+    k, d, inertia = drive.stiffness or 0.0, drive.damping, drive.motor_inertia or 1.0
+    a[0, 2] = a[1, 3] = b[3, 1] = 1.0
+    a[2, :4] = np.array([-k, k, -d - drive.motor_friction.viscous, d]) / inertia
+    a[3, 4:] = -1.0
+    b[2, 0] = 1.0 / inertia
+    return a, b
+
+
+def _gain(a: FloatArray, poles: ComplexArray, period: float) -> FloatArray:
+    """Weight of an innovation on each state: Ackermann's formula for (Φ − 1)/h, which is better conditioned than Φ."""
+    order = len(a)
+    transition = _sampled(a, np.zeros((order, 1)), period)[0]
+    delta = (transition - np.eye(order)) / period
+    characteristic = np.zeros_like(a)
+    for coefficient in np.poly(np.expm1(poles * period) / period).real:
+        characteristic = characteristic @ delta + coefficient * np.eye(order)
+    observability = np.stack([np.linalg.matrix_power(delta, power)[0] for power in range(order)])
+    last = np.linalg.solve(observability, np.eye(order)[-1])
+    return np.asarray(np.linalg.solve(transition, period * characteristic @ last))
+
+
+def _sight(observer: AccelerationObserver, q: FloatArray) -> FloatArray:
+    """Elastic joints' accelerations as they are told, by the error of q and by all joints' q̈ that is unknown, (n, 2 n).
+
+    By weighted least squares, damped where accelerometers tell too little; De Luca et al. (2007), eq. (12).
+    """
+    robot = observer.robot
+    out, zero = np.zeros((robot.n, 2 * robot.n)), np.zeros(robot.n)
+    if observer.accelerations == "joints":
+        out[robot.elastic, robot.n :] = np.eye(robot.n)[robot.elastic]
+        return out
+    weights = np.array([[1.0 / sensor.noise_std] for sensor in robot.accelerometers for _ in sensor.axes])
+    derivatives = robot.core.specific_force_derivatives(q[None], zero[None], zero[None])[0]
+    by_q, by_ddq = weights * derivatives[0], weights * derivatives[2]
+    left, seen, right = np.linalg.svd(by_ddq[:, robot.elastic], full_matrices=False)
+    floor = np.maximum(seen**2, observer.worst_acceleration_std**-2)
+    out[robot.elastic] = right.T @ np.diag(seen / floor) @ left.T @ np.hstack([by_q, by_ddq])
+    return out
+
+
+def _sampled(a: FloatArray, b: FloatArray, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Φ, and the responses to inputs held over a period and to their change on a straight line over it."""
+    from scipy.linalg import expm
+
+    n, m = b.shape
+    both = np.zeros((n + 2 * m, n + 2 * m))
+    both[:n] = period * np.hstack([a, b, np.zeros((n, m))])
+    both[n : n + m, n + m :] = np.eye(m)
+    response = expm(both)
+    return response[:n, :n], response[:n, n : n + m], response[:n, n + m :]
+
+
+def _diagonal(robot: Robot, name: str) -> FloatArray:
+    return np.diag([getattr(drive, name) or 0.0 for drive in robot.drives])

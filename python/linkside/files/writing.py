@@ -1,0 +1,61 @@
+"""Files that are written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+import pyarrow as pa
+
+from linkside.errors import OutputError
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a small file whole or not at all; `OutputError` when that cannot be."""
+    path = Path(path)
+    with writing(path):
+        part, file = open_part(path)
+        with file:
+            file.write(text.encode())
+        os.replace(part, os.path.realpath(path))
+
+
+def check_writable(path: str | Path, suffixes: tuple[str, ...] = (".parquet", ".csv")) -> None:
+    """Raise `OutputError` when a file could not be written to ``path``; nothing there is changed."""
+    path = Path(path)
+    if path.suffix.lower() not in suffixes:
+        raise OutputError(f"{path}: a file that ends in {' or '.join(suffixes)} is expected")
+    with writing(path):
+        if path.exists() and not path.is_file():
+            raise OutputError(f"{path}: this is not a file, and is in the way")
+        if path.exists() and not os.access(path, os.W_OK):
+            raise OutputError(f"{path}: this file must not be written")
+        folder = Path(os.path.realpath(path)).parent
+        if not folder.is_dir():
+            raise OutputError(f"{path}: there is no directory {folder}")
+        part, file = open_part(path)  # only an attempt tells of full disks and read-only file systems
+        file.close()
+        part.unlink()
+
+
+def open_part(path: Path) -> tuple[Path, IO[bytes]]:
+    """Create a file beside ``path``, on the same file system, with the permissions of any new file."""
+    target = Path(os.path.realpath(path))
+    part = target.with_name(f".{uuid.uuid4().hex}.part")
+    return part, part.open("xb")
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn what can go wrong while a file is written into an `OutputError` that names it."""
+    try:
+        yield
+    except OutputError:
+        raise
+    except (OSError, ValueError, pa.ArrowException) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise OutputError(" ".join(f"{path}: cannot be written: {reason}".splitlines())) from error

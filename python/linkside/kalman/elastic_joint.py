@@ -1,0 +1,303 @@
+"""Kalman filter and smoother on the elastic-joint model: links and motors moved by the measured motor torques."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from os import PathLike
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from linkside import _core
+from linkside.arrays import FloatArray, Signal
+from linkside.errors import EstimatorError, NumericalError
+from linkside.files.yaml_source import Source
+from linkside.recording.estimate import result_of
+from linkside.recording.log import Log
+from linkside.robot import Robot
+
+from .filtering import KalmanEstimate, KalmanMethod, LiveFilter, sized
+from .late_sensors import is_late
+from .noise import PositiveStd, Std, channel_arrays, motor_noise, per_joint
+
+Arrays = tuple[FloatArray, FloatArray, FloatArray]
+
+
+class ElasticNoise(BaseModel):
+    """Standard deviations of the elastic-joint model, the same for all joints or sensors unless given joint by joint.
+
+    Attributes
+    ----------
+    link_acceleration, motor_acceleration
+        Density of what the equations of links and of motors leave out: velocity wanders by this in a second
+        [rad/s/√s].
+    torque
+        Noise of the motor torques, in multiples of robot.yaml's ``torque.noise_std``.
+    disturbance, disturbance_walk
+        Initial uncertainty of each motor's disturbance torque, and by how much it wanders in a second, in multiples of
+        the torque that the motor's friction has at 1 rad/s (N m if it has none).
+    transmission, motor_velocity, acceleration, rate, link, joint_torque, link_velocity
+        Noise of readings, as of `Noise`.
+    motor_bias, acceleration_bias, rate_bias, motor_bias_walk, acceleration_bias_walk, rate_bias_walk
+        Of biases, as of `Noise`.
+    position, velocity
+        Uncertainty of links and motors at the first sample, where the robot is taken to be at rest [rad, rad/s].
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    link_acceleration: Std | tuple[Std, ...] = 3e-3
+    motor_acceleration: Std | tuple[Std, ...] = 1e-2
+    torque: Std = 1.0
+    disturbance: Std = 0.1
+    disturbance_walk: Std = 0.1
+    transmission: Std | tuple[Std, ...] = 1e-5
+    motor_velocity: PositiveStd = 1e-3
+    acceleration: PositiveStd = 1.0
+    rate: PositiveStd = 1.0
+    link: PositiveStd = 1e-5
+    joint_torque: PositiveStd = 1.0
+    link_velocity: PositiveStd = 1e-3
+    motor_bias: Std = 1e-5
+    motor_bias_walk: Std = 1e-6
+    acceleration_bias: Std = 0.1
+    acceleration_bias_walk: Std = 1e-3
+    rate_bias: Std = 1e-3
+    rate_bias_walk: Std = 1e-5
+    position: Std = 1e-4
+    velocity: Std = 1e-3
+
+    @classmethod
+    def read(cls, path: str | PathLike[str]) -> ElasticNoise:
+        """Read a tuning file: YAML with any of the attributes as keys; `ConfigError` names file, line and key."""
+        return Source.read(path).validate(cls)
+
+    def arrays(self, robot: Robot, kinds: tuple[str, ...]) -> dict[str, list[float]]:
+        """Arrays for the filter: one number a joint or channel, the channels being those of ``kinds`` in order."""
+        n = robot.n
+        drag = np.array([d.motor_friction.viscous + d.motor_friction.coulomb or 1.0 for d in robot.drives])
+        initial = [np.repeat([self.position, self.velocity], n), self.disturbance * drag]
+        channels = channel_arrays(self, motor_noise(robot, self.transmission), robot, kinds)
+        arrays = channels | {
+            "link": per_joint("link_acceleration", self.link_acceleration, n),
+            "motor": per_joint("motor_acceleration", self.motor_acceleration, n),
+            "torque": np.full(n, self.torque * robot.config.torque.noise_std),
+            "disturbance_walk": self.disturbance_walk * drag,
+            "initial": np.concatenate(initial),
+        }
+        return {name: values.tolist() for name, values in arrays.items()}
+
+
+class ElasticJoint(KalmanMethod):
+    """What filter and smoother on the elastic-joint model share; parameters as of `ElasticJointFilter`."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        noise: ElasticNoise | None = None,
+        *,
+        accelerations: bool | None = None,
+        dtheta: bool | None = None,
+        rate: bool | None = None,
+        q: bool | None = None,
+        torque: bool | None = None,
+        dq: bool | None = None,
+        biases: Sequence[str] = ("acceleration", "rate"),
+        disturbances: bool = True,
+        motor_torque: Literal["sampled", "held"] = "sampled",
+        transition: Literal["exact", "first-order"] = "exact",
+        gate: float | None = None,
+        iterations: int = 1,
+    ) -> None:
+        wanted = {"acceleration": accelerations, "dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
+        super().__init__(robot, wanted, biases, gate, iterations)
+        if transition not in ("exact", "first-order"):
+            raise EstimatorError(f"transition is {transition!r}, expected 'exact' or 'first-order'")
+        if motor_torque not in ("sampled", "held"):
+            raise EstimatorError(f"motor_torque is {motor_torque!r}, expected 'sampled' or 'held'")
+        self.noise = noise or ElasticNoise()
+        self._held = motor_torque == "held"
+        self._disturbances, self._transition = disturbances, transition
+
+    def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
+        kinds = self.kinds(log)
+        core = self.core(kinds, held=self._held)
+        dt, readings, tau = self.arrays(log, kinds)
+        (outcome,) = core.run_all([(dt, readings, self._acting(tau))], self._smooth, covariance, innovations)
+        return self._estimate(log, kinds, result_of(log.source, outcome))
+
+    def kinds(self, log: Log) -> tuple[str, ...]:
+        """Kinds of channels to use, in the filter's order."""
+        purpose = "the elastic-joint filter"
+        log.require("theta", purpose=purpose)
+        log.require("tau", purpose=purpose)
+        return self._with_wanted(("motor",), log, purpose)
+
+    def core(self, kinds: tuple[str, ...], *, held: bool) -> _core.ElasticJointFilter:
+        """Build a filter of the core for channels of these kinds, which has taken no sample."""
+        if "acceleration" in kinds and is_late(self.robot):
+            raise EstimatorError(
+                "the elastic-joint filter takes accelerations as they come, and robot.yaml gives an accelerometer a "
+                "corner_frequency or a delay; set accelerations=False, or use ExtendedKalmanFilter"
+            )
+        return _core.ElasticJointFilter(
+            self.robot.core,
+            **self._channels(kinds),
+            disturbances=self._disturbances,
+            first_order=self._transition == "first-order",
+            held=held,
+            noise=self.noise.arrays(self.robot, kinds),
+            gate=self._gate,
+            iterations=self._iterations,
+        )
+
+    def arrays(self, log: Log, kinds: tuple[str, ...], before: tuple[float, FloatArray] | None = None) -> Arrays:
+        """Steps of time, readings and motor torques, one row a sample; ``before``: time and torques of the last one."""
+        if before is None:
+            log.require_start("a filter", ("theta", "tau"))
+        readings = np.hstack([log.theta if kind == "motor" else getattr(log, kind) for kind in kinds])
+        dt = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before[0])
+        return dt, np.ascontiguousarray(readings), _torques(log, None if before is None else before[1])
+
+    def _acting(self, tau: FloatArray, before: tuple[float, FloatArray] | None = None) -> FloatArray:
+        """Motor torques as the core takes them: held ones belong to the sample at which they end."""
+        if not self._held:
+            return tau
+        return np.vstack([tau[:1] if before is None else before[1], tau[:-1]])
+
+
+class ElasticJointFilter(ElasticJoint, LiveFilter[_core.ElasticJointFilter]):
+    """EKF on the full elastic-joint dynamics, driven by the motor torques of the log.
+
+    Ulrich and Sasiadek, "Extended Kalman filtering for flexible joint space robot control", ACC 2011, who measure motor
+    positions and velocities alone; here every sensor of the log is used. State: position and velocity of every link and
+    of every elastic joint's motor, a disturbance torque of each motor, and biases. Any spring, friction and coupling
+    that robot.yaml can describe is in the model, with exact derivatives.
+
+    Parameters
+    ----------
+    robot
+        The robot.
+    noise
+        How uncertain everything is.
+    accelerations
+        Whether accelerometers are used; by default where the log has them, in `step` where the robot has them.
+    dtheta, rate, q, torque, dq
+        Whether motor velocities, gyroscopes, link encoders, joint torque sensors and link tachometers are used; by
+        default where the log has them, in `step` motor velocities only.
+    biases
+        Kinds of channels with a bias state: any of ``"motor"``, ``"acceleration"``, ``"rate"``.
+    disturbances
+        Whether each motor has a slowly changing torque beside the measured one, such as friction that robot.yaml does
+        not know.
+    transition
+        How the covariance is carried over a step: ``"exact"``, by the exponential of the derivatives, or
+        ``"first-order"``, 1 + A h, as in the paper.
+    gate, iterations
+        As of `ExtendedKalmanFilter`.
+
+    Raises
+    ------
+    EstimatorError
+        Settings out of range.
+
+    Notes
+    -----
+    Between samples the mean moves by the fourth-order rule of Runge and Kutta, in as many substeps as the robot's
+    fastest mode needs.
+    """
+
+    def step(
+        self,
+        *,
+        dt: float,
+        theta: Signal,
+        tau: Signal,
+        dtheta: Signal | None = None,
+        acceleration: Signal | None = None,
+        further: Signal | None = None,
+        out: FloatArray | None = None,
+    ) -> FloatArray:
+        """Take one sample and give the mean of the state at its time; the first sample starts from rest.
+
+        Parameters
+        ----------
+        dt
+            Time since the sample before [s].
+        theta, tau : (n,)
+            Motor positions [rad] and motor torques [N m], link side. A position may be NaN where missing.
+        dtheta : (n,)
+            Motor velocities [rad/s]; NaN, or not given, where missing.
+        acceleration : (m,)
+            Accelerometer channels in the order of ``robot.acceleration_channels`` [m/s²].
+        further : (k,)
+            Readings of the kinds asked for (``rate``, ``q``, ``torque``, ``dq``), one after the other in this order.
+        out : (states,)
+            Array to write the result into.
+
+        Returns
+        -------
+        (states,)
+            Link positions (n) and velocities (n), motor positions and velocities of the elastic joints, disturbance
+            torques, biases. ``covariance`` and ``status`` tell the rest.
+        """
+        live, kinds = self._live, self.live_kinds
+        given = {"motor": theta, "acceleration": acceleration, "dtheta": dtheta}
+        names = {"motor": "theta"}
+        parts = [sized(names.get(kind, kind), given[kind], self.width(kind)) for kind in kinds if kind in given]
+        parts.append(sized("further", further, sum(self.width(kind) for kind in kinds if kind not in given)))
+        out = np.empty(live.states) if out is None else out
+        self.status = live.step(dt, np.concatenate(parts), tau, out)
+        return out
+
+    @property
+    def live_kinds(self) -> tuple[str, ...]:
+        """Kinds of channels that `step` takes."""
+        there = {"acceleration": bool(self.robot.acceleration_channels), "dtheta": True}
+        wanted = {kind: there.get(kind, False) if asked is None else asked for kind, asked in self._wanted.items()}
+        return ("motor", *(kind for kind, use in wanted.items() if use))
+
+    def _start(self) -> _core.ElasticJointFilter:
+        return self.core(self.live_kinds, held=self._held)
+
+    def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
+        """Estimate a recording that comes piece by piece, in bounded memory; the same bits as `run`."""
+        core: _core.ElasticJointFilter | None = None
+        kinds: tuple[str, ...] = ()
+        before: tuple[float, FloatArray] | None = None
+        for piece in pieces:
+            if core is None:
+                kinds = self.kinds(piece)
+                core = self.core(kinds, held=self._held)
+            dt, readings, tau = self.arrays(piece, kinds, before)
+            try:
+                result = core.run((dt, readings, self._acting(tau, before)))
+            except NumericalError as error:
+                raise NumericalError(f"{piece.source}: {error}") from None
+            before = float(piece.t[-1]), tau[-1:]
+            yield self._estimate(piece, kinds, result)
+
+    def fresh(self) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
+        """Build a filter of the core for a loop, and the kinds of its channels.
+
+        It has taken no sample; a sample's torques are those that have acted, held, since the one before.
+        """
+        return self.core(self.live_kinds, held=True), self.live_kinds
+
+
+class ElasticJointSmoother(ElasticJoint):
+    """Smoother on the elastic-joint model: each sample by all of the recording. Parameters as of the filter."""
+
+    _smooth = True
+
+
+def _torques(log: Log, before: FloatArray | None) -> FloatArray:
+    """Motor torques (T, n); a missing one is the one before it, at first that of the row ``before``."""
+    assert log.tau is not None  # `kinds` has asked for it
+    missing = np.isnan(log.tau)
+    if not missing.any():
+        return log.tau
+    tau = log.tau if before is None else np.vstack([before, log.tau])
+    rows = np.arange(len(tau))[:, None] * ~np.isnan(tau)
+    return np.ascontiguousarray(np.take_along_axis(tau, np.maximum.accumulate(rows, axis=0), axis=0)[-len(log) :])

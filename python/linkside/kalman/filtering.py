@@ -1,0 +1,188 @@
+"""What filters share, whatever their model: readings by kind, one recording or many, the live state."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from linkside.arrays import FloatArray
+from linkside.channels import BIASED, CHANNELS
+from linkside.errors import EstimatorError
+from linkside.recording.estimate import Estimate
+from linkside.recording.log import Log
+from linkside.robot import Robot
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class KalmanEstimate(Estimate):
+    """An estimate with what tells whether to believe it.
+
+    Attributes
+    ----------
+    nis : (T,)
+        Normalised innovation squared; its mean should be that of ``used``.
+    used : (T,)
+        Readings used at each sample.
+    log_likelihood : (T,)
+        Logarithm of the probability density of the sample's readings, given those before.
+    state : (T, k), optional
+        The filter's whole state, biases last. ``covariance`` is its.
+    innovation, innovation_std : (T, m), optional
+        Readings less their predictions, and the standard deviations of these differences.
+    channels : tuple of str
+        The m columns of the log that were read.
+    """
+
+    nis: FloatArray | None = None
+    used: npt.NDArray[np.uint32] | None = None
+    log_likelihood: FloatArray | None = None
+    state: FloatArray | None = None
+    innovation: FloatArray | None = None
+    innovation_std: FloatArray | None = None
+    channels: tuple[str, ...] = ()
+
+
+class CoreFilter(Protocol):
+    """A filter of the core, with the belief after the samples that it took."""
+
+    @property
+    def states(self) -> int:
+        """Number of states."""
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the state, (states, states)."""
+
+
+Core = TypeVar("Core", bound=CoreFilter)
+
+
+class LiveFilter(ABC, Generic[Core]):
+    """The state between calls of ``step``."""
+
+    def __init__(self) -> None:
+        self.status = 0
+        self._started: Core | None = None
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the state after the last `step`, (states, states)."""
+        return self._live.covariance
+
+    def reset(self) -> None:
+        """Forget the state: the next `step` starts anew, from rest."""
+        self._started = None
+
+    @property
+    def _live(self) -> Core:
+        if self._started is None:
+            self._started = self._start()
+        return self._started
+
+    @abstractmethod
+    def _start(self) -> Core:
+        """Build a filter that has taken no sample."""
+
+
+class KalmanMethod(ABC):
+    """A Kalman filter, or with ``_smooth`` a smoother, of any model, over recordings."""
+
+    _smooth = False
+
+    def __init__(
+        self,
+        robot: Robot,
+        wanted: Mapping[str, bool | None],
+        biases: Sequence[str],
+        gate: float | None,
+        iterations: int,
+    ) -> None:
+        super().__init__()
+        unknown = sorted(set(biases) - set(BIASED))
+        if unknown:
+            raise EstimatorError(f"biases: {unknown[0]!r} is not one of {', '.join(map(repr, BIASED))}")
+        if not isinstance(iterations, int) or iterations < 1:
+            raise EstimatorError(f"iterations is {iterations!r}, expected a whole number of at least 1")
+        self.robot = robot
+        self._wanted, self._biases = dict(wanted), tuple(biases)
+        self._gate, self._iterations = gate, iterations
+
+    @overload
+    def run(self, log: Log, *, covariance: bool = False, innovations: bool = False) -> KalmanEstimate: ...
+    @overload
+    def run(
+        self, log: Sequence[Log], *, covariance: bool = False, innovations: bool = False
+    ) -> list[KalmanEstimate]: ...
+    def run(
+        self, log: Log | Sequence[Log], *, covariance: bool = False, innovations: bool = False
+    ) -> KalmanEstimate | list[KalmanEstimate]:
+        """Estimate a recording, or several on all cores; each starts from rest at its first sample.
+
+        Parameters
+        ----------
+        log
+            The recording, with motor positions of all joints, and on the elastic-joint model motor torques.
+        covariance
+            Keep the whole state and its covariance.
+        innovations
+            Keep the innovations and their standard deviations.
+
+        Raises
+        ------
+        LogError
+            A column is missing, or at the first sample a value that the model needs.
+        NumericalError
+            The estimate is no longer finite; names the sample.
+        """
+        if isinstance(log, Log):
+            return self._run(log, covariance, innovations)
+        with ThreadPoolExecutor() as pool:
+            return list(pool.map(lambda one: self._run(one, covariance, innovations), log))
+
+    @abstractmethod
+    def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
+        """Estimate one recording."""
+
+    def _with_wanted(self, kinds: tuple[str, ...], log: Log, purpose: str) -> tuple[str, ...]:
+        """``kinds`` and those that were asked for, or are there unless asked about."""
+        chosen = list(kinds)
+        for kind, wanted in self._wanted.items():
+            if wanted:
+                log.require(kind, purpose=purpose)
+            if wanted or (wanted is None and getattr(log, kind) is not None):
+                chosen.append(kind)
+        return tuple(chosen)
+
+    def width(self, kind: str) -> int:
+        """Channels of a kind."""
+        return CHANNELS[kind].width(self.robot)
+
+    def _channels(self, kinds: tuple[str, ...]) -> dict[str, Any]:
+        """Kinds of channels as the core names them, and which of their channels have a bias."""
+        return {
+            "kinds": ["theta" if kind == "motor" else kind for kind in kinds],
+            "biased": [kind in self._biases for kind in kinds for _ in range(self.width(kind))],
+        }
+
+    def columns(self, log: Log, kinds: tuple[str, ...]) -> tuple[str, ...]:
+        """Columns of a log that channels of these kinds read."""
+        return tuple(name for kind in kinds for name in log.columns(CHANNELS[kind].signal))
+
+    def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> KalmanEstimate:
+        return KalmanEstimate(t=log.t, names=self.robot.names, channels=self.columns(log, kinds), **result)
+
+
+def sized(name: str, signal: npt.ArrayLike | None, size: int) -> FloatArray:
+    """Give a copy of a signal's ``size`` values at one sample; NaN where there is no signal."""
+    if signal is None:
+        return np.full(size, np.nan)
+    array = np.array(signal, np.float64)
+    if array.shape != (size,):
+        raise EstimatorError(f"{name} has shape {array.shape}, expected ({size},)")
+    return array

@@ -1,0 +1,128 @@
+"""Smoothing of a stream, a few samples late."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+import numpy as np
+
+from linkside import _core
+from linkside.arrays import FloatArray, Signal
+from linkside.errors import EstimatorError
+from linkside.robot import Robot
+
+from .filtering import KalmanEstimate, sized
+from .jerk_driven import Arrays, ExtendedKalmanFilter
+from .noise import Noise
+
+
+class FixedLagSmoother:
+    """Smoother for a stream: the estimate of ``lag`` samples ago by all samples since.
+
+    Each step costs the way back over ``lag`` samples. Little is gained by a lag much longer than it takes the filter to
+    forget a reading.
+
+    Parameters
+    ----------
+    robot, noise, **settings
+        As of `ExtendedKalmanFilter`.
+    lag
+        Samples to wait for, at least 1.
+
+    Raises
+    ------
+    EstimatorError
+        Settings out of range, or sensors whose readings come late.
+    """
+
+    def __init__(self, robot: Robot, noise: Noise | None = None, *, lag: int, **settings: Any) -> None:
+        if not isinstance(lag, int) or lag < 1:
+            raise EstimatorError(f"lag is {lag!r}, expected a whole number of at least 1")
+        self.robot, self.lag = robot, lag
+        self._filter = ExtendedKalmanFilter(robot, noise, **settings)
+        self._filter.refuse_late("a fixed-lag smoother")
+        self._kinds = self._filter.live_kinds
+        self._before = self._filter.core(self._kinds, self._filter.noise)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: the next `step` starts anew, from rest."""
+        self._before.reset()
+        self._window: deque[tuple[float, FloatArray, FloatArray, FloatArray]] = deque()
+        self._ddqref: FloatArray | None = None
+        self._begun = False
+        self._t = 0.0
+
+    def step(
+        self,
+        *,
+        dt: float,
+        theta: Signal,
+        acceleration: Signal | None = None,
+        dtheta: Signal | None = None,
+        ddqref: Signal | None = None,
+        further: Signal | None = None,
+    ) -> KalmanEstimate | None:
+        """Take one sample, as `ExtendedKalmanFilter.step` does.
+
+        Returns
+        -------
+        KalmanEstimate or None
+            One row: the state ``lag`` samples ago, with ``state`` and ``covariance``; ``t`` counts from 0 at the first
+            sample. None while there are not enough samples.
+        """
+        if not dt > 0:
+            raise EstimatorError(f"dt is {dt}, expected a positive time")
+        self._window.append((dt, self._reading(theta, acceleration, further), *self._moved(dt, dtheta, ddqref)))
+        if len(self._window) <= self.lag:
+            return None
+        estimate = self._back(1)
+        self._forget()
+        return estimate
+
+    def flush(self) -> KalmanEstimate | None:
+        """At the end of a stream, the estimate of the last ``lag`` samples; then start anew."""
+        estimate = self._back(len(self._window)) if self._window else None
+        self.reset()
+        return estimate
+
+    def _reading(self, theta: Signal, acceleration: Signal | None, further: Signal | None) -> FloatArray:
+        motors = sized("theta", theta, self.robot.n)
+        if not self._begun and np.isnan(motors).any():
+            joint = self.robot.names[int(np.argmax(np.isnan(motors)))]
+            raise EstimatorError(
+                f"the first sample of theta of joint {joint} is missing; a filter cannot start without"
+            )
+        self._begun = True
+        channels, *others = (self._filter.width(kind) for kind in self._kinds[1:])
+        rest = (sized("acceleration", acceleration, channels), sized("further", further, sum(others)))
+        return np.concatenate((motors, *rest))
+
+    def _moved(self, dt: float, dtheta: Signal | None, ddqref: Signal | None) -> tuple[FloatArray, FloatArray]:
+        """Motor velocities, and the commanded jerk since the sample before."""
+        now = None if ddqref is None else sized("ddqref", ddqref, self.robot.n)
+        jerk = np.zeros(self.robot.n)
+        if now is not None and self._ddqref is not None:
+            jerk = np.nan_to_num((now - self._ddqref) / dt)
+        self._ddqref = now
+        return sized("dtheta", dtheta, self.robot.n), jerk
+
+    def _back(self, rows: int) -> KalmanEstimate:
+        """The window's first rows, smoothed."""
+        arrays = self._stacked(len(self._window))
+        result = _core.StretchSmoother(self._before).back(self._before, arrays, True)
+        t = self._t + np.cumsum(arrays[0]) - arrays[0][0]
+        first: dict[str, Any] = {name: a[:rows] for name, a in result.items()}
+        return KalmanEstimate(t=t[:rows], names=self.robot.names, **first)
+
+    def _forget(self) -> None:
+        """Let the filter before the window take the window's first sample."""
+        self._before.run(self._stacked(1), False, False)
+        self._window.popleft()
+        self._t += self._window[0][0]
+
+    def _stacked(self, count: int) -> Arrays:
+        rows = [self._window[index] for index in range(count)]
+        dt, readings, dtheta, jerk = (np.array(column) for column in zip(*rows, strict=True))
+        return dt, readings, dtheta, jerk

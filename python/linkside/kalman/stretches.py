@@ -1,0 +1,195 @@
+"""Smoothing of recordings larger than memory, from file to file.
+
+The smoother's way back takes stretches of a recording from the last to the first, each from the filter as it was when
+the stretch began. What waits for the way back, and what waits for its turn to be written, is on disk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+from pyarrow import feather
+
+from linkside import _core
+from linkside.arrays import FloatArray
+from linkside.errors import EstimatorError, NumericalError, OutputError
+from linkside.files.writing import check_writable
+from linkside.recording.log import Log
+from linkside.recording.writer import EstimateWriter
+from linkside.robot import Robot
+
+from .filtering import KalmanEstimate
+from .jerk_driven import Arrays, RauchTungStriebelSmoother
+
+ROWS = 65_536
+"""Rows of a recording that are in memory at a time."""
+
+STRETCH = 8192
+"""Rows whose history is in memory at a time, at most."""
+
+READ = ("dt", "readings", "dtheta", "jerk")
+"""What the filter reads."""
+
+
+def smooth_file(
+    smoother: RauchTungStriebelSmoother, path: str | Path, robot: Robot, out: str | Path, rows: int = ROWS
+) -> int:
+    """Smooth a recording of any length from file to file, in bounded memory; gives the rows written.
+
+    The estimate of `RauchTungStriebelSmoother.run` on the whole recording when ``noise.jerk`` is given; otherwise the
+    scale of jerk is read off the first ``rows``. While this runs, a directory beside ``out`` holds about as much as the
+    recording and the estimate together.
+
+    Parameters
+    ----------
+    smoother
+        The smoother.
+    path
+        The recording, Parquet or CSV.
+    robot
+        The robot whose columns the recording has.
+    out
+        The estimate, Parquet or CSV; it appears when it is complete.
+    rows
+        Rows in memory at a time.
+
+    Raises
+    ------
+    LogError
+        A recording that cannot be used.
+    OutputError
+        ``out`` cannot be written.
+    NumericalError
+        The estimate is no longer finite; names the sample.
+    """
+    check_writable(out)
+    count = 0
+    with EstimateWriter(out) as writer:
+        for piece in smooth_pieces(smoother, Log.stream(path, robot, rows), Path(out).resolve().parent):
+            writer.write(piece)
+            count += len(piece)
+    return count
+
+
+def smooth_pieces(
+    smoother: RauchTungStriebelSmoother, pieces: Iterable[Log], folder: str | Path | None = None
+) -> Iterator[KalmanEstimate]:
+    """Smooth a recording that comes piece by piece; estimates come in order, once the last piece is there.
+
+    Parameters
+    ----------
+    smoother
+        The smoother.
+    pieces
+        Of the recording, such as `Log.stream` gives them.
+    folder
+        Where a temporary directory is made, removed at the end whatever happens; by default the system's.
+    """
+    smoother.refuse_late("smoothing piece by piece")
+    with _spill_folder(folder) as spill:
+        starts = list(_forward(smoother, pieces, spill))
+        _backward(starts, spill)
+        for index in range(len(starts)):
+            arrays: dict[str, Any] = _load(spill / f"{index}.estimate")
+            yield KalmanEstimate(names=smoother.robot.names, **arrays)
+
+
+@contextmanager
+def _spill_folder(folder: str | Path | None) -> Iterator[Path]:
+    try:
+        with TemporaryDirectory(prefix=".smooth-", dir=folder) as name:
+            yield Path(name)
+    except (OSError, pa.ArrowException) as error:
+        if isinstance(error, OutputError):
+            raise
+        raise OutputError(f"{folder}: a temporary file could not be written or read: {error}") from error
+
+
+def _forward(
+    smoother: RauchTungStriebelSmoother, pieces: Iterable[Log], spill: Path
+) -> Iterator[_core.ExtendedKalmanFilter]:
+    """Filter, spill what was read, and give the filter as it was at the start of each piece."""
+    core: _core.ExtendedKalmanFilter | None = None
+    kinds: tuple[str, ...] = ()
+    before: Log | None = None
+    rows = 0
+    for index, piece in enumerate(pieces):
+        if core is None:
+            kinds = smoother.kinds(piece)
+            core = smoother.core(kinds, smoother.noise.for_log(piece))
+        yield core.copy()
+        arrays = smoother.arrays(piece, kinds, before)
+        _save(spill / f"{index}.log", dict(zip((*READ, "t"), (*arrays, piece.t), strict=True)))
+        with _in_rows(rows, len(piece)):
+            core.run(arrays, False, False)
+        before, rows = piece[-1:], rows + len(piece)
+
+
+def _backward(starts: Sequence[_core.ExtendedKalmanFilter], spill: Path) -> None:
+    """Smooth piece after piece from the last to the first; what was read makes room for what is estimated."""
+    if not starts:
+        return
+    smoother = _core.StretchSmoother(starts[0])
+    for index in reversed(range(len(starts))):
+        read = _load(spill / f"{index}.log")
+        (spill / f"{index}.log").unlink()
+        arrays = tuple(read[name] for name in READ)
+        _save(spill / f"{index}.estimate", {"t": read["t"], **_smooth(smoother, starts[index], arrays)})
+
+
+def _smooth(
+    smoother: _core.StretchSmoother, start: _core.ExtendedKalmanFilter, arrays: tuple[FloatArray, ...]
+) -> dict[str, Any]:
+    """One piece, in stretches whose history fits into memory."""
+    size = min(STRETCH, smoother.stretch)
+    cuts = [_rows(arrays, first, first + size) for first in range(0, len(arrays[0]), size)]
+    filters = [start]
+    for cut in cuts[:-1]:
+        core = filters[-1].copy()
+        core.run(cut, False, False)
+        filters.append(core)
+    parts = [smoother.back(f, cut, False) for f, cut in zip(reversed(filters), reversed(cuts), strict=True)]
+    return {name: np.concatenate([part[name] for part in reversed(parts)]) for name in parts[0]}
+
+
+def _rows(arrays: tuple[FloatArray, ...], first: int, last: int) -> Arrays:
+    dt, readings, dtheta, jerk = (array[first:last] for array in arrays)
+    return dt, readings, dtheta, jerk
+
+
+def _save(path: Path, arrays: dict[str, npt.NDArray[Any]]) -> None:
+    columns = {name: _column(np.ascontiguousarray(array)) for name, array in arrays.items()}
+    feather.write_feather(pa.table(columns), str(path), compression="zstd", compression_level=1)
+
+
+def _column(array: npt.NDArray[Any]) -> pa.Array:
+    flat = pa.array(array.reshape(-1))
+    return flat if array.ndim == 1 else pa.FixedSizeListArray.from_arrays(flat, array.shape[1])
+
+
+def _load(path: Path) -> dict[str, npt.NDArray[Any]]:
+    table = feather.read_table(str(path), memory_map=False)
+    return {name: _array(table.column(name).combine_chunks()) for name in table.column_names}
+
+
+def _array(column: pa.Array) -> npt.NDArray[Any]:
+    if not pa.types.is_fixed_size_list(column.type):
+        return np.asarray(column.to_numpy(zero_copy_only=False))
+    flat = column.flatten().to_numpy(zero_copy_only=False)
+    return np.asarray(flat.reshape(len(column), column.type.list_size))
+
+
+@contextmanager
+def _in_rows(first: int, count: int) -> Iterator[None]:
+    """Let the kernels, which count from the beginning of a piece, say which."""
+    try:
+        yield
+    except (EstimatorError, NumericalError) as error:
+        raise type(error)(f"rows {first} to {first + count - 1}: {error}") from error

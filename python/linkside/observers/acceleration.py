@@ -1,0 +1,235 @@
+"""Observers: link state from motor positions, motor torques and accelerometers, one sample at a time or whole logs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Literal, overload
+
+import numpy as np
+
+from linkside import _core
+from linkside.arrays import FloatArray, Signal
+from linkside.errors import EstimatorError, NumericalError
+from linkside.recording.continuity import longest_dropout, refuse_dropouts, refuse_uneven
+from linkside.recording.estimate import Estimate, result_of
+from linkside.recording.log import Log
+from linkside.robot import Robot
+from linkside.robot.requirements import refuse_unsupported
+
+from .poles import PolePattern, damped
+
+Poles = float | PolePattern | Mapping[str, "PolePattern | Sequence[complex]"]
+
+
+class AccelerationObserver:
+    """Observer driven by measured accelerations; it needs nothing of the links' dynamics.
+
+    De Luca, Schröder and Thümmel, "An acceleration-based state observer for robot manipulators with elastic joints",
+    ICRA 2007: Theorem 1, Theorem 2 (inertial coupling, where robot.yaml gives it) and equation (12).
+
+    Parameters
+    ----------
+    robot
+        The robot. Elastic joints need stiffness, damping and motor inertia; motor friction and nonlinear springs are
+        compensated where robot.yaml gives them.
+    poles
+        Poles of the error dynamics: one frequency [rad/s] for a well-damped pattern, a pattern of `linkside.poles`,
+        or for each joint by name a pattern or the poles themselves [1/s].
+    bias
+        Adds a state per joint for a slowly varying bias of the measured link acceleration, and a pole.
+    form
+        ``"current"`` reports the state after the sample's own motor positions are used, ``"predictor"`` before.
+    accelerations
+        ``"sensors"``: from the robot's accelerometers. ``"joints"``: from the log's columns ``ddq_<joint>``.
+    period
+        Sampling period for `step` [s]; by default ``rate_hz`` of robot.yaml. `run` takes the log's.
+    worst_acceleration_std
+        Combinations of link accelerations that the sensors determine worse than this [rad/s²] are damped, as near a
+        singular posture, and flagged in ``status``.
+
+    Raises
+    ------
+    EstimatorError
+        Poles that are unstable, unpaired, too many, too few or too fast for the sampling period; fewer measured
+        accelerations than elastic joints; what `robot.requirements` lists.
+
+    Notes
+    -----
+    The innovation is used at the sampling instants only; between them the model is integrated exactly, with the
+    torque held and the acceleration interpolated.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        poles: Poles = 250.0,
+        *,
+        bias: bool = False,
+        form: Literal["current", "predictor"] = "current",
+        accelerations: Literal["sensors", "joints"] = "sensors",
+        period: float | None = None,
+        worst_acceleration_std: float = 10.0,
+    ) -> None:
+        _one_of("form", form, ("current", "predictor"))
+        _one_of("accelerations", accelerations, ("sensors", "joints"))
+        on_joints = " on joint accelerations" if accelerations == "joints" else ""
+        refuse_unsupported(robot, f"the acceleration-driven observer{on_joints}")
+        self.robot, self.form, self.accelerations = robot, form, accelerations
+        self.worst_acceleration_std = worst_acceleration_std
+        self.poles = {name: _joint_poles(poles, name, order) for name, order in _orders(robot, bias).items()}
+        self._make = partial(
+            _core.AccelerationObserver,
+            robot.core,
+            poles=list(self.poles.values()),
+            bias=bias,
+            predictor=form == "predictor",
+            joint_accelerations=accelerations == "joints",
+            worst_acceleration_std=worst_acceleration_std,
+        )
+        self._signal = "acceleration" if accelerations == "sensors" else "ddq"
+        rate = robot.config.rate_hz
+        self._period = period if period is not None or rate is None else 1 / rate
+        self._core = None if self._period is None else self._designed(self._period)
+
+    def step(self, *, theta: Signal, tau: Signal, acceleration: Signal) -> _core.ObserverState:
+        """Take one sample and give the state at its time; the first sample starts from rest.
+
+        Parameters
+        ----------
+        theta : (n,)
+            Motor positions, link side [rad].
+        tau : (n,)
+            Motor torques, link side, held until the next sample [N m].
+        acceleration : (m,)
+            Accelerometer channels in the order of ``robot.acceleration_channels`` [m/s²]; link accelerations (n,)
+            [rad/s²] with ``accelerations="joints"``. NaN where a reading is missing.
+
+        Returns
+        -------
+        ObserverState
+            ``q``, ``dq``, ``ddq``, ``theta``, ``dtheta`` (n,), ``tool_position`` (3,) and ``status``.
+        """
+        return self._live().step(theta, tau, acceleration)
+
+    def hold(self, tau: Signal) -> None:
+        """Replace the torque (n,) of the last `step` [N m]: in a closed loop it follows from that step's state."""
+        self._live().hold(tau)
+
+    def reset(self) -> None:
+        """Forget the state: the next sample starts anew, from rest."""
+        self._live().reset()
+
+    def start(self, *, theta: Signal, q: Signal, dtheta: Signal, dq: Signal) -> None:
+        """Start `step` from a given state, each (n,), one period before the next sample."""
+        self._live().start(theta, q, dtheta, dq)
+
+    @overload
+    def run(self, log: Log) -> Estimate: ...
+    @overload
+    def run(self, log: Sequence[Log]) -> list[Estimate]: ...
+    def run(self, log: Log | Sequence[Log]) -> Estimate | list[Estimate]:
+        """Estimate a recording, or several on all cores; each starts from rest at its first sample.
+
+        Raises
+        ------
+        LogError
+            A column is missing, time is uneven, or a reading is missing at the start or for too long.
+        NumericalError
+            The estimate is no longer finite; names the sample.
+        """
+        logs = [log] if isinstance(log, Log) else list(log)
+        arrays = [self._arrays(one) for one in logs]
+        if not logs:
+            return []
+        period = logs[0].period
+        for one in logs:
+            if not np.isclose(one.period, period, rtol=1e-6):
+                raise EstimatorError(
+                    f"{one.source} is sampled every {one.period:.6g} s and {logs[0].source} every {period:.6g} s; "
+                    "run logs of different rates one by one"
+                )
+        outcomes = zip(logs, self._designed(period).run_all(arrays), strict=True)
+        estimates = [Estimate(t=one.t, names=self.robot.names, **result_of(one.source, o)) for one, o in outcomes]
+        return estimates[0] if isinstance(log, Log) else estimates
+
+    def run_pieces(self, pieces: Iterable[Log]) -> Iterator[Estimate]:
+        """Estimate a recording that comes piece by piece, in bounded memory; the same bits as `run`."""
+        core: _core.AccelerationObserver | None = None
+        seen, first = None, 0
+        for piece in pieces:
+            core = core or self._designed(piece.period)
+            arrays = self._arrays(piece, seen, first)
+            try:
+                result = core.run(*arrays)
+            except NumericalError as error:
+                raise NumericalError(f"{piece.source}: {error}") from None
+            seen, first = piece[-longest_dropout(piece) :], first + len(piece)
+            yield Estimate(t=piece.t, names=self.robot.names, **result)
+
+    def gains(self) -> dict[str, FloatArray]:
+        """Continuous-time gains L of each joint in closed form (Remark 3), by the order of its states."""
+        names = self.robot.names
+        return {name: _core.observer_gains(self.robot.core, names.index(name), p) for name, p in self.poles.items()}
+
+    def fresh(self, period: float) -> _core.AccelerationObserver:
+        """Build an observer of the core, of accelerometers, that has taken no sample."""
+        if self._signal != "acceleration":
+            raise EstimatorError("feedback: link accelerations are not simulated as readings; accelerations='sensors'")
+        return self._designed(period)
+
+    def _live(self) -> _core.AccelerationObserver:
+        if self._core is None:
+            raise EstimatorError("step needs the sampling period: give period=…, or rate_hz in robot.yaml")
+        return self._core
+
+    def _designed(self, period: float) -> _core.AccelerationObserver:
+        # A rate that was stated is exact; the log's time stamps only have it to their own rounding.
+        if self._period is not None and np.isclose(period, self._period, rtol=1e-6):
+            period = self._period
+        try:
+            return self._make(period=period)
+        except EstimatorError as error:
+            raise EstimatorError(_named(str(error), self.robot.names)) from None
+
+    def _arrays(self, log: Log, before: Log | None = None, first: int = 0) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Check a log, or a piece of one that begins at row ``first`` after the rows ``before``; give its arrays."""
+        log.require("theta", "tau", self._signal, purpose="the acceleration-driven observer")
+        refuse_uneven(log, before, first)
+        elastic = self.robot.elastic
+        every = np.ones(len(self.robot.acceleration_channels), bool)
+        needed = {"theta": np.ones_like(elastic), "tau": elastic}
+        needed[self._signal] = elastic if self._signal == "ddq" else every
+        for signal, channels in needed.items():
+            refuse_dropouts(log, signal, channels, before, first)
+        if before is None:
+            log.require_start("an observer")
+        tau = log.tau if log.tau is not None else np.full_like(log.theta, np.nan)
+        return log.theta, tau, getattr(log, self._signal)
+
+
+def _named(message: str, joints: Sequence[str]) -> str:
+    """Joints by their names, which the core does not know."""
+    return re.sub(r"\bjoint (\d+)", lambda match: f"joint '{joints[int(match[1])]}'", message)
+
+
+def _one_of(name: str, value: object, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
+        raise EstimatorError(f"{name} is {value!r}, expected one of {', '.join(map(repr, allowed))}")
+
+
+def _orders(robot: Robot, bias: bool) -> dict[str, int]:
+    """States of each joint's model."""
+    return {name: (4 + bias if elastic else 3) for name, elastic in zip(robot.names, robot.elastic, strict=True)}
+
+
+def _joint_poles(poles: Poles, name: str, order: int) -> list[complex]:
+    if isinstance(poles, Mapping):
+        try:
+            own = poles[name]
+        except KeyError:
+            raise EstimatorError(f"poles: none given for joint '{name}'") from None
+        return list(own.poles(order)) if isinstance(own, PolePattern) else [complex(p) for p in own]
+    pattern = poles if isinstance(poles, PolePattern) else damped(float(poles))
+    return list(pattern.poles(order))

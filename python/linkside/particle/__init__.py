@@ -1,0 +1,5 @@
+"""Particle filters on the acceleration-driven model."""
+
+from .filters import MarginalizedParticleFilter, Mixture, ParticleEstimate, ParticleFilter
+
+__all__ = ["MarginalizedParticleFilter", "Mixture", "ParticleEstimate", "ParticleFilter"]

@@ -1,0 +1,317 @@
+"""Particle filters: beliefs that are not normal, joints with limits, readings with outliers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from linkside import _core
+from linkside.arrays import FloatArray
+from linkside.channels import OUTLIERS, widths
+from linkside.errors import EstimatorError, NumericalError
+from linkside.kalman.jerk_driven import ExtendedKalmanFilter, JerkDrivenFilter
+from linkside.kalman.noise import Noise
+from linkside.recording.estimate import Estimate, result_of
+from linkside.recording.log import Log
+from linkside.robot import Robot
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """Normal noise with outliers, (1 - share) N(0, σ²) + share N(0, (scale σ)²), σ what `Noise` or the robot says.
+
+    Attributes
+    ----------
+    share
+        Probability that a reading is an outlier, between 0 and 1.
+    scale
+        Standard deviation of outliers in units of σ, above 1.
+    """
+
+    share: float
+    scale: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ParticleEstimate(Estimate):
+    """Means over the particles, with what tells how they fared.
+
+    Attributes
+    ----------
+    effective : (T,)
+        Effective number of particles 1/Σw², before particles are chosen anew.
+    reseeded : (T,)
+        Whether the cloud was spread anew from the Kalman filter beside it.
+    log_likelihood : (T,)
+        Logarithm of the probability density of the sample's readings, given those before, as the particles have it.
+    used : (T,)
+        Readings used at each sample.
+    best : (T, n)
+        Link positions of the particle of largest weight [rad].
+    quantiles : (T, k, n), optional
+        Quantiles of the link positions, for the k shares that were asked for [rad].
+    state : (T, d), optional
+        Mean of the whole state: q, dq, ddq, then biases. ``covariance`` is its.
+    channels : tuple of str
+        The columns of the log that were read.
+    """
+
+    effective: FloatArray | None = None
+    reseeded: npt.NDArray[np.bool_] | None = None
+    log_likelihood: FloatArray | None = None
+    used: npt.NDArray[np.uint32] | None = None
+    best: FloatArray | None = None
+    quantiles: FloatArray | None = None
+    state: FloatArray | None = None
+    channels: tuple[str, ...] = ()
+
+
+class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
+    """Particle filter on the acceleration-driven model, with the same noise as `ExtendedKalmanFilter`.
+
+    Axelsson, Karlsson and Norrlöf, "Tool position estimation of a flexible industrial robot using recursive Bayesian
+    methods", ICRA 2012. N weighted samples of the state (link positions, velocities, accelerations, biases) stand for
+    the belief; nothing is linearised but where a particle looks for its next place.
+
+    Parameters
+    ----------
+    robot
+        The robot, with its accelerometers and gyroscopes.
+    noise
+        How uncertain everything is; the scale of jerk is read off the log unless given.
+    particles
+        N.
+    seed
+        The same seed gives the same numbers, whatever the threads and the processor.
+    proposal
+        ``"linearised"`` moves each particle by the readings linearised at it, ``"bootstrap"`` by the process alone.
+    iterations
+        How often the linearised proposal is linearised.
+    proposal_tail
+        Degrees of freedom, even, of Student's density for the linearised proposal; None keeps it normal.
+    resampling
+        ``"systematic"``, ``"stratified"``, ``"residual"`` or ``"multinomial"``.
+    threshold
+        Particles are chosen anew when fewer than this share of N is effective.
+    kernel
+        Width of the normal density that then spreads copies, relative to the cloud (Liu and West 2001); mean and
+        covariance are kept. None leaves copies where they are, and chance in the mean.
+    outliers
+        Noise that is not normal, by kind of channel: degrees of freedom of Student's density, or a `Mixture`, such as
+        ``{"acceleration": 4.0}`` or ``{"acceleration": Mixture(share=0.02, scale=50)}``.
+    limits
+        Least and largest position by joint [rad]; particles beyond are impossible.
+    initial : (k, n)
+        Link positions at rest that particles start from in turn, each spread by ``noise.position`` [rad]: a belief with
+        several peaks, say. None: the posture in which the first motor positions hold the links.
+    collapse
+        What to do with a cloud that does not explain the readings, as a Kalman filter that runs beside it does.
+        ``"reseed"`` flags the row `Status.CONTRADICTED` and spreads the cloud anew from the Kalman filter's belief; a cloud
+        that has only lost spread is renewed before it comes to that. ``"flag"`` flags the row and leaves the cloud as it is.
+        ``"raise"`` stops with the sample's number. A sample that is impossible to all particles counts as missing unless it
+        stops the run.
+    quantiles
+        Shares of probability, such as ``(0.05, 0.95)``, whose quantiles of position are kept.
+    biases, damping, rate, q, torque
+        As of `ExtendedKalmanFilter`.
+
+    Raises
+    ------
+    EstimatorError
+        Settings out of range.
+
+    Notes
+    -----
+    The recording of a log is one thread for up to 2047 particles, all cores beyond.
+    """
+
+    _marginalised: Literal["nothing", "biases", "accelerations"] = "nothing"
+
+    def __init__(
+        self,
+        robot: Robot,
+        noise: Noise | None = None,
+        *,
+        particles: int = 1000,
+        seed: int = 0,
+        proposal: Literal["linearised", "bootstrap"] = "linearised",
+        iterations: int = 1,
+        proposal_tail: int | None = None,
+        resampling: Literal["systematic", "stratified", "residual", "multinomial"] = "systematic",
+        threshold: float = 0.5,
+        kernel: float | None = 0.5,
+        outliers: Mapping[str, float | Mixture] | None = None,
+        limits: Mapping[str, tuple[float, float]] | None = None,
+        initial: npt.ArrayLike | None = None,
+        collapse: Literal["reseed", "flag", "raise"] = "reseed",
+        quantiles: Sequence[float] = (),
+        biases: Sequence[str] = ("motor", "acceleration", "rate"),
+        damping: bool = True,
+        rate: bool | None = None,
+        q: bool | None = None,
+        torque: bool | None = None,
+    ) -> None:
+        super().__init__()
+        if collapse not in ("reseed", "flag", "raise"):
+            raise EstimatorError(f"collapse is {collapse!r}, expected 'reseed', 'flag' or 'raise'")
+        self.robot = robot
+        self._front = ExtendedKalmanFilter(robot, noise, biases=biases, damping=damping, rate=rate, q=q, torque=torque)
+        self.noise = self._front.noise
+        self._outliers = _by_kind(outliers or {})
+        self._settings = {
+            "particles": _whole("particles", particles),
+            "seed": _whole("seed", seed) % 2**64,
+            "proposal": proposal,
+            "iterations": _whole("iterations", iterations),
+            "proposal_tail": proposal_tail,
+            "resampling": resampling,
+            "threshold": threshold,
+            "kernel": kernel,
+            "limits": _by_joint(robot, limits or {}),
+            "initial": _positions(robot, initial),
+            "collapse": collapse,
+            "quantiles": list(quantiles),
+        }
+        self._core(self._front.live_kinds, self.noise)  # settings are checked at once
+
+    def run(self, log: Log, *, covariance: bool = False) -> ParticleEstimate:
+        """Estimate a recording; it starts from rest at its first sample.
+
+        Parameters
+        ----------
+        log
+            The recording, with motor positions of all joints.
+        covariance
+            Keep the whole state and its covariance.
+
+        Raises
+        ------
+        LogError
+            A column is missing, or a motor position at the first sample.
+        NumericalError
+            The particles do not explain a sample, with ``collapse="raise"``; names the sample.
+        """
+        return self._recorded(log, _core.ParticleFilter.run_all, covariance)
+
+    def smooth(self, log: Log, *, covariance: bool = False) -> ParticleEstimate:
+        """Estimate each sample of a recording by all of its samples, those after it as well.
+
+        Rauch, Tung and Striebel's pass (1965) back along the clouds' means and covariances: the motion is linear and
+        its noise normal, so nothing is linearised again. What is not normal in a cloud is not carried back. There is
+        neither ``best`` nor ``quantiles``; ``effective``, ``log_likelihood`` and ``status`` are the filter's. Memory is
+        about d²/2 numbers a sample, d the number of states. Parameters and errors are those of `run`.
+        """
+        return self._recorded(log, _core.ParticleFilter.smooth_all, covariance)
+
+    def run_pieces(self, pieces: Iterable[Log]) -> Iterator[ParticleEstimate]:
+        """Estimate a recording that comes piece by piece, in bounded memory.
+
+        The same bits as `run` when ``noise.jerk`` is given; otherwise the scale of jerk is read off the first piece.
+        """
+        core: _core.ParticleFilter | None = None
+        kinds: tuple[str, ...] = ()
+        before: Log | None = None
+        for piece in pieces:
+            if core is None:
+                core, kinds = self._prepared(piece)
+            try:
+                result = core.run(self._front.arrays(piece, kinds, before), False)
+            except NumericalError as error:
+                raise NumericalError(f"{piece.source}: {error}") from None
+            before = piece[-1:]
+            yield self._estimate(piece, kinds, result)
+
+    @property
+    def effective(self) -> float:
+        """Effective number of particles after the last `step`."""
+        return self._live.effective
+
+    def _start(self) -> _core.ParticleFilter:
+        return self._core(self._front.live_kinds, self.noise)
+
+    def _recorded(self, log: Log, run: Callable[..., Any], covariance: bool) -> ParticleEstimate:
+        core, kinds = self._prepared(log)
+        (outcome,) = run(core, [self._front.arrays(log, kinds)], covariance)
+        return self._estimate(log, kinds, result_of(log.source, outcome))
+
+    def _prepared(self, log: Log) -> tuple[_core.ParticleFilter, tuple[str, ...]]:
+        kinds = self._front.kinds(log)
+        return self._core(kinds, self.noise.for_log(log)), kinds
+
+    def _core(self, kinds: tuple[str, ...], noise: Noise) -> _core.ParticleFilter:
+        self._front.refuse_late("a particle filter")
+        settings = self._front.settings(kinds, noise)
+        each = zip(kinds, widths(self.robot, kinds), strict=True)
+        outliers = [self._outliers.get(kind) for kind, width in each for _ in range(width)]
+        return _core.ParticleFilter(
+            self.robot.core,
+            **settings,
+            marginalised=self._marginalised,
+            settings=self._settings | {"outliers": outliers},
+        )
+
+    def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> ParticleEstimate:
+        channels = self._front.columns(log, kinds)
+        return ParticleEstimate(t=log.t, names=self.robot.names, channels=channels, **result)
+
+
+class MarginalizedParticleFilter(ParticleFilter):
+    """Particle filter with a part of the state marginalised (Rao–Blackwellised).
+
+    Schön, Gustafsson and Nordlund, "Marginalized particle filters for mixed linear/nonlinear state-space models", IEEE
+    Transactions on Signal Processing 53 (2005). Particles stand for positions, velocities and accelerations alone; the
+    biases, which add to the readings and depend on nothing else, are known in closed form for each. ``outliers`` are
+    not for it.
+
+    Parameters
+    ----------
+    robot, noise, settings
+        As of `ParticleFilter`.
+    accelerations
+        Marginalise accelerations, too: particles stand for positions and velocities, and each carries a Kalman filter
+        of its accelerations and biases. Exact where springs are linear, else to first order in the acceleration.
+
+    Raises
+    ------
+    EstimatorError
+        Settings out of range.
+    """
+
+    def __init__(
+        self, robot: Robot, noise: Noise | None = None, *, accelerations: bool = False, **settings: Any
+    ) -> None:
+        self._marginalised = "accelerations" if accelerations else "biases"  # what settings are checked for
+        super().__init__(robot, noise, **settings)
+
+
+def _whole(name: str, value: Any) -> int:
+    if not isinstance(value, int | np.integer) or value < 0:
+        raise EstimatorError(f"{name} is {value!r}, expected a whole number of at least 0")
+    return int(value)
+
+
+def _by_kind(outliers: Mapping[str, float | Mixture]) -> dict[str, float | tuple[float, float]]:
+    for kind in outliers:
+        if kind not in OUTLIERS:
+            raise EstimatorError(f"outliers: {kind!r} is not one of {', '.join(map(repr, OUTLIERS))}")
+    return {kind: (o.share, o.scale) if isinstance(o, Mixture) else float(o) for kind, o in outliers.items()}
+
+
+def _by_joint(robot: Robot, limits: Mapping[str, tuple[float, float]]) -> list[tuple[float, float]]:
+    for name in limits:
+        if name not in robot.names:
+            raise EstimatorError(f"limits: the robot has no joint {name!r}, only {', '.join(robot.names)}")
+    return [limits.get(name, (-np.inf, np.inf)) for name in robot.names]
+
+
+def _positions(robot: Robot, initial: npt.ArrayLike | None) -> list[float]:
+    if initial is None:
+        return []
+    rows = np.atleast_2d(np.asarray(initial, float))
+    if rows.ndim != 2 or rows.shape[1] != robot.n:
+        raise EstimatorError(f"initial has shape {np.shape(initial)}, expected one row of {robot.n} a start")
+    return list(rows.ravel())

@@ -1,0 +1,61 @@
+"""Checks of time: its unit, its resolution, and the rate that robot.yaml states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from .finding import Finding, Verdict
+from .view import View
+
+UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
+"""How many seconds a unit is."""
+
+RATES = (50.0, 20_000.0)
+"""Rates at which robots are recorded [1/s]."""
+
+SLOW = 0.2
+"""A period above this, of a recording that states no rate, is suspicious [s]."""
+
+RATE_TOLERANCE = 0.02
+"""By how much a recording's rate may differ from the one stated."""
+
+
+def unit(period: float, rate: float | None, column: str) -> Finding | None:
+    """Recognise a time that is not in seconds: certain by the rate stated, or because nothing else fits."""
+    for name, seconds in UNITS.items():
+        stated = rate is not None and abs(period * seconds * rate - 1) < RATE_TOLERANCE
+        only = rate is None and period > 50 and RATES[0] < 1 / (period * seconds) < RATES[1]
+        if stated or only:
+            what = f"is in {name} (steps of {period:.6g})"
+            return Finding(name, "mended", column, what, "read as such; record seconds to be sure", size=seconds)
+    return None
+
+
+def rate(view: View) -> Iterator[Finding]:
+    """Compare the recording's rate with ``rate_hz``."""
+    period, stated = view.log.period, view.robot.config.rate_hz
+    (column,) = view.log.columns("t")
+    if stated is not None and abs(period * stated - 1) > RATE_TOLERANCE:
+        what = f"has steps of {period:.6g} s, {1 / period:.6g} Hz, where robot.yaml says {stated:g} Hz"
+        remedy = "correct rate_hz, or the unit of time if it is not seconds"
+        yield view.finding("rate", "suspicious", column, what, remedy, size=period)
+    elif stated is None and period > SLOW:
+        what, remedy = f"has steps of {period:.6g} s", "if that is not seconds, convert it; else state rate_hz"
+        yield view.finding("rate", "suspicious", column, what, remedy, size=period)
+
+
+def resolution(view: View) -> Iterator[Finding]:
+    """Find a time that was float32, once its steps are no longer those of the recording."""
+    t, period = view.log.t, view.log.period
+    grain = float(np.spacing(np.float32(np.abs(t[-1]))))
+    if grain < period / 50 or len(t) < 3 or not (t.astype(np.float32) == t).all():
+        return
+    off = np.abs(np.diff(t) - period) > period / 50
+    if off.mean() > 0.005:
+        what = f"has the resolution of 32 bits, {grain:.2g} s where the period is {period:.6g} s"
+        (column,) = view.log.columns("t")
+        remedy = "record it in 64 bits, or subtract its beginning before it is converted"
+        verdict: Verdict = "refused" if grain > period / 5 else "suspicious"
+        yield view.finding("float32", verdict, column, what, remedy, at=int(np.argmax(off)) + 1, size=grain)

@@ -1,0 +1,135 @@
+"""The table of checks, and what runs them over a recording or its pieces."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import TypeGuard
+
+from linkside.arrays import FloatArray
+from linkside.errors import LogError, RecordingWarning
+from linkside.robot import Robot
+
+from . import channels, clock, gravity, positions, units
+from .finding import Finding
+from .view import Kind, Recording, View
+
+Check = Callable[[View], Iterator[Finding]]
+
+CHECKS: dict[str, Check] = {
+    "resolution of time": clock.resolution,
+    "rate of time": clock.rate,
+    "sentinels": channels.sentinels,
+    "units of positions": units.positions,
+    "jumps of positions": positions.impossible,
+    "joint limits": positions.limits,
+    "velocities": units.velocities,
+    "accelerometers": gravity.accelerometers,
+    "motor torques": gravity.torques,
+    "channels that stay": channels.stays,
+}
+"""The checks, in the order in which they are made; one that refuses ends the matter."""
+
+BEFORE = 3
+"""Rows of the piece before that a check may look at."""
+
+
+class Inspector:
+    """Checks of one recording, whole or piece by piece.
+
+    Parameters
+    ----------
+    robot
+        The robot.
+    source
+        The recording, for messages.
+    collect
+        Keep what is refused among the findings instead of raising it, and warn of nothing.
+
+    Attributes
+    ----------
+    findings : list of Finding
+        So far; one for each check and column.
+    """
+
+    def __init__(self, robot: Robot, source: str, *, collect: bool = False) -> None:
+        self.findings: list[Finding] = []
+        self._robot, self._source, self._collect = robot, source, collect
+        self._before: Recording | None = None
+        self._first = 0
+        self._offset: dict[tuple[str, int], float] = {}
+
+    def seconds(self, period: float, column: str) -> float:
+        """How many seconds a unit of time is, by a period in that unit."""
+        found = clock.unit(period, self._robot.config.rate_hz, column)
+        if found is None or found.size is None:
+            return 1.0
+        self._add(found)
+        return found.size
+
+    def __call__(self, log: Kind) -> Kind:
+        """Check a piece; gives it with positions unwrapped, and what was found.
+
+        Raises
+        ------
+        LogError
+            What is found is impossible.
+        """
+        log = self._shifted(log)
+        view = View(log, self._robot, self._first, self._before)
+        refused = max([self._add(found) for found in channels.sentinels(view)], default=False)
+        if not refused:
+            log = self._unwrapped(log, view)
+            view = replace(view, log=log)
+        for name, check in CHECKS.items():
+            if name != "sentinels" and not refused:
+                refused = max([self._add(found) for found in check(view)], default=False)
+        self._before, self._first = log[-BEFORE:], self._first + len(log)
+        return replace(log, findings=tuple(self.findings))  # type: ignore[type-var]
+
+    def _add(self, found: Finding) -> bool:
+        """Keep a finding, the first of its kind and column; whether it refuses the recording."""
+        if found.verdict == "refused" and not self._collect:
+            raise LogError(f"{self._source}: {found}")
+        if not any((known.kind, known.column) == (found.kind, found.column) for known in self.findings):
+            self.findings.append(found)
+            if not self._collect:
+                warnings.warn(f"{self._source}: {found}", RecordingWarning, stacklevel=4)
+        return found.verdict == "refused"
+
+    def _unwrapped(self, log: Kind, view: View) -> Kind:
+        offsets: dict[str, FloatArray] = {}
+        for found, signal, joint, offset in positions.wraps(view):
+            self._add(found)
+            array = offsets.setdefault(signal, getattr(view.log, signal).copy())
+            array[:, joint] += offset
+            self._offset[signal, joint] = self._offset.get((signal, joint), 0.0) + float(offset[-1])
+        return _with(log, offsets)
+
+    def _shifted(self, log: Kind) -> Kind:
+        """Carry on the turns that were counted in the pieces before."""
+        changed: dict[str, FloatArray] = {}
+        for (signal, joint), offset in self._offset.items():
+            if offset:
+                changed.setdefault(signal, getattr(log, signal).copy())[:, joint] += offset
+        return _with(log, changed)
+
+
+def _with(log: Kind, arrays: dict[str, FloatArray]) -> Kind:
+    for array in arrays.values():
+        array.flags.writeable = False
+    return replace(log, **arrays) if arrays else log  # type: ignore[type-var]
+
+
+def inspect(log: Recording, robot: Robot) -> tuple[Finding, ...]:
+    """Everything that the checks find about a recording, what they refuse included; nothing is raised or warned of."""
+    inspector = Inspector(robot, log.source, collect=True)
+    inspector(log)
+    known = [found for found in log.findings if found.verdict == "mended"]
+    return (*known, *inspector.findings)
+
+
+def able(robot: object) -> TypeGuard[Robot]:
+    """Whether a robot has what the checks need: kinematics, not only names of columns."""
+    return hasattr(robot, "specific_force") and hasattr(robot, "config")

@@ -1,0 +1,305 @@
+"""Estimates: what an estimator found, their files, and their error against a truth."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
+from enum import IntFlag
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.csv
+
+from linkside.arrays import FloatArray
+from linkside.errors import EstimatorError, LinksideError, LogError
+from linkside.files.tables import numbers, open_table
+
+from .times import counterparts
+from .writer import EstimateWriter
+
+if TYPE_CHECKING:
+    import pandas  # type: ignore[import-untyped]
+    import polars
+
+
+class Status(IntFlag):
+    """What to know about a row of an estimate; several can hold at once."""
+
+    GOOD = 0
+    """Nothing to report."""
+    DAMPED = 1
+    """The accelerometers' map is near a singular posture: acceleration is damped in what they hardly see."""
+    BRIDGED = 2
+    """A sample was missing, and was bridged by the model."""
+    UNSEEN = 4
+    """A direction of joint acceleration is not seen by the sensors at all."""
+    GATED = 8
+    """A reading was left out as an outlier."""
+    PREDICTED = 16
+    """Not one reading was used: the row is a prediction."""
+    UNWRAPPED = 32
+    """An encoder wrapped, and its jump was taken out."""
+    CONTRADICTED = 64
+    """Readings contradict the model: the row and its standard deviations are not to be believed."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Estimate:
+    """Motion of links and tool. A row at time t is the state at t.
+
+    Attributes
+    ----------
+    t : (T,)
+        Time [s].
+    q, dq : (T, n)
+        Link position [rad] and velocity [rad/s].
+    theta, dtheta : (T, n)
+        Motor position and velocity, reflected to the link side.
+    status : (T,)
+        `Status` of each row, uint8.
+    names : tuple of str
+        The n joints.
+    ddq : (T, n), optional
+        Link acceleration, where the method has it [rad/s²].
+    tool_position : (T, 3), optional
+        Tool in the base frame [m].
+    q_std, tool_std : (T, n) and (T, 3), optional
+        Standard deviations, where the method has a covariance [rad, m].
+    covariance : (T, k, k), optional
+        Covariance of the method's state. It is kept in memory only: files have the standard deviations.
+    """
+
+    t: FloatArray
+    q: FloatArray
+    dq: FloatArray
+    theta: FloatArray
+    dtheta: FloatArray
+    status: npt.NDArray[np.uint8]
+    names: tuple[str, ...]
+    ddq: FloatArray | None = None
+    tool_position: FloatArray | None = None
+    q_std: FloatArray | None = None
+    tool_std: FloatArray | None = None
+    covariance: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        """Check shapes, once."""
+        rows, joints = len(self.t), len(self.names)
+        wanted = dict.fromkeys(("q", "dq", "ddq", "theta", "dtheta", "q_std"), (rows, joints))
+        wanted |= {"tool_position": (rows, 3), "tool_std": (rows, 3)}
+        for name, shape in wanted.items():
+            array = getattr(self, name)
+            if array is not None and array.shape != shape:
+                raise EstimatorError(f"{name} of an estimate has shape {array.shape}, expected {shape}")
+        for name in ("t", "status", "covariance"):
+            array = getattr(self, name)
+            if array is not None and (len(array) != rows or array.ndim != (3 if name == "covariance" else 1)):
+                raise EstimatorError(f"{name} of an estimate has shape {array.shape} for {rows} rows")
+
+    @classmethod
+    def read(cls, path: str | Path) -> Estimate:
+        """Read a Parquet or CSV file in the columns of `columns`; joints are those of its ``q_<joint>``.
+
+        A file that lacks velocities or motor positions, as a measured truth may, has NaN in their place; one
+        that lacks ``status`` is good throughout.
+
+        Raises
+        ------
+        LogError
+            When it cannot be used: one line with the file and the column.
+        """
+        file = open_table(path)
+        names = _joints(file.names, file.source)
+        groups = {group: columns for group, columns in _groups(names).items() if set(columns) <= set(file.names)}
+        table = file.read([column for columns in groups.values() for column in columns])
+        arrays = {g: np.stack([numbers(table, c, file.source) for c in cs], axis=1) for g, cs in groups.items()}
+        return cls(names=names, **_complete(arrays, len(names), file.source))
+
+    @classmethod
+    def concatenate(cls, parts: Iterable[Estimate]) -> Estimate:
+        """Join estimates of the same joints and method, one after the other in time."""
+        parts = list(parts)
+        if not parts:
+            raise EstimatorError("there is no estimate to concatenate")
+        for number, part in enumerate(parts):
+            if part._form() != parts[0]._form():
+                raise EstimatorError(f"part {number} has other columns than the first: {part!r}, {parts[0]!r}")
+        arrays: dict[str, Any] = {
+            name: np.concatenate([getattr(p, name) for p in parts]) for name in parts[0]._form()[1]
+        }
+        return replace(parts[0], **arrays)
+
+    def columns(self) -> dict[str, npt.NDArray[Any]]:
+        """Columns by name in the order of files, each a view of shape (T,), without a copy."""
+        out: dict[str, npt.NDArray[Any]] = {}
+        for group, columns in _groups(self.names).items():
+            array = getattr(self, group)
+            if array is not None:
+                out |= zip(columns, np.atleast_2d(array.T), strict=True)
+        return out
+
+    def to_arrow(self) -> pa.Table:
+        """Convert to an Arrow table."""
+        return pa.table({name: pa.array(column) for name, column in self.columns().items()})
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Convert to a pandas data frame; needs pandas."""
+        import pandas
+
+        return pandas.DataFrame(self.columns())
+
+    def to_polars(self) -> polars.DataFrame:
+        """Convert to a Polars data frame; needs Polars."""
+        import polars
+
+        return polars.DataFrame(self.columns())
+
+    def write(self, path: str | Path) -> None:
+        """Write a Parquet or CSV file (by suffix), whole or not at all; `OutputError` when that cannot be."""
+        with EstimateWriter(path) as writer:
+            writer.write(self)
+
+    def status_summary(self) -> dict[str, int]:
+        """Count rows by status, in words: ``{"good": 1990, "damped": 0, "bridged": 10, "unseen": 0}``."""
+        flags = {name.lower(): flag for name, flag in Status.__members__.items() if flag}
+        good = {"good": int(np.count_nonzero(self.status == Status.GOOD))}
+        return good | {word: int(np.count_nonzero(self.status & flag)) for word, flag in flags.items()}
+
+    def error_against(self, truth: Estimate | str | Path) -> EstimateError:
+        """Compare with the truth, or a better estimate, of the same motion.
+
+        Parameters
+        ----------
+        truth
+            With a row at the time of every row of this estimate, to 1 % of a period; it may have more. Where
+            it is NaN, nothing is compared.
+
+        Raises
+        ------
+        EstimatorError
+            When a time has no counterpart, or nothing in common can be compared.
+        """
+        source = "the truth" if isinstance(truth, Estimate) else str(truth)
+        truth = truth if isinstance(truth, Estimate) else Estimate.read(truth)
+        rows = counterparts(self.t, truth.t, source)
+        ours, theirs = self.columns(), truth.columns()
+        signals = [f"{s}_{joint}" for s in ("q", "dq", "ddq", "theta", "dtheta") for joint in self.names]
+        errors = {s: ours[s] - theirs[s][rows] for s in signals if s in ours and s in theirs}
+        known = {s: e[~np.isnan(theirs[s][rows])] for s, e in errors.items()}
+        tool = None
+        if self.tool_position is not None and truth.tool_position is not None:
+            tool = self.tool_position - truth.tool_position[rows]
+            tool = tool[~np.isnan(truth.tool_position[rows]).any(axis=1)]
+        return EstimateError._of({s: e for s, e in known.items() if len(e)}, tool, source)
+
+    def __len__(self) -> int:
+        """Rows."""
+        return len(self.t)
+
+    def __getitem__(self, rows: slice) -> Estimate:
+        """Some rows, without a copy: ``estimate[a:b]``."""
+        if not isinstance(rows, slice):
+            raise EstimatorError(f"an estimate is cut by rows, as in estimate[100:200], not by {rows!r}")
+        return replace(self, **{name: getattr(self, name)[rows] for name in self._form()[1]})
+
+    def __repr__(self) -> str:
+        """Size, signals and status in one line."""
+        groups = " ".join(name for name in self._form()[1] if name not in ("t", "status"))
+        status = ", ".join(f"{count} {word}" for word, count in self.status_summary().items() if count)
+        return f"Estimate({len(self)} rows, {len(self.names)} joints, {groups}; status: {status or 'none'})"
+
+    def _form(self) -> tuple[tuple[str, ...], list[str]]:
+        arrays = (f.name for f in fields(self) if f.name not in ("names", "channels"))
+        there = [name for name in arrays if getattr(self, name) is not None]
+        return self.names, there
+
+
+def result_of(source: str, outcome: dict[str, Any] | LinksideError) -> dict[str, Any]:
+    """Give the arrays that a log came to, or raise the error that it came to, with the log's name."""
+    if isinstance(outcome, LinksideError):
+        raise type(outcome)(f"{source}: {outcome}")
+    return outcome
+
+
+@dataclass(frozen=True)
+class EstimateError:
+    """How far an estimate is from the truth.
+
+    Attributes
+    ----------
+    rms, max : dict of str to float
+        Root mean square and largest absolute error by column, such as ``q_a1``, in the column's unit.
+    tool_rms, tool_max : float or None
+        Distance of the tool from where it truly is [mm].
+    tool_rms_centred, tool_max_centred : float or None
+        The same after its constant offset is taken out [mm].
+    """
+
+    rms: dict[str, float]
+    max: dict[str, float]
+    tool_rms: float | None = None
+    tool_max: float | None = None
+    tool_rms_centred: float | None = None
+    tool_max_centred: float | None = None
+
+    @classmethod
+    def _of(cls, errors: dict[str, FloatArray], tool: FloatArray | None, source: str) -> EstimateError:
+        has_tool = tool is not None and len(tool) > 0
+        if not errors and not has_tool:
+            raise EstimatorError(f"{source} has no sample to compare the estimate with")
+        rms = {signal: _rms(error) for signal, error in errors.items()}
+        largest = {signal: float(np.abs(error).max()) for signal, error in errors.items()}
+        if tool is None or not has_tool:
+            return cls(rms, largest)
+        distance = 1e3 * np.linalg.norm(tool, axis=1)
+        centred = 1e3 * np.linalg.norm(tool - tool.mean(axis=0), axis=1)
+        return cls(rms, largest, _rms(distance), float(distance.max()), _rms(centred), float(centred.max()))
+
+
+def _groups(names: tuple[str, ...]) -> dict[str, list[str]]:
+    """Columns of a file by field of `Estimate`, in order."""
+    groups = {s: [f"{s}_{joint}" for joint in names] for s in ("q", "dq", "ddq", "theta", "dtheta", "q_std")}
+    groups |= {"t": ["t"], "status": ["status"]}
+    groups |= {
+        "tool_position": [f"tool_{axis}" for axis in "xyz"],
+        "tool_std": [f"tool_std_{axis}" for axis in "xyz"],
+    }
+    order = ("t", "q", "dq", "ddq", "theta", "dtheta", "tool_position", "q_std", "tool_std", "status")
+    return {group: groups[group] for group in order}
+
+
+def _joints(columns: list[str], source: str) -> tuple[str, ...]:
+    """Joints of ``q_<joint>``; a deviation ``q_std_<joint>`` goes with a ``q_<joint>`` of its own."""
+    names = [column.removeprefix("q_") for column in columns if column.startswith("q_")]
+    deviations = {f"std_{name}" for name in names}
+    joints = tuple(dict.fromkeys(name for name in names if name not in deviations))
+    if not joints:
+        raise LogError(f"{source}: no column 'q_<joint>' is there, this is not an estimate")
+    if "t" not in columns:
+        raise LogError(f"{source}: column 't' is missing")
+    for column in itertools.chain.from_iterable(_groups(joints).values()):
+        if columns.count(column) > 1:
+            raise LogError(f"{source}: column {column!r} is there {columns.count(column)} times")
+    return joints
+
+
+def _complete(arrays: dict[str, FloatArray], joints: int, source: str) -> dict[str, Any]:
+    """Fields of an `Estimate` from the groups of columns that were there."""
+    rows = len(arrays["t"])
+    t = arrays["t"][:, 0]
+    if not (np.isfinite(t).all() and (t[1:] > t[:-1]).all()):
+        raise LogError(f"{source}: column 't' does not increase from row to row")
+    status = arrays.pop("status", np.zeros((rows, 1)))
+    if not np.isin(status, np.arange(256)).all():
+        raise LogError(f"{source}: column 'status' has a value that is no status")
+    missing = {name: np.full((rows, joints), np.nan) for name in ("dq", "theta", "dtheta") if name not in arrays}
+    flat = {"t": t, "status": status.reshape(-1).astype(np.uint8)}
+    return arrays | missing | flat
+
+
+def _rms(error: FloatArray) -> float:
+    return float(np.sqrt(np.mean(error**2)))

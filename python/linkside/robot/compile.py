@@ -1,0 +1,221 @@
+"""From a Pinocchio model to the core's kinematic tree."""
+
+import re
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from linkside import _core
+from linkside.errors import ConfigError
+from linkside.files.yaml_source import Source, suggest
+
+from .config import FrameConfig, JointConfig, RobotConfig, RotorConfig, SensorConfig
+from .urdf import impossible
+
+# About or along any axis; RUB and RevoluteUnbounded are URDF's continuous joints, whose q is (cos, sin).
+SINGLE_AXIS = re.compile(r"JointModel(R|RUB|P|Revolute|RevoluteUnbounded|Prismatic)(X|Y|Z|Unaligned)")
+UNIQUE = "\x1f"  # ends what makes a frame's name unique for a while
+LINK_FRAMES = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
+
+
+def reduce(model: Any, config: RobotConfig, source: Source) -> Any:
+    """Lock the joints that are not listed at neutral, and refuse what cannot be compiled."""
+    _refuse_joint_types(model)
+    _refuse_unknown_joints(model, config, source)
+    listed = {joint.name for joint in config.joints}
+    locked = [index for index, name in enumerate(model.names) if index > 0 and name not in listed]
+    reduced = _lock(model, locked)
+    reduced.gravity.linear = np.array(config.gravity)
+    _refuse_unknown_links(reduced, config, source)
+    _load(reduced, config)
+    return reduced
+
+
+def _load(model: Any, config: RobotConfig) -> None:
+    """Scale the links' masses, and hang the payload on the tool."""
+    for joint in config.joints:
+        index = model.getJointId(joint.name)
+        inertia = model.inertias[index]
+        if joint.mass_scale != 1:
+            model.inertias[index] = _scaled(inertia, joint.mass_scale)
+    if config.tool is not None and config.payload.mass:
+        index, pose = mount(model, config.tool)
+        at = pose.act(np.array(config.payload.xyz))
+        model.inertias[index] += pin.Inertia(config.payload.mass, at, np.zeros((3, 3)))
+
+
+def heavier(model: Any, factor: float) -> Any:
+    """Copy a model with mass and inertia of all links times a factor."""
+    model = pin.Model(model)
+    for index, inertia in enumerate(model.inertias):
+        model.inertias[index] = _scaled(inertia, factor)
+    return model
+
+
+def _scaled(inertia: Any, factor: float) -> Any:
+    return pin.Inertia(factor * inertia.mass, inertia.lever, factor * inertia.inertia)
+
+
+def _lock(model: Any, joints: list[int]) -> Any:
+    """Lock joints at neutral. Pinocchio finds its frames by name then, and links may be called as joints are."""
+    model = pin.Model(model)
+    if not joints:
+        return model
+    _refuse_unframed_joints(model)
+    for index, frame in enumerate(model.frames):
+        if index > 0 and frame.type != pin.FrameType.JOINT:
+            frame.name = f"{index}{UNIQUE}{frame.name}"
+    reduced = pin.buildReducedModel(model, joints, pin.neutral(model))
+    for frame in reduced.frames:
+        frame.name = frame.name.rpartition(UNIQUE)[2]
+    return reduced
+
+
+def moving_links(model: Any) -> dict[str, int]:
+    """The frame of each link that some joint moves, by the link's name."""
+    return {name: index for name, index in _links(model).items() if model.frames[index].parentJoint > 0}
+
+
+def refuse_impossible_bodies(model: Any) -> None:
+    """Refuse a negative mass or an inertia that is not positive semidefinite, by the joint that moves it."""
+    for name, inertia in list(zip(model.names, model.inertias, strict=True))[1:]:
+        if fault := impossible(inertia.mass, inertia.inertia):
+            raise ConfigError(f"body moved by joint '{name}': {fault}")
+
+
+def mount(model: Any, frame: FrameConfig) -> tuple[int, Any]:
+    """Find the joint that moves a sensor or the tool, and the pose in that joint's body frame."""
+    link = model.frames[_links(model)[frame.link]]
+    pose = pin.SE3(pin.rpy.rpyToMatrix(*frame.rpy), np.array(frame.xyz))
+    return link.parentJoint, link.placement * pose
+
+
+def compile_robot(config: RobotConfig, model: Any) -> _core.Robot:
+    """Flatten a reduced model and the drives and sensors on it into the core's arrays."""
+    names = [joint.name for joint in config.joints]
+    return _core.Robot(
+        config.gravity,
+        _bodies(model, names),
+        [_drive(joint) for joint in config.joints],
+        coupling_matrix(config),
+        [_sensor(model, sensor) for sensor in config.accelerometers],
+        [_sensor(model, sensor) for sensor in config.gyroscopes],
+        None if config.tool is None else _frame(model, config.tool),
+        [_rotor(model, config, motor, rotor) for motor, rotor in config.rotors.items()],
+    )
+
+
+def coupling_matrix(config: RobotConfig) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """S [kg m²], (n, n), strictly upper triangular in log order: De Luca, Schröder, Thümmel 2007, eq. (2)."""
+    order = {joint.name: index for index, joint in enumerate(config.joints)}
+    matrix = np.zeros((len(order), len(order)))
+    for row, entries in config.coupling.items():
+        for column, value in entries.items():
+            matrix[order[row], order[column]] = value
+    return matrix
+
+
+def _refuse_joint_types(model: Any) -> None:
+    for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
+        if not SINGLE_AXIS.fullmatch(joint.shortname()):
+            kind = joint.shortname().removeprefix("JointModel").replace("FreeFlyer", "Floating").lower()
+            freedom = f"{joint.nv} degree{'s' * (joint.nv != 1)} of freedom"
+            raise ConfigError(
+                f"joint '{name}' is {kind} ({freedom}); linkside works on revolute and prismatic joints, "
+                "fix it in the URDF"
+            )
+
+
+def _refuse_unframed_joints(model: Any) -> None:
+    """Pinocchio crashes on locking a joint in a model that lacks the frame of some joint, as one built by hand may."""
+    framed = {frame.name for frame in model.frames if frame.type == pin.FrameType.JOINT}
+    for name in list(model.names)[1:]:
+        if name not in framed:
+            raise ConfigError(f"joint '{name}' has no frame: after model.addJoint(…) call model.addJointFrame(…)")
+
+
+def _refuse_unknown_joints(model: Any, config: RobotConfig, source: Source) -> None:
+    known = list(model.names)[1:]
+    fixed = [frame.name for frame in model.frames if frame.type == pin.FrameType.FIXED_JOINT]
+    for index, joint in enumerate(config.joints):
+        if joint.name not in known:
+            why = "it is fixed" if joint.name in fixed else suggest(joint.name, known)
+            raise ConfigError(f"{source.where('joints', index, 'name')}no moving joint '{joint.name}'; {why}")
+
+
+def _refuse_unknown_links(model: Any, config: RobotConfig, source: Source) -> None:
+    for kind in ("accelerometers", "gyroscopes"):
+        for index, sensor in enumerate(getattr(config, kind)):
+            _refuse_unknown_link(model, sensor, source.where(kind, index, "link"))
+    for motor, rotor in config.rotors.items():
+        _refuse_unknown_link(model, rotor, source.where("rotors", motor, "link"))
+    if config.tool is not None:
+        _refuse_unknown_link(model, config.tool, source.where("tool", "link"))
+
+
+def _refuse_unknown_link(model: Any, frame: FrameConfig | RotorConfig, where: str) -> None:
+    if frame.link not in _links(model):
+        raise ConfigError(f"{where}no link '{frame.link}'; {suggest(frame.link, _links(model))}")
+    if frame.link not in moving_links(model):
+        raise ConfigError(f"{where}link '{frame.link}' cannot move: no joint that is listed carries it")
+
+
+def _links(model: Any) -> dict[str, int]:
+    return {frame.name: index for index, frame in enumerate(model.frames) if frame.type in LINK_FRAMES}
+
+
+def _bodies(model: Any, names: list[str]) -> list[dict[str, Any]]:
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    return [_body(model, data, index, names) for index in range(1, model.njoints)]
+
+
+def _body(model: Any, data: Any, index: int, names: list[str]) -> dict[str, Any]:
+    placement, inertia = model.jointPlacements[index], model.inertias[index]
+    linear, angular = np.split(np.asarray(data.joints[index].S).reshape(6), 2)
+    return {
+        "parent": model.parents[index] - 1,
+        "joint": names.index(model.names[index]),
+        "prismatic": bool(linear.any()),
+        "rotation": placement.rotation,
+        "translation": placement.translation,
+        "axis": linear + angular,  # one of them is zero
+        "mass": inertia.mass,
+        "com": inertia.lever,
+        "inertia": inertia.inertia,
+    }
+
+
+def _drive(joint: JointConfig) -> dict[str, Any]:
+    return {
+        "elastic": joint.elastic,
+        "stiffness": joint.stiffness or 0.0,
+        "damping": joint.damping,
+        "motor_inertia": joint.motor_inertia or 0.0,
+        "cubic_stiffness": joint.cubic_stiffness,
+        "soft_windup_stiffness": joint.soft_windup.stiffness,
+        "soft_windup_shape": joint.soft_windup.shape,
+        "friction_viscous": joint.motor_friction.viscous,
+        "friction_coulomb": joint.motor_friction.coulomb,
+        "friction_stribeck": joint.motor_friction.stribeck,
+        "friction_stribeck_velocity": joint.motor_friction.stribeck_velocity,
+        "link_friction": list(joint.link_friction),
+    }
+
+
+def _frame(model: Any, frame: FrameConfig) -> dict[str, Any]:
+    joint, pose = mount(model, frame)
+    return {"body": joint - 1, "rotation": pose.rotation, "translation": pose.translation}
+
+
+def _rotor(model: Any, config: RobotConfig, motor: str, rotor: RotorConfig) -> dict[str, Any]:
+    link = model.frames[_links(model)[rotor.link]]
+    index = [joint.name for joint in config.joints].index(motor)
+    axis = link.placement.rotation @ (np.array(rotor.axis) / np.linalg.norm(rotor.axis))
+    return {"motor": index, "body": link.parentJoint - 1, "axis": axis, "ratio": config.joints[index].gear_ratio}
+
+
+def _sensor(model: Any, sensor: SensorConfig) -> dict[str, Any]:
+    axes = ["xyz".index(axis) for axis in sensor.axes]
+    return {**_frame(model, sensor), "axes": axes, "noise_std": sensor.noise_std}

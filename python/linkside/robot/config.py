@@ -1,0 +1,337 @@
+"""The schema of robot.yaml: what a URDF cannot say about an elastic-joint robot.
+
+SI units, everything reflected through the gear to the link side. Each model is frozen; an unknown key, a
+missing one or a value out of range is a `ConfigError`: file, line, key, what was expected and what was found.
+"""
+
+import math
+from os import PathLike
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from linkside.files.yaml_source import Source, refusal, suggest
+
+T = TypeVar("T")
+
+
+def _listed(value: Any) -> Any:
+    """Take a NumPy array for the list it stands for."""
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def _exactly(count: int) -> AfterValidator:
+    """Ask for so many numbers; pydantic's own check of length would not count those it finds fault with."""
+
+    def check(value: tuple[float, ...]) -> tuple[float, ...]:
+        if len(value) != count:
+            raise refusal(f"expected {count} numbers, got {len(value)}")
+        return value
+
+    return AfterValidator(check)
+
+
+def _some(value: tuple[T, ...]) -> tuple[T, ...]:
+    if not value:
+        raise refusal("expected a list of one joint or more, got an empty one")
+    return value
+
+
+def _printable(value: str) -> str:
+    if not value or not value.isprintable():
+        raise refusal(f"expected printable text, got {value!r}")
+    return value
+
+
+def _nonzero(value: float) -> float:
+    if value == 0:
+        raise refusal("expected a number other than 0, got 0")
+    return value
+
+
+# Strict: neither true nor "3" is a number. `float` sheds the subclasses of ruamel.yaml and NumPy.
+Number = Annotated[float, BeforeValidator(_listed), Field(strict=True, allow_inf_nan=False), AfterValidator(float)]
+Positive = Annotated[Number, Field(gt=0)]
+NonNegative = Annotated[Number, Field(ge=0)]
+Name = Annotated[str, AfterValidator(_printable)]
+Vector3 = Annotated[tuple[Number, ...], BeforeValidator(_listed), _exactly(3)]
+PositiveVector3 = Annotated[tuple[Positive, ...], BeforeValidator(_listed), _exactly(3)]
+Vector6 = Annotated[tuple[Number, ...], BeforeValidator(_listed), _exactly(6)]
+
+
+def _direction(value: tuple[float, ...]) -> tuple[float, ...]:
+    if not any(value):
+        raise refusal("expected a direction, got three zeros")
+    return value
+
+
+class _Section(BaseModel):
+    """A mapping with a fixed set of keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _keys_known(cls, data: Any) -> Any:
+        """Ahead of all other checks: a misspelt key must not be reported as a missing one."""
+        if isinstance(data, dict) and cls.model_config.get("extra") == "forbid":
+            for key in data:
+                if isinstance(key, str) and key not in cls.model_fields:
+                    raise refusal(f"unknown key; {suggest(key, cls.model_fields)}", key)
+        return data
+
+
+class SoftWindup(_Section):
+    """Stiffness missing around zero torsion, −stiffness·exp(−shape·δ²)·δ; if negative, the spring is harder.
+
+    Ulrich, Sasiadek 2011, eqs. (10)–(13).
+    """
+
+    stiffness: Number = 0.0  # N m/rad
+    shape: NonNegative = 0.0  # 1/rad²
+
+
+class MotorFriction(_Section):
+    """Friction between motor and ground."""
+
+    viscous: NonNegative = 0.0  # N m s/rad
+    coulomb: NonNegative = 0.0  # N m
+    stribeck: NonNegative = 0.0  # N m; by how much breaking away takes more than coulomb
+    stribeck_velocity: Positive = 0.01  # rad/s; at which that has fallen to 1/e
+
+
+class JointConfig(_Section):
+    """One joint and its drive; with `elastic: false` the link follows its motor."""
+
+    name: Name
+    elastic: bool = True
+    stiffness: Positive | None = None  # K, N m/rad; required when elastic
+    damping: NonNegative = 0.0  # D, N m s/rad
+    motor_inertia: Positive | None = None  # B, kg m²; required when elastic
+    gear_ratio: Annotated[Number, AfterValidator(_nonzero)] = 1.0  # negative: the motor turns the other way
+    cubic_stiffness: NonNegative = 0.0  # N m/rad³
+    soft_windup: SoftWindup = SoftWindup()
+    motor_friction: MotorFriction = MotorFriction()
+    link_friction: Vector6 = (0.0,) * 6  # γ₁ … γ₆ of Ulrich, Sasiadek 2011, eq. (14)
+    mass_scale: Positive = 1.0  # factor on mass and inertia of the link that the joint moves, as the URDF has them
+
+    @model_validator(mode="after")
+    def _spring_complete(self) -> "JointConfig":
+        for key in ("stiffness", "motor_inertia"):
+            if self.elastic and getattr(self, key) is None:
+                raise refusal(f"missing key '{key}': an elastic joint needs a number greater than 0")
+        return self
+
+    @model_validator(mode="after")
+    def _spring_monotone(self) -> "JointConfig":
+        """The slope of −k·exp(−a δ²)·δ lies between −k and 2 exp(−3/2) k."""
+        windup = self.soft_windup.stiffness
+        steepest = max(windup, -2 * math.exp(-1.5) * windup)
+        if self.stiffness is not None and windup and steepest >= self.stiffness:
+            message = f"expected less than the stiffness {self.stiffness:g} can bear, got {windup:g}"
+            raise refusal(f"{message}: the spring's torque must rise with torsion", "soft_windup", "stiffness")
+        return self
+
+
+class RotorConfig(_Section):
+    """The link that carries a motor's rotor, and the axis of its spin in that link's frame.
+
+    The coupling S(q) of that motor follows from both and from the joint's `gear_ratio` and `motor_inertia`. The link's
+    inertia in the URDF has the rotor's mass, but not its spin inertia.
+    """
+
+    link: Name
+    axis: Annotated[Vector3, AfterValidator(_direction)]
+
+
+class FrameConfig(_Section):
+    """A frame fixed to a link: position [m] and roll, pitch, yaw [rad] in the link's frame, as in URDF."""
+
+    link: Name
+    xyz: Vector3 = (0.0, 0.0, 0.0)
+    rpy: Vector3 = (0.0, 0.0, 0.0)
+
+
+class SensorConfig(FrameConfig):
+    """What accelerometers and gyroscopes share."""
+
+    name: Name
+    axes: Literal["x", "y", "z", "xy", "xz", "yz", "xyz"] = "xyz"
+    noise_std: Positive
+
+
+class AccelerometerConfig(SensorConfig):
+    """A sensor of specific force; columns `<name>_x` and so on."""
+
+    noise_std: Positive = 0.05  # m/s²
+    corner_frequency: Positive | None = None  # Hz; of the first-order filter inside the sensor, where it has one
+    delay: NonNegative = 0.0  # s; by how much a reading is later than its time stamp says
+    bias: Vector3 = (0.0, 0.0, 0.0)  # m/s², x y z; a log's reading is scale · specific force + bias
+    scale: PositiveVector3 = (1.0, 1.0, 1.0)
+
+
+class GyroscopeConfig(SensorConfig):
+    """A sensor of angular velocity; columns `<name>_wx` and so on."""
+
+    noise_std: Positive = 0.001  # rad/s
+
+
+class EncoderConfig(_Section):
+    """The motor encoders, as seen on the link side."""
+
+    resolution: Positive = 1e-6  # rad; a 20-bit encoder behind a short gear
+
+
+class TorqueConfig(_Section):
+    """The motor torques, as seen on the link side."""
+
+    noise_std: Positive = 1.0  # N m; a per mille of an industrial axis' torque
+
+
+class PayloadConfig(_Section):
+    """What the tool carries: a mass in a point of the tool's frame."""
+
+    mass: NonNegative = 0.0  # kg
+    xyz: Vector3 = (0.0, 0.0, 0.0)  # m
+
+
+class TolerancesConfig(_Section):
+    """How far off the values above may be, one standard deviation: the prior of a calibration.
+
+    Shares of the value where it is positive by nature (0.3 is 30 %), else in its unit; of noise, natural logarithms
+    of factors.
+    """
+
+    stiffness: Positive = 0.3
+    cubic_stiffness: Positive = 3e4  # 1/rad², times the stiffness
+    damping: Positive = 1.0
+    motor_inertia: Positive = 0.3
+    viscous: Positive = 1.0
+    coulomb: Positive = 1.0
+    mass_scale: Positive = 0.1
+    coupling: Positive = 0.5  # kg m²
+    payload_mass: Positive = 10.0  # kg
+    payload_xyz: Positive = 0.1  # m
+    translation: Positive = 0.01  # m
+    rotation: Positive = 0.03  # rad
+    bias: Positive = 0.5  # m/s²
+    scale: Positive = 0.03
+    time_constant: Positive = 1e-3  # s
+    delay: Positive = 1e-3  # s
+    motor_noise: Positive = 3.0
+    torque_noise: Positive = 3.0
+    sensor_noise: Positive = 1.0
+    jerk_noise: Positive = 1.0
+
+
+class ColumnsConfig(_Section):
+    """What the log calls the columns that have other names than ours, and on which side of the gear it is."""
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+    __pydantic_extra__: dict[str, Name] = Field(init=False)
+
+    motor_side: bool = False  # theta, dtheta and tau are on the motor shaft: divide, and multiply, by the gear ratio
+
+    @property
+    def names(self) -> dict[str, str]:
+        """The log's name by ours, for the columns that are named."""
+        return dict(self.__pydantic_extra__ or {})
+
+    def name_in_log(self, column: str) -> str:
+        """The log's name of one of our columns."""
+        return self.names.get(column, column)
+
+
+class RobotConfig(_Section):
+    """All that a URDF cannot say about a robot; joints in the order of the log."""
+
+    rate_hz: Positive | None = None  # of the log; for the reader of the file, nothing depends on it
+    gravity: Vector3 = (0.0, 0.0, -9.81)  # m/s², of free fall in the base frame
+    joints: Annotated[tuple[JointConfig, ...], AfterValidator(_some)]
+    coupling: dict[str, dict[str, Number]] = {}  # S, kg m²: {link's joint: {motor's joint: value}}
+    rotors: dict[str, RotorConfig] = {}  # motors carried by links, by the joint that they drive
+    accelerometers: tuple[AccelerometerConfig, ...] = ()
+    gyroscopes: tuple[GyroscopeConfig, ...] = ()
+    encoder: EncoderConfig = EncoderConfig()
+    torque: TorqueConfig = TorqueConfig()
+    tool: FrameConfig | None = None
+    payload: PayloadConfig = PayloadConfig()
+    tolerances: TolerancesConfig = TolerancesConfig()
+    columns: ColumnsConfig = ColumnsConfig()
+
+    @property
+    def acceleration_channels(self) -> tuple[str, ...]:
+        """Columns of specific force [m/s²], in the order in which sensors and axes are listed."""
+        return tuple(f"{sensor.name}_{axis}" for sensor in self.accelerometers for axis in sensor.axes)
+
+    @property
+    def gyroscope_channels(self) -> tuple[str, ...]:
+        """Columns of angular velocity [rad/s], likewise."""
+        return tuple(f"{sensor.name}_w{axis}" for sensor in self.gyroscopes for axis in sensor.axes)
+
+    @property
+    def log_columns(self) -> tuple[str, ...]:
+        """Every column that a log of this robot may have."""
+        signals = ("theta", "dtheta", "tau", "qref", "dqref", "ddqref")
+        motors = (f"{signal}_{joint.name}" for signal in signals for joint in self.joints)
+        return ("t", *motors, *self.acceleration_channels, *self.gyroscope_channels)
+
+    @model_validator(mode="after")
+    def _names_unique(self) -> "RobotConfig":
+        for key in ("joints", "accelerometers", "gyroscopes"):
+            seen: dict[str, int] = {}
+            for index, item in enumerate(getattr(self, key)):
+                if (first := seen.setdefault(item.name, index)) != index:
+                    raise refusal(f"expected a name of its own, got that of {key}[{first}]", key, index, "name")
+        return self
+
+    @model_validator(mode="after")
+    def _coupling_triangular(self) -> "RobotConfig":
+        order = {joint.name: index for index, joint in enumerate(self.joints) if joint.elastic}
+        for row, entries in self.coupling.items():
+            for keys in ((row,), *((row, column) for column in entries)):
+                if keys[-1] not in order:
+                    raise refusal(f"expected an elastic joint; {suggest(keys[-1], order)}", "coupling", *keys)
+                if len(keys) == 2 and order[row] >= order[keys[1]]:
+                    raise refusal(f"expected a joint after '{row}': S is strictly upper triangular", "coupling", *keys)
+        return self
+
+    @model_validator(mode="after")
+    def _payload_carried(self) -> "RobotConfig":
+        if self.payload.mass and self.tool is None:
+            raise refusal("expected a tool that carries it: name one, `tool: {link: …}`", "payload", "mass")
+        return self
+
+    @model_validator(mode="after")
+    def _rotors_known(self) -> "RobotConfig":
+        joints = [joint.name for joint in self.joints]
+        for motor in self.rotors:
+            if motor not in joints:
+                raise refusal(f"expected a joint; {suggest(motor, joints)}", "rotors", motor)
+            if any(entries.get(motor) for entries in self.coupling.values()):
+                raise refusal("expected no coupling of this motor: a rotor brings its own", "rotors", motor)
+        return self
+
+    @model_validator(mode="after")
+    def _columns_known(self) -> "RobotConfig":
+        for column in self.columns.names:
+            if column not in self.log_columns:
+                raise refusal(f"unknown column; {suggest(column, self.log_columns)}", "columns", column)
+        return self
+
+
+class RobotFile(RobotConfig):
+    """A robot.yaml: the settings, and the URDF they complete."""
+
+    urdf: Name  # relative to the file
+
+
+def load_config(path: str | PathLike[str]) -> RobotFile:
+    """Read a robot.yaml.
+
+    Raises
+    ------
+    ConfigError
+        A file missing or not valid YAML; a key unknown, missing or given twice; a value out of range.
+    """
+    return Source.read(path).validate(RobotFile)

@@ -1,0 +1,339 @@
+"""The robot: kinematics and inertias from a URDF or a Pinocchio model, drives and sensors from robot.yaml."""
+
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from linkside import _core
+from linkside.errors import ConfigError, EstimatorError
+from linkside.files.yaml_source import Source
+
+from . import compile as tree
+from .config import (
+    AccelerometerConfig,
+    ColumnsConfig,
+    FrameConfig,
+    GyroscopeConfig,
+    JointConfig,
+    RobotConfig,
+    RobotFile,
+)
+from .urdf import Urdf
+
+Array = NDArray[np.float64]
+Scalar = TypeVar("Scalar", bound=np.generic)
+Joints = Iterable[JointConfig | Mapping[str, Any]]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Robot:
+    """An elastic-joint robot on a fixed base: made by `load`, `from_urdf` or `from_pinocchio`, then constant.
+
+    Every array is in log order: the order in which the joints are listed, whatever their order in the tree.
+    Dynamics take one state, (n,), or a row for each sample, (T, n), and answer likewise; any other shape is
+    an EstimatorError that names the argument. SI units, radians (metres where a joint is prismatic).
+
+    Parameters
+    ----------
+    config : RobotConfig
+        What was said about joints, sensors and tool.
+    model : pinocchio.Model
+        The tree of the listed joints alone, all others locked.
+
+    Attributes
+    ----------
+    core
+        The robot compiled for the kernels.
+    """
+
+    config: RobotConfig
+    model: Any
+    core: _core.Robot = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Compile the robot."""
+        object.__setattr__(self, "core", tree.compile_robot(self.config, self.model))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> "Robot":
+        """Read a robot.yaml and the URDF that it names.
+
+        Raises
+        ------
+        ConfigError
+            Either file cannot be used: one line that says where, what was expected and what was found.
+        """
+        source = Source.read(path)
+        config = source.validate(RobotFile)
+        urdf = Path(path).parent / config.urdf
+        if not urdf.is_file():
+            raise ConfigError(f"{source.where('urdf')}no such file: {urdf}")
+        return cls._from_urdf(Urdf.read(urdf), config, source)
+
+    @classmethod
+    def from_urdf(cls, urdf: str | os.PathLike[str], joints: Joints, **settings: Any) -> "Robot":
+        """Build a robot from a URDF, its path or its text; meshes are not looked at.
+
+        Parameters
+        ----------
+        urdf
+            Path or XML text.
+        joints
+            In log order, `JointConfig` or mappings with its keys; all others are locked at neutral.
+        **settings
+            Further keys of robot.yaml: coupling, accelerometers, gyroscopes, encoder, torque, tool, columns,
+            gravity.
+
+        Raises
+        ------
+        ConfigError
+            The URDF or the settings cannot be used.
+        """
+        source = _settings(joints, settings)
+        return cls._from_urdf(Urdf.read(urdf), source.validate(RobotConfig), source)
+
+    @classmethod
+    def from_pinocchio(cls, model: Any, joints: Joints, **settings: Any) -> "Robot":
+        """Build a robot from a `pinocchio.Model`, gravity included; else as `from_urdf`.
+
+        Sensors and the tool are placed on body frames, or on operational frames, of the model.
+        """
+        source = _settings(joints, {"gravity": model.gravity.linear, **settings})
+        config = source.validate(RobotConfig)
+        tree.refuse_impossible_bodies(model)
+        return cls(config, tree.reduce(model, config, source))
+
+    @classmethod
+    def _from_urdf(cls, urdf: Urdf, config: RobotConfig, source: Source) -> "Robot":
+        urdf.refuse_mimics([joint.name for joint in config.joints])
+        reduced = tree.reduce(urdf.model(), config, source)
+        urdf.refuse_impossible_bodies(tree.moving_links(reduced))
+        return cls(config, reduced)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle what the robot was made of; it is compiled anew."""
+        return Robot, (self.config, self.model)
+
+    def __repr__(self) -> str:
+        """Name the joints, rigid ones in brackets, and the sensors."""
+        joints = " ".join(joint.name if joint.elastic else f"({joint.name})" for joint in self.drives)
+        sensors = ", ".join(sensor.name for sensor in (*self.accelerometers, *self.gyroscopes))
+        return f"<Robot {self.model.name}: {joints}; sensors: {sensors or 'none'}>"
+
+    def scaled(
+        self, *, stiffness: float = 1.0, damping: float = 1.0, motor_inertia: float = 1.0, mass: float = 1.0
+    ) -> "Robot":
+        """Make a robot with other parameters, as a specimen differs from what is known of it: factors on all joints.
+
+        Parameters
+        ----------
+        stiffness, damping, motor_inertia
+            On those of robot.yaml.
+        mass
+            On mass and inertia of all links, payload included.
+        """
+        factors = {"stiffness": stiffness, "damping": damping, "motor_inertia": motor_inertia, "mass_scale": mass}
+        for name, factor in factors.items():
+            if not 0 < factor < np.inf:
+                raise ConfigError(f"factor on {name}: {factor}, expected a positive number")
+        joints = tuple(
+            joint.model_copy(update={name: f * old for name, f in factors.items() if (old := getattr(joint, name))})
+            for joint in self.drives
+        )
+        payload = self.config.payload.model_copy(update={"mass": mass * self.config.payload.mass})
+        config = self.config.model_copy(update={"joints": joints, "payload": payload})
+        return Robot(config, tree.heavier(self.model, mass))
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.config.joints)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The joints' names."""
+        return tuple(joint.name for joint in self.config.joints)
+
+    @cached_property
+    def elastic(self) -> NDArray[np.bool_]:
+        """Which joints have a spring, (n,); the link of any other follows its motor."""
+        return _constant([joint.elastic for joint in self.drives], np.bool_)
+
+    @cached_property
+    def gear_ratio(self) -> Array:
+        """Turns of the motor for one of the link, (n,); matters only to logs from the motor's side."""
+        return _constant([joint.gear_ratio for joint in self.drives], np.float64)
+
+    @cached_property
+    def coupling(self) -> Array:
+        """Inertial coupling S of motors to links, (n, n), strictly upper triangular [kg m²]."""
+        return _constant(tree.coupling_matrix(self.config), np.float64)
+
+    @property
+    def drives(self) -> tuple[JointConfig, ...]:
+        """Spring, motor and friction of each joint."""
+        return self.config.joints
+
+    @property
+    def accelerometers(self) -> tuple[AccelerometerConfig, ...]:
+        """The accelerometers."""
+        return self.config.accelerometers
+
+    @property
+    def gyroscopes(self) -> tuple[GyroscopeConfig, ...]:
+        """The gyroscopes."""
+        return self.config.gyroscopes
+
+    @property
+    def tool(self) -> FrameConfig | None:
+        """The tool centre point, if there is one."""
+        return self.config.tool
+
+    @property
+    def columns(self) -> ColumnsConfig:
+        """What the log calls its columns."""
+        return self.config.columns
+
+    @property
+    def acceleration_channels(self) -> tuple[str, ...]:
+        """Columns of specific force, `<accelerometer>_x` and so on."""
+        return self.config.acceleration_channels
+
+    @cached_property
+    def acceleration_errors(self) -> tuple[Array, Array]:
+        """Bias [m/s²] and scale of each accelerometer channel, (m,) each; a log has them taken off its readings."""
+        axes = [(sensor, "xyz".index(axis)) for sensor in self.accelerometers for axis in sensor.axes]
+        bias, scale = [sensor.bias[axis] for sensor, axis in axes], [sensor.scale[axis] for sensor, axis in axes]
+        return _constant(bias, np.float64), _constant(scale, np.float64)
+
+    @property
+    def gyroscope_channels(self) -> tuple[str, ...]:
+        """Columns of angular rate, `<gyroscope>_wx` and so on."""
+        return self.config.gyroscope_channels
+
+    @cached_property
+    def velocity_index(self) -> NDArray[np.intp]:
+        """Where each joint, in log order, stands in Pinocchio's velocity vector, (n,)."""
+        return _constant([self._joint(name).idx_v for name in self.names], np.intp)
+
+    def _joint(self, name: str) -> Any:
+        return self.model.joints[self.model.getJointId(name)]
+
+    def to_pinocchio(self, q: ArrayLike) -> Array:
+        """Order positions as `model` does, (…, n) to (…, model.nq); a continuous joint becomes (cos, sin)."""
+        q = np.asarray(q, dtype=np.float64)
+        out = np.empty((*q.shape[:-1], self.model.nq))
+        for index, joint in enumerate(map(self._joint, self.names)):
+            value = q[..., index]
+            parts = [value] if joint.nq == 1 else [np.cos(value), np.sin(value)]
+            out[..., joint.idx_q : joint.idx_q + joint.nq] = np.stack(parts, axis=-1)
+        return out
+
+    def velocity_to_pinocchio(self, dq: ArrayLike) -> Array:
+        """Order velocities, accelerations or torques as `model` does, (…, n) to (…, n)."""
+        dq = np.asarray(dq, dtype=np.float64)
+        out = np.empty_like(dq)
+        out[..., self.velocity_index] = dq
+        return out
+
+    def inverse_dynamics(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
+        """Torque on the links, M(q) q̈ + C(q, q̇) q̇ + g(q), (T, n) [N m]."""
+        return self._rows(self.core.inverse_dynamics, q=q, dq=dq, ddq=ddq)
+
+    def inverse_dynamics_derivatives(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> tuple[Array, Array, Array]:
+        """Derivatives of `inverse_dynamics` by q, q̇ and q̈ (the last: mass matrix), three of (T, n, n)."""
+        stacked = self._rows(self.core.inverse_dynamics_derivatives, q=q, dq=dq, ddq=ddq)
+        return stacked[..., 0, :, :], stacked[..., 1, :, :], stacked[..., 2, :, :]
+
+    def forward_dynamics(
+        self, q: ArrayLike, dq: ArrayLike, theta: ArrayLike, dtheta: ArrayLike, tau: ArrayLike
+    ) -> tuple[Array, Array]:
+        """Accelerations of links and motors, q̈ and θ̈, under motor torques, two of (T, n) [rad/s²].
+
+        Springs, damping, friction and coupling as in robot.yaml: De Luca, Schröder, Thümmel 2007, eq. (2);
+        Ulrich, Sasiadek 2011, eqs. (10)–(16). Of a rigid joint `theta` and `dtheta` are not looked at; its motor
+        accelerates as its link does.
+        """
+        stacked = self._rows(self.core.forward_dynamics, q=q, dq=dq, theta=theta, dtheta=dtheta, tau=tau)
+        return stacked[..., 0, :], stacked[..., 1, :]
+
+    def mass_matrix(self, q: ArrayLike) -> Array:
+        """Inertia of the links M(q), (T, n, n) [kg m²]."""
+        return self._rows(self.core.mass_matrix, q=q)
+
+    def coriolis_matrix(self, q: ArrayLike, dq: ArrayLike) -> Array:
+        """Coriolis matrix C(q, q̇) from Christoffel symbols, so that Ṁ − 2C is skew, (T, n, n)."""
+        return self._rows(self.core.coriolis_matrix, q=q, dq=dq)
+
+    def gravity_torque(self, q: ArrayLike) -> Array:
+        """Torque that holds the links against gravity g(q), (T, n) [N m]."""
+        return self._rows(self.core.gravity_torque, q=q)
+
+    def link_friction(self, dq: ArrayLike) -> Array:
+        """Friction torque of the links (Ulrich and Sasiadek 2011, eq. (14)), (T, n) [N m]."""
+        return self._rows(self.core.link_friction, dq=dq)
+
+    def motor_friction(self, dtheta: ArrayLike) -> Array:
+        """Friction torque of the motors, viscous and dry with its Stribeck peak, (T, n) [N m]."""
+        return self._rows(self.core.motor_friction, dtheta=dtheta)
+
+    def specific_force(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
+        """What the accelerometers read, (T, acceleration channels) [m/s²]; +9.81 upward at rest."""
+        return self._rows(self.core.specific_force, q=q, dq=dq, ddq=ddq)
+
+    def acceleration_map(self, q: ArrayLike, dq: ArrayLike) -> tuple[Array, Array]:
+        """T_A (T, channels, n) and W_A (T, channels): the accelerometers read T_A q̈ + W_A.
+
+        De Luca, Schröder, Thümmel 2007, eq. (10).
+        """
+        rest = np.zeros_like(_numbers("q", q))
+        derivatives = self._rows(self.core.specific_force_derivatives, q=q, dq=dq, ddq=rest)
+        return derivatives[..., 2, :, :], self.specific_force(q, dq, rest)
+
+    def angular_rate(self, q: ArrayLike, dq: ArrayLike) -> Array:
+        """What the gyroscopes read, (T, gyroscope channels) [rad/s]."""
+        return self._rows(self.core.angular_rate, q=q, dq=dq)
+
+    def tool_position(self, q: ArrayLike) -> Array:
+        """Where the tool is in the base frame, (T, 3) [m]; raises EstimatorError if the robot has none."""
+        if self.tool is None:
+            raise EstimatorError("the robot has no tool: name one in robot.yaml, `tool: {link: …}`")
+        return self._rows(self.core.tool_position, q=q)
+
+    def _rows(self, kernel: Callable[..., Array], **arguments: ArrayLike) -> Array:
+        """Call a kernel of (T, n) arrays on those, or on a single state (n,)."""
+        arrays = {name: _numbers(name, value) for name, value in arguments.items()}
+        first, shape = next((name, array.shape) for name, array in arrays.items())
+        if len(shape) not in (1, 2) or shape[-1] != self.n:
+            raise EstimatorError(f"{first}: expected shape ({self.n},) or (T, {self.n}), got {shape}")
+        for name, array in arrays.items():
+            if array.shape != shape:
+                raise EstimatorError(f"{name}: expected shape {shape}, that of {first}, got {array.shape}")
+        out = kernel(*(np.ascontiguousarray(np.atleast_2d(array)) for array in arrays.values()))
+        return out if len(shape) == 2 else out[0]
+
+
+def _settings(joints: Joints, settings: Mapping[str, Any]) -> Source:
+    return Source({"joints": list(joints), **settings})
+
+
+def _numbers(name: str, value: ArrayLike) -> Array:
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind not in "fiub":  # complex numbers, text and dates would be cast, at a loss
+            raise TypeError
+        return array.astype(np.float64, copy=False)
+    except (TypeError, ValueError):
+        raise EstimatorError(f"{name}: expected an array of numbers") from None
+
+
+def _constant(values: ArrayLike, dtype: type[Scalar]) -> NDArray[Scalar]:
+    array = np.array(values, dtype)
+    array.flags.writeable = False
+    return array

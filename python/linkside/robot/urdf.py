@@ -1,0 +1,166 @@
+"""URDF files: read by Pinocchio, once what it would pass over or merely print has been refused by name."""
+
+import math
+import xml.etree.ElementTree as ET
+from collections import Counter
+from collections.abc import Collection
+from dataclasses import dataclass
+from os import PathLike, fspath
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from linkside.errors import ConfigError
+from linkside.files.yaml_source import one_line, read_text, suggest
+
+JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+
+@dataclass(frozen=True)
+class Urdf:
+    """A URDF whose structure and inertias are sound.
+
+    Attributes
+    ----------
+    name : str
+        The file as messages call it.
+    root
+        Its `<robot>` element, without shapes: only the kinematics and the inertias matter.
+    """
+
+    name: str
+    root: ET.Element
+
+    @classmethod
+    def read(cls, urdf: str | PathLike[str]) -> "Urdf":
+        """Read a file, or XML text; raises ConfigError that names the link or the joint that is wrong."""
+        is_text = isinstance(urdf, str) and urdf.lstrip().startswith("<")
+        name = "URDF" if is_text else fspath(urdf)
+        try:
+            root = ET.fromstring(str(urdf) if is_text else read_text(name))
+        except ET.ParseError as error:
+            raise ConfigError(f"{name}:{error.position[0]}: not valid XML: {str(error).split(':')[0]}") from None
+        try:
+            _check(root)
+        except ValueError as error:
+            raise ConfigError(f"{name}: {error}") from None
+        return cls(name, root)
+
+    def model(self) -> Any:
+        """Build the Pinocchio model, every joint on its own (mimic joints included)."""
+        try:
+            return pin.buildModelFromXML(ET.tostring(self.root, encoding="unicode"))
+        except (ValueError, RuntimeError) as error:
+            raise ConfigError(f"{self.name}: {one_line(error)}") from None
+
+    def refuse_mimics(self, joints: Collection[str]) -> None:
+        """Refuse a joint that follows another, if either is to move; both locked do no harm."""
+        for joint in self.root.iter("joint"):
+            mimic = joint.find("mimic")
+            if mimic is not None and {joint.get("name"), mimic.get("joint")} & set(joints):
+                leader, follower = mimic.get("joint"), joint.get("name")
+                raise ConfigError(
+                    f"{self.name}: joint '{follower}' is a mimic of '{leader}'; "
+                    "linkside moves every joint on its own, list neither or fix it in the URDF"
+                )
+
+    def refuse_impossible_bodies(self, links: Collection[str]) -> None:
+        """Refuse a negative mass, or an inertia that is not positive semidefinite, on any of the links."""
+        for link in self.root.iter("link"):
+            judged = link.find("inertial") is not None and link.get("name") in links
+            if judged and (fault := impossible(*_mass_and_inertia(link))):
+                raise ConfigError(f"{self.name}: link '{link.get('name')}': {fault}")
+
+
+def impossible(mass: float, inertia: np.ndarray[Any, Any]) -> str:
+    """Say why no body has this mass [kg] and inertia about its centre of mass [kg m²]; '' if one may."""
+    if not (mass >= 0 and math.isfinite(mass)):
+        return f"expected a mass of at least 0, got {mass:g}"
+    if not np.isfinite(inertia).all():
+        return "expected an inertia of finite numbers"
+    least, *_, most = np.linalg.eigvalsh(inertia)
+    # URDFs carry six digits: a rod's inertia, singular in truth, may come out negative in the seventh.
+    if least < -1e-6 * abs(most) - 1e-12:
+        return f"expected a positive semidefinite inertia, got a principal moment of {least:g} kg m²"
+    return ""
+
+
+def _check(root: ET.Element) -> None:
+    """Check what makes a URDF; a ValueError names the element, where urdfdom would print and say no more."""
+    if root.tag != "robot" or not root.get("name"):
+        raise ValueError(f"expected <robot name=…>, got <{root.tag}>")
+    links = [link.get("name", "") for link in root.findall("link")]
+    joints = root.findall("joint")
+    _check_unique("link", links)
+    _check_unique("joint", [joint.get("name", "") for joint in joints])
+    for joint in joints:
+        _check_joint(joint, links)
+    children = Counter(joint.find("child").get("link") for joint in joints)  # type: ignore[union-attr]
+    if twice := [name for name, count in children.items() if count > 1]:
+        raise ValueError(f"link '{twice[0]}' hangs on two joints")
+    roots = [name for name in links if name not in children]
+    if len(roots) != 1:
+        raise ValueError(f"expected one link that hangs on no joint, got {' and '.join(roots) or 'none'}")
+    for link in root.findall("link"):
+        _check_link(link)
+
+
+def _check_unique(kind: str, names: list[str]) -> None:
+    for name, count in Counter(names).items():
+        if not name or count > 1:
+            raise ValueError(f"{kind} '{name}' is there {count} times" if name else f"a {kind} has no name")
+
+
+def _check_joint(joint: ET.Element, links: list[str]) -> None:
+    name, kind = f"joint '{joint.get('name')}'", joint.get("type", "")
+    if kind not in JOINT_TYPES:
+        raise ValueError(f"{name}: expected a type out of {', '.join(JOINT_TYPES)}, got '{kind}'")
+    for role in ("parent", "child"):
+        end = joint.find(role)
+        link = "" if end is None else end.get("link", "")
+        if link not in links:
+            raise ValueError(f"{name}: no {role} link '{link}'; {suggest(link, links)}")
+    if kind in ("revolute", "prismatic"):
+        _numbers(joint, "limit", "effort")
+        _numbers(joint, "limit", "velocity")
+    _check_origin(joint, "origin")
+    if joint.find("axis") is not None and kind != "fixed" and not any(_numbers(joint, "axis", "xyz", 3)):
+        raise ValueError(f"{name}: expected an axis of some length, got 0 0 0")
+
+
+def _check_link(link: ET.Element) -> None:
+    for shape in (*link.findall("visual"), *link.findall("collision")):
+        link.remove(shape)  # urdfdom prints about materials and meshes that nothing here depends on
+    if link.find("inertial") is not None:
+        _mass_and_inertia(link)
+        _check_origin(link, "inertial/origin")
+
+
+def _check_origin(element: ET.Element, path: str) -> None:
+    origin = element.find(path)
+    for key in ("xyz", "rpy"):
+        if origin is not None and key in origin.attrib:
+            _numbers(element, path, key, 3)
+
+
+def _mass_and_inertia(link: ET.Element) -> tuple[float, np.ndarray[Any, Any]]:
+    [mass] = _numbers(link, "inertial/mass", "value")
+    xx, xy, xz, yy, yz, zz = (_numbers(link, "inertial/inertia", key)[0] for key in MOMENTS)
+    return mass, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def _numbers(element: ET.Element, path: str, key: str, count: int = 1) -> list[float]:
+    """Read `count` finite numbers from an attribute of the child at `path`."""
+    child = element.find(path)
+    text = "" if child is None else child.get(key, "")
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(map(math.isfinite, values)):
+        number = "a finite number" if count == 1 else f"{count} finite numbers"
+        owner = f"{element.tag} '{element.get('name')}'"
+        raise ValueError(f"{owner}: expected {number} in <{path} {key}=…>, got '{text}'")
+    return values

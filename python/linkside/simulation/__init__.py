@@ -1,0 +1,5 @@
+"""Simulated recordings, with a known truth."""
+
+from .simulator import Sensor, Simulation, simulate
+
+__all__ = ["Sensor", "Simulation", "simulate"]

@@ -1,0 +1,274 @@
+"""Simulate a robot with its sensors and a controller in the loop: a design can be studied before it is built."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from linkside import _core
+from linkside.arrays import FloatArray
+from linkside.channels import CHANNELS, joint_columns
+from linkside.control.controllers import Controller, State, law_of
+from linkside.errors import EstimatorError, OutputError
+from linkside.kalman.elastic_joint import ElasticJointFilter
+from linkside.kalman.filtering import sized
+from linkside.kalman.noise import sensor_noise
+from linkside.observers.acceleration import AccelerationObserver
+from linkside.recording.log import Log
+from linkside.robot import Robot
+
+Truth: TypeAlias = dict[str, FloatArray]
+Told: TypeAlias = bool | tuple[_core.ElasticJointFilter, list[int]] | _core.AccelerationObserver
+Feedback: TypeAlias = Literal["truth", "sensors"] | ElasticJointFilter | AccelerationObserver
+
+SIGNALS = {channel.signal: channel for channel in CHANNELS.values()}
+"""What sensors measure, in the core's order."""
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What a sensor makes of the truth: low-pass, then delay, bias, white noise, steps.
+
+    Attributes
+    ----------
+    noise, bias, resolution
+        In the unit of the reading; a resolution of 0 is none.
+    delay
+        Age of what is read [s].
+    corner_frequency
+        Of a low-pass of first order [Hz].
+    every
+        One reading in so many samples; the others are NaN.
+    """
+
+    noise: float = 0.0
+    bias: float = 0.0
+    resolution: float = 0.0
+    delay: float = 0.0
+    corner_frequency: float = np.inf
+    every: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """A run: what was recorded, and what was so.
+
+    Attributes
+    ----------
+    log
+        The recording: sensors, and motor torques, each held from its sample until the next.
+    truth
+        Columns ``t`` (T,), ``q``, ``dq``, ``ddq``, ``theta``, ``dtheta`` (T, n), and ``tool`` (T, 3) if there is one.
+        Accelerations are those just before the torque changes.
+    told
+        What the controller was told, (T, n) each.
+    """
+
+    robot: Robot
+    log: Log
+    truth: Truth
+    told: State
+    _table: dict[str, FloatArray]
+
+    def write(self, folder: str | PathLike[str]) -> None:
+        """Write ``log.parquet`` and ``truth.parquet``, as `Log.read` and ``linkside consistency`` read them."""
+        columns = {"t": self.truth["t"]}
+        for signal in ("q", "dq", "ddq", "theta", "dtheta"):
+            columns |= {f"{signal}_{name}": self.truth[signal][:, j] for j, name in enumerate(self.robot.names)}
+        if "tool" in self.truth:
+            columns |= {f"tool_{axis}": self.truth["tool"][:, i] for i, axis in enumerate("xyz")}
+        try:
+            Path(folder).mkdir(parents=True, exist_ok=True)
+            pq.write_table(pa.table(self._table), Path(folder) / "log.parquet")
+            pq.write_table(pa.table(columns), Path(folder) / "truth.parquet")
+        except OSError as error:
+            raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
+
+
+def simulate(
+    robot: Robot,
+    controller: Controller,
+    duration: float,
+    rate: float,
+    *,
+    q: npt.ArrayLike | None = None,
+    dq: npt.ArrayLike | None = None,
+    theta: npt.ArrayLike | None = None,
+    dtheta: npt.ArrayLike | None = None,
+    tau: npt.ArrayLike | None = None,
+    feedback: Feedback = "truth",
+    sensors: Mapping[str, Sensor] | None = None,
+    integrator: Literal["rk4", "adaptive"] = "rk4",
+    substeps: int = 1,
+    rtol: float | None = None,
+    atol: float | None = None,
+    keep_every: int = 1,
+    seed: int = 0,
+) -> Simulation:
+    """Move a robot under a controller, from rest unless told otherwise.
+
+    Both equations of the elastic-joint model are integrated, torques held between samples: springs and frictions as in
+    robot.yaml, coupling included.
+
+    Parameters
+    ----------
+    robot
+        The robot.
+    controller
+        `controllers.JointPD`, `controllers.SimpleAdaptive`, or a function ``(t, state) -> tau``, with ``tau`` (n,).
+    duration
+        [s].
+    rate
+        Of sensors and controller [Hz].
+    q, dq, theta, dtheta, tau : (n,)
+        State and motor torques at the start. Not given: links at zero and at rest; motors where the springs hold
+        gravity, as fast as their links; the torques that hold gravity.
+    feedback
+        What the controller is told: ``"truth"``, ``"sensors"`` (motors as measured, links taken to be there too), or
+        the estimate of an `ElasticJointFilter` or `AccelerationObserver`, of a robot with other parameters if need
+        be; it starts anew, at the simulation's rate.
+    sensors
+        A `Sensor` of each kind: ``theta``, ``dtheta``, ``acceleration``, ``rate``, ``q``, ``torque``, ``dq``. A kind
+        not given is as robot.yaml has it, or exact; link positions and velocities, and joint torques (what the
+        transmission gives the link), are in the log only if given.
+    integrator
+        ``"rk4"``, the fourth-order method of Runge and Kutta in fixed steps, as fast as can be where nothing is stiff;
+        or ``"adaptive"``, RODAS (Hairer and Wanner, Solving Ordinary Differential Equations II, 1996, section VI.4),
+        an L-stable method of order 4 with exact derivatives, whose steps follow the tolerance and not the stiffness,
+        and end at every sample. A vibration smaller than the tolerance is damped instead of followed.
+    substeps
+        Steps of ``"rk4"`` between samples.
+    rtol, atol
+        Of ``"adaptive"``: a step may be wrong by ``atol + rtol |x|`` in each position and velocity; 1e-6 and 1e-9 if
+        not given.
+    keep_every
+        One sample in so many is kept.
+    seed
+        Of the noise: the same seed gives the same bits.
+
+    Raises
+    ------
+    EstimatorError
+        A setting out of range, a fixed step too large for the stiffness (with the largest stable one), or a
+        controller that raises, or gives something that is not n finite numbers.
+    NumericalError
+        The motion is no longer finite, or no adaptive step is short enough for the tolerance; names the time, and then
+        the joint.
+    """
+    models = _models(sensors or {}, robot)
+    start = {"q": q, "dq": dq, "theta": theta, "dtheta": dtheta, "tau": tau}
+    settings = {
+        "count": _count(duration, rate),
+        "period": 1.0 / rate,
+        **_stepping(integrator, substeps, rtol, atol),
+        "keep_every": _whole("keep_every", keep_every),
+        "seed": _whole("seed", seed, least=0),
+        **{name: None if value is None else sized(name, value, robot.n).tolist() for name, value in start.items()},
+    }
+    channels = [dataclasses.asdict(channel) for kind in SIGNALS for channel in models[kind]]
+    told = _told(feedback, robot, 1.0 / rate)
+    result = _core.simulate(robot.core, settings, channels, told, law_of(controller, robot))
+    return _assemble(robot, result, left_out={c.signal for c in CHANNELS.values() if c.extra} - set(sensors or {}))
+
+
+def _stepping(integrator: str, substeps: int, rtol: float | None, atol: float | None) -> dict[str, Any]:
+    """Check how time is stepped, as the core takes it."""
+    if integrator not in ("rk4", "adaptive"):
+        raise EstimatorError(f"integrator is {integrator!r}, expected 'rk4' or 'adaptive'")
+    count = _whole("substeps", substeps)
+    if integrator == "adaptive":
+        if count > 1:
+            raise EstimatorError(f"substeps is {count}, but the adaptive integrator takes its steps from rtol and atol")
+        return {"substeps": count, "tolerance": (1e-6 if rtol is None else rtol, 1e-9 if atol is None else atol)}
+    for name, value in (("rtol", rtol), ("atol", atol)):
+        if value is not None:
+            raise EstimatorError(f"{name} is {value!r}, but steps of 'rk4' are fixed; set integrator='adaptive'")
+    return {"substeps": count, "tolerance": None}
+
+
+def _assemble(robot: Robot, result: Truth, *, left_out: set[str]) -> Simulation:
+    widths = [SIGNALS[kind].width(robot) for kind in SIGNALS]
+    readings = np.split(result.pop("readings"), np.cumsum(widths)[:-1], axis=1)
+    signals = dict(zip(SIGNALS, readings, strict=True)) | {"tau": result.pop("tau")}
+    for kind in left_out:
+        del signals[kind]
+    bias, scale = robot.acceleration_errors
+    signals["acceleration"] = signals["acceleration"] * scale + bias
+    if robot.columns.motor_side:
+        ratio = robot.gear_ratio
+        signals |= {
+            "theta": signals["theta"] * ratio,
+            "dtheta": signals["dtheta"] * ratio,
+            "tau": signals["tau"] / ratio,
+        }
+    table = {"t": result["t"]}
+    for signal, values in signals.items():
+        channel = SIGNALS.get(signal)
+        columns = joint_columns(signal, robot.names) if channel is None else channel.columns(robot)
+        table |= dict(zip(columns, values.T, strict=True))
+    table = {robot.columns.name_in_log(name): np.ascontiguousarray(values) for name, values in table.items()}
+    told = State(*np.split(result.pop("told"), 4, axis=1))
+    return Simulation(robot, Log.from_table(table, robot, "simulation"), result, told, table)
+
+
+def _models(sensors: Mapping[str, Sensor], robot: Robot) -> dict[str, list[Sensor]]:
+    """One model a channel, by kind."""
+    if unknown := set(sensors) - set(SIGNALS):
+        raise EstimatorError(f"sensors: {min(unknown)!r} is not one of {', '.join(map(repr, SIGNALS))}")
+    accelerometers = [
+        Sensor(noise=s.noise_std, delay=s.delay, corner_frequency=s.corner_frequency or np.inf)
+        for s in robot.accelerometers
+        for _ in s.axes
+    ]
+    models = {signal: [Sensor()] * channel.width(robot) for signal, channel in SIGNALS.items()} | {
+        "theta": [Sensor(resolution=robot.config.encoder.resolution)] * robot.n,
+        "acceleration": accelerometers,
+        "rate": [Sensor(noise=noise) for noise in sensor_noise(robot.gyroscopes)],
+    }
+    return models | {kind: [model] * SIGNALS[kind].width(robot) for kind, model in sensors.items()}
+
+
+def _told(feedback: Feedback, robot: Robot, period: float) -> Told:
+    if isinstance(feedback, AccelerationObserver):
+        _same_robot(feedback.robot, robot, "names", "acceleration_channels")
+        return feedback.fresh(period)
+    if not isinstance(feedback, ElasticJointFilter):
+        if feedback not in ("truth", "sensors"):
+            raise EstimatorError(
+                f"feedback is {feedback!r}, expected 'truth', 'sensors', an ElasticJointFilter or AccelerationObserver"
+            )
+        return feedback == "truth"
+    core, kinds = feedback.fresh()
+    _same_robot(feedback.robot, robot, "names", "acceleration_channels", "gyroscope_channels")
+    names = [kind for kind in SIGNALS for _ in range(SIGNALS[kind].width(robot))]
+    wanted = {CHANNELS[kind].signal for kind in kinds}
+    return core, [index for index, kind in enumerate(names) if kind in wanted]
+
+
+def _same_robot(believed: Robot, robot: Robot, *aspects: str) -> None:
+    for what in aspects:
+        theirs, ours = getattr(believed, what), getattr(robot, what)
+        if theirs != ours:
+            raise EstimatorError(f"feedback is of another robot: its {what} are {theirs}, expected {ours}")
+
+
+def _count(duration: float, rate: float) -> int:
+    for name, value in (("duration", duration), ("rate", rate)):
+        if not 0 < value < np.inf:
+            raise EstimatorError(f"{name} is {value!r}, expected a finite number greater than 0")
+    return round(duration * rate) + 1
+
+
+def _whole(name: str, value: int, least: int = 1) -> int:
+    if not isinstance(value, int) or value < least:
+        raise EstimatorError(f"{name} is {value!r}, expected a whole number of at least {least}")
+    return value

@@ -1,0 +1,19 @@
+"""Inertia of a robot whose joints are taken as rigid."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from linkside.arrays import FloatArray
+from linkside.robot import Robot
+
+
+def rigid_inertia(robot: Robot, q: FloatArray, side: Literal["motors", "links"] = "motors") -> FloatArray:
+    """Inertia with rigid joints at positions (n,) or (T, n): M, and with ``"motors"`` B + S + Sᵀ [kg m²]."""
+    mass: FloatArray = robot.mass_matrix(q)
+    if side == "links":
+        return mass
+    motors = np.diag([drive.motor_inertia or 0.0 for drive in robot.drives])
+    return np.asarray(mass + motors + robot.coupling + robot.coupling.T)

@@ -1,0 +1,288 @@
+"""Velocity observers for rigid robots: velocities from positions and torques, sample by sample or whole logs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from linkside import _core
+from linkside.arrays import FloatArray, Signal
+from linkside.errors import EstimatorError, NumericalError
+from linkside.recording.continuity import longest_dropout, refuse_dropouts, refuse_uneven
+from linkside.recording.estimate import Estimate
+from linkside.recording.log import Log
+from linkside.robot import Robot
+from linkside.robot.requirements import refuse_unsupported
+from linkside.robot.workspace import prismatic
+
+from .gain_map import GainMap
+from .inertia import rigid_inertia
+
+GAIN = 100.0
+"""Gain of a velocity observer that is given none [1/s]."""
+
+
+@dataclass(frozen=True)
+class HybridGain:
+    """A gain that follows the estimated speed, so that no bound of the velocity need be known.
+
+    Cristofaro and De Luca, "Reduced-order observer design for robot manipulators", 2023, eqs. (14)-(16), with switching
+    sets that can work and with the estimate kept at a jump. At level r the speed is at most ``r * bound``.
+
+    Attributes
+    ----------
+    gains : tuple of float
+        k1, k2, ... [1/s]; levels beyond the last use the last. `GainDesign.hybrid` computes them.
+    bound : float
+        Width of a level [rad/s].
+    margin : float
+        Largest error of the estimate that the gains are made for [rad/s].
+    hysteresis : float, optional
+        Between jumps up and down [rad/s]; by default a tenth of the bound.
+    start : int, optional
+        Level of the first sample; by default the least whose bound is above the margin.
+    dwell : int
+        Samples between a jump and a jump down, against noise.
+    logic
+        ``"repaired"``: up at ``r * bound - margin``, down at ``(r - 1) * bound - margin - hysteresis``.
+        ``"printed-sets"``: down at ``(r - 1) * bound + margin`` as printed, at which r chatters.
+        ``"printed-map"``: the observer's inner state is kept at a jump as printed, and the estimate is not.
+    """
+
+    gains: tuple[float, ...]
+    bound: float
+    margin: float
+    hysteresis: float | None = None
+    start: int | None = None
+    dwell: int = 0
+    logic: Literal["repaired", "printed-sets", "printed-map"] = "repaired"
+
+    def settings(self) -> dict[str, Any]:
+        """Give all of them, defaults filled in."""
+        least = int(np.floor(self.margin / self.bound)) + 1 if self.bound > 0 <= self.margin else 1
+        start = least if self.start is None else self.start
+        if start < 0 or self.dwell < 0:
+            raise EstimatorError(f"start {start} and dwell {self.dwell} of a gain: expected at least 0")
+        hysteresis = 0.1 * self.bound if self.hysteresis is None else self.hysteresis
+        return asdict(self) | {"start": start, "hysteresis": hysteresis}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class VelocityEstimate(Estimate):
+    """An estimate with the gain's level.
+
+    Attributes
+    ----------
+    level : (T,)
+        Level r of a hybrid gain, 1 throughout for a constant one. Kept in memory only.
+    """
+
+    level: npt.NDArray[np.uint8] | None = None
+
+
+class ReducedOrderObserver:
+    """Reduced-order velocity observer.
+
+    Cristofaro and De Luca, "Reduced-order observer design for robot manipulators", 2023, eq. (6). It takes the joints
+    to be rigid: motor inertia adds to that of the links, motor friction to theirs.
+
+    Parameters
+    ----------
+    robot
+        The robot; its masses and inertias are used.
+    gain
+        k0 [1/s]: one number, one for each joint, a `HybridGain`, or a `GainMap` that depends on the posture.
+    side
+        ``"motors"``: positions are the log's ``theta`` and torques its ``tau``. ``"links"``: positions are the log's
+        ``q`` and torques its ``torque``, what the transmission gives the link; motors then do not matter.
+    wrap
+        Positions that jump by a multiple of this are an encoder's wrap, are put right, and flagged UNWRAPPED [rad]:
+        one number, or one for each joint. By default a turn for revolute joints.
+    period
+        Sampling period for `step` [s]; by default ``rate_hz`` of robot.yaml. `run` takes the log's.
+
+    Raises
+    ------
+    EstimatorError
+        A gain that is not positive or above ``2 / period``; levels, bound, margin or hysteresis out of order; a map
+        for another number of joints.
+
+    Notes
+    -----
+    An error falls by ``exp(-gain * period)`` a sample, whatever the gain; beyond ``2 / period`` the estimate would be
+    little more than a difference of two positions, so that is refused. The start is at zero velocity.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        gain: float | Sequence[float] | FloatArray | HybridGain | GainMap = GAIN,
+        *,
+        side: Literal["motors", "links"] = "motors",
+        wrap: float | Sequence[float] | None = None,
+        period: float | None = None,
+    ) -> None:
+        if side not in ("motors", "links"):
+            raise EstimatorError(f"side is {side!r}, expected 'motors' or 'links'")
+        refuse_unsupported(robot, "a velocity observer")
+        self.robot = robot
+        self.side = side
+        self.gain = gain
+        self._wrap = _turns(robot) if wrap is None else _each(robot, "wrap", wrap)
+        rate = robot.config.rate_hz
+        self._period = period if period is not None or rate is None else 1 / rate
+        self._core = None if self._period is None else self._designed(self._period)
+
+    def step(self, *, q: Signal, tau: Signal) -> _core.VelocityState:
+        """Take one sample and give the state at its time.
+
+        Parameters
+        ----------
+        q : (n,)
+            Positions [rad]; NaN where a reading is missing, which is bridged by the model.
+        tau : (n,)
+            Torques, held until the next sample [N m]; NaN where one is missing, the one before stays.
+
+        Returns
+        -------
+        VelocityState
+            ``q``, ``dq``, ``ddq`` (n,), ``tool_position`` (3,), ``level`` and ``status``.
+        """
+        return self._live().step(q, tau)
+
+    def start(self, *, dq: Signal, lag: Signal | None = None) -> None:
+        """Start anew from a velocity (n,) [rad/s] at the next sample, and a position ``lag`` (n,) behind it [rad]."""
+        self._live().start(dq, np.zeros(self.robot.n) if lag is None else lag)
+
+    def reset(self) -> None:
+        """Forget the state: the next sample starts anew, at zero velocity."""
+        self._live().reset()
+
+    def run(self, log: Log) -> VelocityEstimate:
+        """Estimate a recording, from zero velocity at its first sample.
+
+        Raises
+        ------
+        LogError
+            A column is missing, time is uneven, or a reading is missing at the start or for too long.
+        NumericalError
+            The inertia is singular, or the estimate is no longer finite; names the sample.
+        """
+        return next(self.run_pieces([log]))
+
+    def run_pieces(self, pieces: Iterable[Log]) -> Iterator[VelocityEstimate]:
+        """Estimate a recording that comes piece by piece, in bounded memory; the same bits as `run`."""
+        core: _core.VelocityObserver | None = None
+        seen, first = None, 0
+        for piece in pieces:
+            core = core or self._designed(piece.period)
+            q, tau = self._arrays(piece, seen, first)
+            try:
+                result = core.run(q, tau)
+            except (NumericalError, EstimatorError) as error:
+                raise type(error)(f"{piece.source}: {error}") from None
+            seen, first = piece[-longest_dropout(piece) :], first + len(piece)
+            motor = {"theta": result["q"], "dtheta": result["dq"]} if self.side == "motors" else _unknown(q)
+            yield VelocityEstimate(t=piece.t, names=self.robot.names, **motor, **result)
+
+    def _live(self) -> _core.VelocityObserver:
+        if self._core is None:
+            raise EstimatorError("step needs the sampling period: give period=…, or rate_hz in robot.yaml")
+        return self._core
+
+    def _designed(self, period: float) -> _core.VelocityObserver:
+        if self._period is not None and np.isclose(period, self._period, rtol=1e-6):
+            period = self._period
+        return _core.VelocityObserver(
+            self.robot.core,
+            period=period,
+            gains=[] if isinstance(self.gain, HybridGain | GainMap) else _each(self.robot, "gain", self.gain),
+            levels=self.gain.settings() if isinstance(self.gain, HybridGain) else None,
+            map=self.gain.settings() if isinstance(self.gain, GainMap) else None,
+            spring=self._spring(),
+            motors=self.side == "motors",
+            wrap=self._wrap,
+        )
+
+    def _spring(self) -> list[float]:
+        return [0.0] * self.robot.n
+
+    def _arrays(self, log: Log, before: Log | None, first: int) -> tuple[FloatArray, FloatArray]:
+        """Check a log, or a piece of one that begins at row ``first`` after the rows ``before``; give its arrays."""
+        position, torque = ("theta", "tau") if self.side == "motors" else ("q", "torque")
+        log.require(position, torque, purpose="a velocity observer")
+        refuse_uneven(log, before, first)
+        q, tau = getattr(log, position), getattr(log, torque)
+        if before is None:
+            log.require_start("a velocity observer", (position, torque))
+        for signal in (position, torque):
+            refuse_dropouts(log, signal, np.ones(self.robot.n, np.bool_), before, first)
+        return q, tau
+
+
+class NicosiaTomeiObserver(ReducedOrderObserver):
+    """Full-order velocity observer: the reduced-order one, with a spring on the position error.
+
+    Nicosia and Tomei, "Robot control by using only joint position measurements", IEEE Transactions on Automatic
+    Control, 1990. The estimate of velocity is the derivative of that of position. Without a spring, and started at the
+    measured position, it is the reduced-order observer.
+
+    Parameters
+    ----------
+    robot, gain, side, wrap, period
+        As of `ReducedOrderObserver`; ``gain`` is k_D.
+    position_gain
+        Diagonal of K_P [N m/rad]: one number, or one for each joint. By default ``(gain / 4)**2`` times the inertia
+        about each joint's axis at zero position.
+
+    Raises
+    ------
+    EstimatorError
+        As `ReducedOrderObserver`; from the first sample, when the largest eigenvalue of M⁻¹ K_P there is so large,
+        never below ``4 / period**2``, that the sampled error would swing up.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        gain: float | Sequence[float] | FloatArray | HybridGain = GAIN,
+        position_gain: float | Sequence[float] | None = None,
+        *,
+        side: Literal["motors", "links"] = "motors",
+        wrap: float | Sequence[float] | None = None,
+        period: float | None = None,
+    ) -> None:
+        if isinstance(gain, GainMap):
+            raise EstimatorError("a gain map has no spring beside it: expected a ReducedOrderObserver")
+        least = (gain.gains or (0.0,))[0] if isinstance(gain, HybridGain) else _each(robot, "gain", gain)
+        self._least_gain = np.asarray(least)
+        self._position_gain = None if position_gain is None else _each(robot, "position_gain", position_gain)
+        super().__init__(robot, gain, side=side, wrap=wrap, period=period)
+
+    def _spring(self) -> list[float]:
+        if self._position_gain is not None:
+            return self._position_gain
+        inertia = np.diag(rigid_inertia(self.robot, np.zeros(self.robot.n), self.side))
+        return list((self._least_gain / 4) ** 2 * inertia)
+
+
+def _each(robot: Robot, name: str, value: float | Sequence[float] | FloatArray) -> list[float]:
+    """One number a joint."""
+    array = np.asarray(value, dtype=np.float64)
+    if array.ndim > 1 or array.size not in (1, robot.n):
+        raise EstimatorError(f"{name}: expected one number or {robot.n}, got an array of shape {array.shape}")
+    return [float(x) for x in np.broadcast_to(array.ravel(), robot.n)]
+
+
+def _turns(robot: Robot) -> list[float]:
+    """After what an encoder wraps: a turn of a revolute joint."""
+    return [np.inf if slides else 2 * np.pi for slides in prismatic(robot)]
+
+
+def _unknown(q: FloatArray) -> dict[str, FloatArray]:
+    nothing = np.full(q.shape, np.nan)
+    return {"theta": nothing, "dtheta": nothing}

@@ -1,0 +1,140 @@
+//! What is compiled for each instruction set: the phases of a sample.
+
+use super::correction::Correction;
+use super::driven::JerkDriven;
+use super::elastic::ElasticModel;
+use super::gaussian::Gaussian;
+use super::model::Model;
+use super::output::{FilterOutput, Tool};
+use super::recording::KalmanSample;
+use super::smoother::{Back, Retreat};
+use crate::simd::{self, Kernel};
+
+/// A model whose phases are compiled in this crate: what a crate that uses a filter has to compile is then little more
+/// than calls.
+#[allow(private_interfaces)] // what a phase works on is this crate's own
+pub trait Phases: Model {
+    #[doc(hidden)]
+    fn predict_phase(phase: Predict<'_, '_, Self>);
+    #[doc(hidden)]
+    fn linearise_phase(phase: Linearise<'_, Self>);
+    #[doc(hidden)]
+    fn update_phase(phase: Update<'_, Self>);
+    #[doc(hidden)]
+    fn report_phase(phase: Report<'_, Self>);
+    #[doc(hidden)]
+    fn back_phase(phase: Back<'_, Self>);
+    #[doc(hidden)]
+    fn retreat_phase(phase: Retreat<'_, Self>);
+}
+
+/// One text for all models; a provided method would be compiled where it is called.
+macro_rules! phases {
+    ($($model:ty),*) => {$(
+        #[allow(private_interfaces)]
+        impl Phases for $model {
+            fn predict_phase(phase: Predict<'_, '_, Self>) {
+                simd::phase(phase);
+            }
+
+            fn linearise_phase(phase: Linearise<'_, Self>) {
+                simd::phase(phase);
+            }
+
+            fn update_phase(phase: Update<'_, Self>) {
+                simd::phase(phase);
+            }
+
+            fn report_phase(phase: Report<'_, Self>) {
+                simd::phase(phase);
+            }
+
+            fn back_phase(phase: Back<'_, Self>) {
+                simd::phase(phase);
+            }
+
+            fn retreat_phase(phase: Retreat<'_, Self>) {
+                simd::phase(phase);
+            }
+        }
+    )*};
+}
+
+phases!(JerkDriven, ElasticModel);
+
+/// To the sample's time.
+pub(crate) struct Predict<'a, 'b, M> {
+    pub(crate) model: &'a mut M,
+    pub(crate) sample: &'a KalmanSample<'b>,
+    pub(crate) belief: &'a mut Gaussian,
+}
+
+impl<M: Model> Kernel for Predict<'_, '_, M> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.model.predict(self.sample, self.belief);
+    }
+}
+
+/// All channels at `reference`.
+pub(crate) struct Linearise<'a, M> {
+    pub(crate) model: &'a mut M,
+    pub(crate) reference: &'a [f64],
+}
+
+impl<M: Model> Kernel for Linearise<'_, M> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.model.linearise(self.reference);
+    }
+}
+
+/// By the readings of the channels that were linearised.
+pub(super) struct Update<'a, M> {
+    pub(super) model: &'a M,
+    pub(super) correction: &'a mut Correction,
+    pub(super) belief: &'a mut Gaussian,
+    pub(super) readings: &'a [f64],
+    pub(super) gate: Option<f64>,
+}
+
+impl<M: Model> Kernel for Update<'_, M> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.correction.update(self.model, self.belief, self.readings, self.gate);
+    }
+}
+
+/// Row `i` of the output, with the whole state where asked for.
+pub(super) struct Report<'a, M> {
+    pub(super) model: &'a mut M,
+    pub(super) memory: &'a [f64],
+    pub(super) mean: &'a [f64],
+    /// Rows of `stride` numbers.
+    pub(super) covariance: &'a [f64],
+    pub(super) stride: usize,
+    pub(super) tool: &'a mut Tool,
+    pub(super) i: usize,
+    pub(super) out: &'a mut FilterOutput,
+    pub(super) whole: bool,
+}
+
+impl<M: Model> Kernel for Report<'_, M> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { model, memory, mean, covariance, stride, tool, i, out, whole } = self;
+        model.report(memory, mean, i, out);
+        out.write_links(i, model.robot(), mean, |r, c| covariance[r * stride + c], tool);
+        if whole {
+            out.write_state(i, mean, covariance, stride);
+        }
+    }
+}

@@ -1,0 +1,108 @@
+//! Names of what a robot's log can hold.
+
+use crate::robot::Robot;
+
+/// One scalar that a robot's log can hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Channel {
+    /// Motor position of a joint [rad].
+    Motor(usize),
+    /// Motor velocity of a joint [rad/s].
+    MotorVelocity(usize),
+    /// One axis of an accelerometer [m/s²].
+    Acceleration {
+        /// Which accelerometer.
+        sensor: usize,
+        /// Which axis.
+        axis: usize,
+    },
+    /// One axis of a gyroscope [rad/s].
+    Rate {
+        /// Which gyroscope.
+        sensor: usize,
+        /// Which axis.
+        axis: usize,
+    },
+    /// Link position of a joint [rad].
+    Link(usize),
+    /// Torque that the transmission gives a link [N m].
+    Torque(usize),
+    /// Link velocity of a joint [rad/s].
+    LinkVelocity(usize),
+}
+
+/// What a sensor measures: all channels of a kind come together, joint by joint or axis by axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Kind {
+    /// θ (n) [rad].
+    Motor,
+    /// Specific force, one number a recorded axis of the accelerometers [m/s²].
+    Acceleration,
+    /// θ̇ (n) [rad/s].
+    MotorVelocity,
+    /// Angular velocity, one number a recorded axis of the gyroscopes [rad/s].
+    Rate,
+    /// q (n) [rad].
+    Link,
+    /// What the transmission gives the link (n) [N m].
+    Torque,
+    /// q̇ (n), of tachometers on the links [rad/s].
+    LinkVelocity,
+}
+
+impl Kind {
+    /// All, in the order in which their channels stand.
+    pub const ALL: [Self; 7] = [
+        Self::Motor,
+        Self::Acceleration,
+        Self::MotorVelocity,
+        Self::Rate,
+        Self::Link,
+        Self::Torque,
+        Self::LinkVelocity,
+    ];
+
+    /// As a log's columns begin.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Motor => "theta",
+            Self::Acceleration => "acceleration",
+            Self::MotorVelocity => "dtheta",
+            Self::Rate => "rate",
+            Self::Link => "q",
+            Self::Torque => "torque",
+            Self::LinkVelocity => "dq",
+        }
+    }
+
+    /// The kind of that [`name`](Self::name).
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name)
+    }
+
+    /// Its channels on `robot`.
+    pub fn channels(self, robot: &Robot) -> Vec<Channel> {
+        let joints = |channel: fn(usize) -> Channel| (0..robot.len()).map(channel).collect();
+        match self {
+            Self::Motor => joints(Channel::Motor),
+            Self::MotorVelocity => joints(Channel::MotorVelocity),
+            Self::Link => joints(Channel::Link),
+            Self::Torque => joints(Channel::Torque),
+            Self::LinkVelocity => joints(Channel::LinkVelocity),
+            Self::Acceleration => axes(robot.accelerometers.iter().map(|s| &s.axes), |sensor, axis| {
+                Channel::Acceleration { sensor, axis }
+            }),
+            Self::Rate => axes(robot.gyroscopes.iter().map(|s| &s.axes), |sensor, axis| Channel::Rate { sensor, axis }),
+        }
+    }
+
+    /// Channels of several kinds, in the order of [`ALL`](Self::ALL) whatever that of `kinds`.
+    pub fn all_channels(kinds: &[Self], robot: &Robot) -> Vec<Channel> {
+        Self::ALL.iter().filter(|kind| kinds.contains(kind)).flat_map(|kind| kind.channels(robot)).collect()
+    }
+}
+
+fn axes<'a>(sensors: impl Iterator<Item = &'a Vec<usize>>, channel: impl Fn(usize, usize) -> Channel) -> Vec<Channel> {
+    let of = |(sensor, axes): (usize, &'a Vec<usize>)| axes.iter().map(move |&axis| (sensor, axis));
+    sensors.enumerate().flat_map(of).map(|(sensor, axis)| channel(sensor, axis)).collect()
+}

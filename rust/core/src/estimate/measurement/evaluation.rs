@@ -1,0 +1,38 @@
+//! All channels of the acceleration-driven model in one state, with their Jacobian.
+
+use super::view::OfDrives;
+use super::{Channel, Driven, Jacobian, LinkMotion, read_all};
+use crate::robot::Robot;
+use crate::scalar::Scalar;
+
+/// Predictions of all channels at one state, with their derivatives in (q, q̇, q̈).
+#[derive(Clone, Debug)]
+pub struct Evaluation<T> {
+    /// h (channels), without bias.
+    pub prediction: Vec<T>,
+    /// ∂h/∂(q, q̇, q̈), channels × 3n, row-major.
+    pub jacobian: Vec<T>,
+    motion: LinkMotion<T>,
+}
+
+impl<T: Scalar> Evaluation<T> {
+    /// Room for `channels` of `robot`.
+    pub fn new(robot: &Robot, channels: usize) -> Self {
+        Self {
+            prediction: vec![T::default(); channels],
+            jacobian: vec![T::default(); channels * 3 * robot.len()],
+            motion: LinkMotion::new(robot),
+        }
+    }
+
+    /// Evaluates `channels` at `state` = (q, q̇, q̈); `dtheta` (n) is each motor's velocity for the damping torque, NaN to
+    /// leave it out. Rows of motor velocities stay zero: they are the rate of the motor positions'.
+    #[inline(always)]
+    pub fn evaluate(&mut self, robot: &Robot, channels: &[Channel], state: &[T], dtheta: &[f64]) {
+        let Self { prediction, jacobian, motion } = self;
+        motion.set(robot, state);
+        jacobian.fill(T::default());
+        let view = Driven { links: motion, state, dtheta, springs: &OfDrives };
+        read_all(robot, channels, &view, &mut Jacobian { prediction, rows: jacobian, joints: robot.len() });
+    }
+}

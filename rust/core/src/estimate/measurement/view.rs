@@ -1,0 +1,175 @@
+//! What a model knows of its motors: a load behind a spring, or states of their own.
+
+use super::{Loading, Sensing, Wanted};
+use crate::dynamics::{ElasticDynamics, ElasticLayout};
+use crate::robot::{Drive, Robot};
+use crate::scalar::Scalar;
+
+/// A model in one state, as channels look at it.
+pub(crate) trait View<T: Scalar> {
+    /// What moves the sensors on links.
+    type Links: Sensing<T>;
+
+    /// See [`Links`](Self::Links).
+    fn links(&self) -> &Self::Links;
+
+    /// Position and velocity of link `j`.
+    fn link(&self, robot: &Robot, j: usize) -> [T; 2];
+
+    /// Position of motor `j`.
+    fn motor(&self, robot: &Robot, j: usize, row: usize, wanted: &mut impl Wanted<T>);
+
+    /// Velocity of motor `j`.
+    fn motor_velocity(&self, robot: &Robot, j: usize, row: usize, wanted: &mut impl Wanted<T>);
+
+    /// What the transmission of joint `j` gives its link.
+    fn joint_torque(&self, robot: &Robot, j: usize, row: usize, wanted: &mut impl Wanted<T>);
+}
+
+/// Springs and dampers between motors and links, by numbers of their own or by those of the robot's drives.
+pub(crate) trait Springs<T> {
+    /// Torsion of joint `j` that holds `torque`, and one over the spring's slope there.
+    fn twist(&self, drive: &Drive, j: usize, torque: T) -> (T, T);
+
+    /// D of joint `j`.
+    fn damping(&self, drive: &Drive, j: usize) -> T;
+}
+
+/// As the robot says.
+pub(crate) struct OfDrives;
+
+impl<T: Scalar> Springs<T> for OfDrives {
+    #[inline(always)]
+    fn twist(&self, drive: &Drive, _: usize, torque: T) -> (T, T) {
+        let torsion = drive.torsion(torque);
+        (torsion, drive.compliance(torsion))
+    }
+
+    #[inline(always)]
+    fn damping(&self, drive: &Drive, _: usize) -> T {
+        T::constant(drive.damping)
+    }
+}
+
+/// Links moved by jerk: a motor stands where the torque that its link needs twists the spring to
+/// (Axelsson, Karlsson and Norrlöf 2012, eqs. (12)–(17)).
+pub(crate) struct Driven<'a, T, L, S> {
+    pub(crate) links: &'a L,
+    /// (q, q̇, q̈).
+    pub(crate) state: &'a [T],
+    /// Motor velocities for the damping torque (n), NaN to leave it out.
+    pub(crate) dtheta: &'a [f64],
+    pub(crate) springs: &'a S,
+}
+
+impl<T: Scalar, L: Sensing<T> + Loading<T>, S: Springs<T>> View<T> for Driven<'_, T, L, S> {
+    type Links = L;
+
+    #[inline(always)]
+    fn links(&self) -> &L {
+        self.links
+    }
+
+    #[inline(always)]
+    fn link(&self, robot: &Robot, j: usize) -> [T; 2] {
+        [self.state[j], self.state[robot.len() + j]]
+    }
+
+    /// θ = q + φ⁻¹(M q̈ + C q̇ + g + friction − D(θ̇ − q̇)), with the damping that the paper drops.
+    #[inline(always)]
+    fn motor(&self, robot: &Robot, j: usize, row: usize, wanted: &mut impl Wanted<T>) {
+        let ([q, dq], drive) = (self.link(robot, j), &robot.drives[j]);
+        let one = T::constant(1.0);
+        if !drive.elastic {
+            wanted.value(row, q);
+            wanted.add(row, j, [one, T::default()]);
+            return;
+        }
+        let (friction, slope) = drive.link_friction(dq);
+        let (damping, rate) = if self.dtheta[j].is_nan() {
+            (T::default(), T::default())
+        } else {
+            (self.springs.damping(drive, j), -dq + self.dtheta[j])
+        };
+        let (torsion, compliance) = self.springs.twist(drive, j, self.links.load(j) + friction - rate * damping);
+        wanted.value(row, q + torsion);
+        self.links.load_columns(j, compliance, row, wanted);
+        wanted.add(row, j, [one, compliance * (slope + damping)]);
+    }
+
+    /// The rate of the motor's position, which numbers that carry a derivative along time have: not a row of its own.
+    #[inline(always)]
+    fn motor_velocity(&self, _: &Robot, _: usize, row: usize, wanted: &mut impl Wanted<T>) {
+        wanted.value(row, T::default());
+    }
+
+    #[inline(always)]
+    fn joint_torque(&self, robot: &Robot, j: usize, row: usize, wanted: &mut impl Wanted<T>) {
+        let (friction, slope) = robot.drives[j].link_friction(self.link(robot, j)[1]);
+        wanted.value(row, self.links.load(j) + friction);
+        self.links.load_columns(j, T::constant(1.0), row, wanted);
+        wanted.add(row, j, [T::default(), slope]);
+    }
+}
+
+/// Links and motors moved by motor torques (Ulrich and Sasiadek 2011): motors are states, accelerations functions of them.
+pub(crate) struct Elastic<'a> {
+    pub(crate) layout: &'a ElasticLayout,
+    /// After `accelerate` at the state; its kinematics set with the accelerations.
+    pub(crate) dynamics: &'a ElasticDynamics,
+    pub(crate) state: &'a [f64],
+}
+
+impl Elastic<'_> {
+    #[inline(always)]
+    fn entry(&self, index: usize, row: usize, wanted: &mut impl Wanted<f64>) {
+        wanted.value(row, self.state[index]);
+        wanted.entry(row, index, 1.0);
+    }
+}
+
+impl View<f64> for Elastic<'_> {
+    type Links = crate::dynamics::Kinematics<f64>;
+
+    #[inline(always)]
+    fn links(&self) -> &Self::Links {
+        &self.dynamics.kinematics
+    }
+
+    #[inline(always)]
+    fn link(&self, robot: &Robot, j: usize) -> [f64; 2] {
+        [self.state[j], self.state[robot.len() + j]]
+    }
+
+    #[inline(always)]
+    fn motor(&self, _: &Robot, j: usize, row: usize, wanted: &mut impl Wanted<f64>) {
+        self.entry(self.layout.theta[j], row, wanted);
+    }
+
+    #[inline(always)]
+    fn motor_velocity(&self, _: &Robot, j: usize, row: usize, wanted: &mut impl Wanted<f64>) {
+        self.entry(self.layout.dtheta[j], row, wanted);
+    }
+
+    /// τ_e, or behind a rigid drive what the motor has left for its link.
+    #[inline(always)]
+    fn joint_torque(&self, robot: &Robot, j: usize, row: usize, wanted: &mut impl Wanted<f64>) {
+        let (drive, n, x, layout) = (&robot.drives[j], robot.len(), self.state, self.layout);
+        wanted.value(row, self.dynamics.joint_torque(robot, j));
+        if drive.elastic {
+            let stiffness = drive.tangent_stiffness(x[layout.theta[j]] - x[j]);
+            wanted.add(row, j, [-stiffness, -drive.damping]);
+            wanted.entry(row, layout.theta[j], stiffness);
+            wanted.entry(row, layout.dtheta[j], drive.damping);
+            return;
+        }
+        wanted.add(row, j, [0.0, -drive.motor_friction(x[n + j]).1]);
+        if let Some(first) = layout.disturbance {
+            wanted.entry(row, first + j, 1.0);
+        }
+        for i in 0..=j {
+            let inertia = if i == j { drive.motor_inertia } else { robot.coupling[i * n + j] };
+            wanted.columns(row, i, [0.0, 0.0, -inertia]);
+        }
+    }
+}

@@ -1,0 +1,139 @@
+"""The house stands: modules import downwards only, and none uses what is private to another."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import linkside
+
+ROOT = Path(linkside.__file__).parent
+
+LAYERS = (
+    ("errors", "moved"),
+    ("arrays", "channels", "text"),
+    ("statistics", "files", "figures"),
+    ("robot",),
+    ("recording",),
+    ("observers", "kalman", "observability", "velocity"),
+    ("particle", "consistency", "control"),
+    ("tuning", "calibration", "simulation", "demo"),
+    ("linkside", "cli"),
+)
+"""Packages and modules of `linkside` from the ground up; those of one line do not import each other."""
+
+
+def modules():
+    """Each module's name, its syntax tree, and whether it is a package."""
+    for path in sorted(ROOT.rglob("*.py")):
+        parts = path.relative_to(ROOT.parent).with_suffix("").parts
+        package = parts[-1] == "__init__"
+        yield ".".join(parts[:-1] if package else parts), ast.parse(path.read_text()), package
+
+
+TREES = {name: tree for name, tree, _ in modules()}
+PACKAGES = {name for name, _, package in modules() if package}
+
+
+def imports(name):
+    """Modules of the package that a module imports, wherever in its text, with the names taken from each."""
+    for node in ast.walk(TREES[name]):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, "") for alias in node.names if alias.name in TREES)
+        elif isinstance(node, ast.ImportFrom):
+            source = absolute(name, node)
+            for alias in node.names if source.partition(".")[0] == "linkside" else ():
+                whole = f"{source}.{alias.name}"
+                if "linkside._core" not in (source, whole):  # written in Rust, below all of this
+                    yield (whole, "") if whole in TREES else (source, alias.name)
+
+
+def absolute(name, node):
+    """The module that ``from … import`` names."""
+    if not node.level:
+        return node.module or ""
+    parts = name.split(".")
+    above = parts[: len(parts) - node.level + (name in PACKAGES)]
+    return ".".join([*above, node.module] if node.module else above)
+
+
+def room(name):
+    """The package, or single module, directly below `linkside` in which a module is."""
+    return name.split(".")[1] if "." in name else name
+
+
+@pytest.mark.parametrize("level", [lambda name: name, room], ids=["modules", "packages"])
+def test_no_import_circle(level):
+    graph = {}
+    for name in TREES:
+        below = {level(other) for other, _ in imports(name)}
+        graph.setdefault(level(name), set()).update(below - {level(name)})
+    while leaves := [name for name, below in graph.items() if not below & graph.keys()]:
+        for name in leaves:
+            del graph[name]
+    assert not graph, f"these import each other, or what does: {', '.join(sorted(graph))}"
+
+
+def test_no_import_from_above():
+    height = {name: level for level, names in enumerate(LAYERS) for name in names}
+    assert {room(name) for name in TREES} == height.keys(), "a package is not in LAYERS, or is no longer there"
+    upward = [
+        f"{name} imports {other}"
+        for name in TREES
+        for other, _ in imports(name)
+        if room(name) != room(other) and height[room(other)] >= height[room(name)]
+    ]
+    assert upward == []
+
+
+def is_private(name):
+    return name.startswith("_") and not name.startswith("__")
+
+
+def test_no_private_name_is_imported():
+    assert [f"{name}: {taken}" for name in TREES for _, taken in imports(name) if is_private(taken)] == []
+
+
+def own_names(tree):
+    """Names that a module gives to something of its own."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield node.name
+        elif isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Store):
+            yield node.id if isinstance(node, ast.Name) else node.attr
+
+
+def is_foreign(node, own):
+    """Whether an attribute is private to an object of a class of another module."""
+    if not (isinstance(node, ast.Attribute) and is_private(node.attr)):
+        return False
+    on_itself = isinstance(node.value, ast.Name) and node.value.id in ("self", "cls", "linkside")
+    return not on_itself and node.attr not in own
+
+
+def test_no_private_attribute_of_another_module_is_used():
+    found = []
+    for name, tree in TREES.items():
+        own = set(own_names(tree))
+        found += [f"{name}: {ast.unparse(node)}" for node in ast.walk(tree) if is_foreign(node, own)]
+    assert found == []
+
+
+def test_no_library_prints():
+    """Standard output and bars are the command line's."""
+    speaks = {"print", "bar", "Progress"}
+    called = [
+        f"{name}: {ast.unparse(node)}"
+        for name, tree in TREES.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in speaks
+        if room(name) != "cli"
+    ]
+    assert called == []
+
+
+@pytest.mark.parametrize("smoother", [linkside.RauchTungStriebelSmoother, linkside.ElasticJointSmoother])
+def test_a_smoother_is_no_filter(smoother):
+    """It looks back from the end of a recording: there is no sample by sample, and no piece by piece."""
+    assert not issubclass(smoother, linkside.ExtendedKalmanFilter | linkside.ElasticJointFilter)
+    assert not {"step", "reset", "covariance", "status", "run_pieces"} & set(dir(smoother))

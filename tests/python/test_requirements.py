@@ -1,0 +1,158 @@
+"""Nothing that robot.yaml declares is ignored in silence: it makes a difference, or is refused by name."""
+
+import numpy as np
+import pytest
+
+from linkside import (
+    AccelerationObserver,
+    ElasticJointFilter,
+    ElasticJointSmoother,
+    EstimatorError,
+    ExtendedKalmanFilter,
+    FixedLagSmoother,
+    Log,
+    MarginalizedParticleFilter,
+    NicosiaTomeiObserver,
+    Noise,
+    ParticleFilter,
+    RauchTungStriebelSmoother,
+    ReducedOrderObserver,
+    Robot,
+    simulate,
+)
+from linkside.calibration import calibrate
+from linkside.control import inverse_dynamics
+from linkside.control.feedback import StateFeedback, pole_placement
+from linkside.control.trajectories import rest_to_rest
+from linkside.robot.requirements import FEATURES, UNSUPPORTED, refuse_unsupported
+from linkside.velocity.residual import momentum_residual
+
+from .robots import ARM, spring
+
+ROWS, PERIOD = 60, 1e-3
+TIP = {"name": "tip", "link": "hand", "xyz": [0.1, 0, 0.3]}
+NOISE = Noise(jerk=100.0)
+
+
+def robot(sensor=None, drive=None, **settings):
+    joints = [spring("shoulder", **(drive or {})), spring("elbow", **(drive or {}))]
+    return Robot.from_urdf(ARM, joints, accelerometers=[TIP | (sensor or {})], **settings)
+
+
+# What robot.yaml can declare beyond the plain robot, by a word that a refusal has to say.
+DECLARED = {
+    "coupling": {"coupling": {"shoulder": {"elbow": 0.1}}},
+    "rotor": {"rotors": {"elbow": {"link": "upper", "axis": [0, 1, 0]}}},
+    "corner_frequency": {"sensor": {"corner_frequency": 50.0}},
+    "delay": {"sensor": {"delay": 0.004}},
+    "bias": {"sensor": {"bias": [0.3, 0.1, -0.2]}},
+    "cubic_stiffness": {"drive": {"cubic_stiffness": 1e7}},
+    "soft_windup": {"drive": {"soft_windup": {"stiffness": 2e3, "shape": 1e4}}},
+    "link_friction": {"drive": {"link_friction": [0.5, 150.0, 50.0, 2.0, 100.0, 0.5]}},
+    "motor_friction": {"drive": {"motor_friction": {"viscous": 40.0, "coulomb": 30.0}}},
+}
+
+
+def recording(robot):
+    """The same samples whatever the robot: a motion, and readings that are near enough to it."""
+    t = PERIOD * np.arange(ROWS)
+    phase = 12 * t[:, None] * [1.0, 1.3]
+    theta, dtheta = 0.3 * np.sin(phase) ** 2, 0.3 * np.sin(2 * phase) * 12 * [[1.0, 1.3]]
+    force = robot.specific_force(theta, dtheta, 90 * np.cos(2 * phase))
+    tau = robot.gravity_torque(theta) + 60 * np.cos(2 * phase)
+    columns = {"t": t}
+    for signal, values in (("theta", theta), ("dtheta", dtheta), ("tau", tau)):
+        columns |= {f"{signal}_{name}": values[:, j] for j, name in enumerate(robot.names)}
+    columns |= {f"tip_{axis}": force[:, i] for i, axis in enumerate("xyz")}
+    return Log.from_table(columns, robot)
+
+
+def fixed_lag(robot, log):
+    smoother, rows = FixedLagSmoother(robot, NOISE, lag=3), []
+    for k in range(8):
+        rows.append(
+            smoother.step(dt=PERIOD, theta=log.theta[k], acceleration=log.acceleration[k], dtheta=log.dtheta[k])
+        )
+    return np.concatenate([np.ravel(row.q) for row in rows if row is not None])
+
+
+def feedforward(robot, log):
+    return inverse_dynamics(robot, rest_to_rest([[0.0, 0.0], [0.5, 0.4]], 0.2, PERIOD, degree=13)).tau
+
+
+def feedback(robot, log):
+    desired = inverse_dynamics(robot, rest_to_rest([[0.0, 0.0], [0.5, 0.4]], 0.2, PERIOD, degree=13))
+    controller = StateFeedback(robot, desired, pole_placement(robot, [0.0, 0.0]))
+    samples = zip(log.theta[:20], log.acceleration, strict=False)
+    return np.array([controller.step(theta=theta, acceleration=force) for theta, force in samples])
+
+
+def simulated(robot, log):
+    motion = simulate(robot, lambda t, state: np.array([20.0, 5.0]), 0.03, 1000.0, q=[0.4, 0.2], substeps=4)
+    return np.hstack([motion.truth["q"], motion.log.acceleration])
+
+
+def residual(robot, log):
+    return momentum_residual(robot, log, ReducedOrderObserver(robot, 50.0).run(log)).torque
+
+
+METHODS = {
+    "observer": lambda robot, log: AccelerationObserver(robot).run(log).q,
+    "ekf": lambda robot, log: ExtendedKalmanFilter(robot, NOISE).run(log).q,
+    "smoother": lambda robot, log: RauchTungStriebelSmoother(robot, NOISE).run(log).q,
+    "fixed-lag": fixed_lag,
+    "particle": lambda robot, log: ParticleFilter(robot, NOISE, particles=20).run(log[:20]).q,
+    "marginalized": lambda robot, log: MarginalizedParticleFilter(robot, NOISE, particles=20).run(log[:20]).q,
+    "elastic-ekf": lambda robot, log: ElasticJointFilter(robot).run(log).q,
+    "elastic-smoother": lambda robot, log: ElasticJointSmoother(robot).run(log).q,
+    "reduced-order": lambda robot, log: ReducedOrderObserver(robot, 50.0).run(log).dq,
+    "nicosia-tomei": lambda robot, log: NicosiaTomeiObserver(robot, 50.0).run(log).dq,
+    "residual": residual,
+    "feedforward": feedforward,
+    "feedback": feedback,
+    "simulation": simulated,
+}
+
+SENSOR, SPRING = {"corner_frequency", "delay", "bias"}, {"cubic_stiffness", "soft_windup"}
+UNCONCERNED = {
+    **dict.fromkeys(("reduced-order", "nicosia-tomei", "residual"), SENSOR | SPRING),
+    **{method: {"motor_friction"} for method in ("ekf", "smoother", "fixed-lag", "particle", "marginalized")},
+    "observer": {"link_friction"},
+    "feedforward": SENSOR,
+    "simulation": {"bias"},
+}
+"""What a method has nothing to do with.
+
+Velocity observers read no accelerometer and take joints as rigid; the acceleration-driven model looks at no motor
+torque, its observer at none of a link; a simulated reading has its bias, which the log takes off.
+"""
+
+
+@pytest.mark.parametrize("key", DECLARED)
+@pytest.mark.parametrize("method", METHODS)
+def test_what_is_declared_makes_a_difference_or_is_refused_by_name(method, key):
+    if key in UNCONCERNED.get(method, ()):
+        pytest.skip("the method has nothing to do with it")
+    plain, other = robot(), robot(**DECLARED[key])
+    without = METHODS[method](plain, recording(plain))
+    try:
+        found = METHODS[method](other, recording(other))
+    except EstimatorError as error:
+        assert key in str(error)  # noqa: PT017 - a difference is as good
+    else:
+        assert np.abs(found - without).max() > 1e-9 * np.abs(without).max()
+
+
+@pytest.mark.parametrize(("method", "key"), [(m, key) for m, keys in UNSUPPORTED.items() for key in keys])
+def test_a_refusal_names_method_key_and_owner(method, key):
+    declared = next(settings for word, settings in DECLARED.items() if key.startswith(word))
+    owner = FEATURES[key](robot(**declared))[0]
+    with pytest.raises(EstimatorError, match=f"'{owner}' {key}, which {method} does not account for"):
+        refuse_unsupported(robot(**declared), method)
+    refuse_unsupported(robot(), method)
+
+
+def test_calibration_refuses_rotors():
+    coupled = robot(**DECLARED["rotor"])
+    with pytest.raises(EstimatorError, match="rotors, which calibration does not account for"):
+        calibrate(coupled, [recording(coupled)])
