@@ -189,6 +189,7 @@ impl ParticleFilter {
         }
         let log_likelihood = self.summary.log_likelihood;
         self.want_belief();
+        self.found.factor.fill(0.0); // of the cloud that is nothing is taken over, not even times zero
         self.move_apart(Purpose::Reseed, 1.0);
         self.level();
         if self.settings.particles > 2 * self.belief.mean.len() {
