@@ -172,7 +172,7 @@ def test_densities_are_scipys(outliers):
     acceleration = log.acceleration.copy()
     acceleration[5::7] += 9.0
     log = replace(log, acceleration=acceleration)
-    settings = {"particles": 1, "proposal": "bootstrap", "biases": (), "collapse": "flag"}  # one path, whatever its weight
+    settings = {"particles": 1, "proposal": "bootstrap", "biases": (), "collapse": "flag"}  # one path, in any case
     normal = ParticleFilter(robot, LINEAR, **settings).run(log)
     ours = ParticleFilter(robot, LINEAR, outliers={"acceleration": outliers}, **settings).run(log)
     assert (ours.q == normal.q).all()
