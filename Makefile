@@ -12,10 +12,10 @@ demo: $(VENV) ## build, install, run the main job on the recording inside the pa
 
 test: $(VENV) ## everything that must hold
 	$(PIP) ".[test,lint]"
-	cargo test --locked -p linkside-core
-	cargo test --locked -p linkside-core --release
+	RUSTFLAGS="--cfg one_level" cargo test --locked -p linkside-core
+	cargo test --locked --workspace --release --test '*' # of the workspace: with the wheel's features, on its build of the core
 	$(BIN)/python -m mypy.stubtest linkside._core
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 lint: $(VENV)
 	$(PIP) ".[test,lint]"

@@ -1,6 +1,6 @@
 """Kinds of channels: what each measures, in which columns, and how uncertain it may be.
 
-One row a kind. Logs, noise, filters and the simulator go by this table, so that a new kind of sensor is a row here, a
+One row a kind. Logs, noise, filters and the simulator go by this table: a new kind of sensor is a row here, a
 field of `Log`, its noise in `Noise` and `ElasticNoise`, and its reading in the core.
 """
 

@@ -49,5 +49,4 @@ def printable(message: str) -> str:
     line = " ".join(message.split())
     if not line.isprintable():
         line = "".join(c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in line)
-    half = (LONGEST - 3) // 2
-    return line if len(line) <= LONGEST else f"{line[:half]} … {line[-half:]}"
+    return line if len(line) <= LONGEST else f"{line[: LONGEST - 103]} … {line[-100:]}"

@@ -33,7 +33,7 @@ MOVED = {
     "placement": "observability.placement",
     "plots": "figures.style",
     "poles": "observers.poles",
-    "progress": "cli.bar",
+    "progress": "cli.terminal",
     "residual": "velocity.residual",
     "sensing": "kalman.late_sensors",
     "sensors": "observability.sensors",

@@ -1,9 +1,8 @@
-"""Reports as text: sentences and tables, on a terminal or in a string."""
+"""Reports as text: sentences and tables."""
 
 from __future__ import annotations
 
 import io
-import sys
 from collections.abc import Iterable
 
 from rich.console import Console, ConsoleOptions, JustifyMethod, RenderableType, RenderResult
@@ -13,15 +12,13 @@ from rich.text import Text
 
 def as_text(parts: Iterable[RenderableType], width: int) -> str:
     """Render without colours."""
-    out = io.StringIO()
-    show(parts, Console(file=out, width=width))
-    return out.getvalue()
+    console = Console(file=io.StringIO(), width=width)
+    render(parts, console)
+    return console.file.getvalue()  # type: ignore[attr-defined,no-any-return]
 
 
-def show(parts: Iterable[RenderableType], console: Console | None = None) -> None:
-    """Print on standard output, or elsewhere; a pipe has no width, so tables are as wide as they need to be."""
-    if console is None:
-        console = Console(width=None if sys.stdout.isatty() else 160)
+def render(parts: Iterable[RenderableType], console: Console) -> None:
+    """Write sentences and tables on a console."""
     for part in parts:
         console.print(part, markup=False, highlight=False)
 

@@ -49,7 +49,8 @@ def random_pose(rng: np.random.Generator) -> Any:
 
 def random_inertia(rng: np.random.Generator) -> Any:
     root = rng.uniform(-0.3, 0.3, (3, 3))
-    return pin.Inertia(rng.uniform(0.1, 5), rng.uniform(-0.3, 0.3, 3), root @ root.T + 0.01 * np.eye(3))
+    spread = root @ root.T + 0.005 * np.eye(3)  # ∫ r rᵀ dm: no moment is more than the sum of the others
+    return pin.Inertia(rng.uniform(0.1, 5), rng.uniform(-0.3, 0.3, 3), np.trace(spread) * np.eye(3) - spread)
 
 
 def build_model(parents: list[int], kinds: list[int], rng: np.random.Generator) -> Any:

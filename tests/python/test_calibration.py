@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -131,6 +132,59 @@ def test_a_nominal_stiffness_far_off_comes_right(factor):
     found = calibrate(misjudged(robot, factor), log, FREE)
     assert found["stiffness_axis2"].value == pytest.approx(4.5e5, rel=0.01)
     assert found["stiffness_axis3"].value == pytest.approx(3e5, rel=0.02)
+
+
+ARM = """<robot name="one"><link name="base"/><link name="arm"><inertial><origin xyz="0.4 0 0"/><mass value="5"/>
+<inertia ixx="0.1" ixy="0" ixz="0" iyy="0.2" iyz="0" izz="0.2"/></inertial></link><joint name="j" type="revolute">
+<parent link="base"/><child link="arm"/><axis xyz="0 0 1"/><limit effort="1" velocity="1"/></joint></robot>"""
+INERTIA = 0.2 + 5 * 0.4**2
+
+
+def smooth(stiffness, nominal, encoder=1e-6, mass=1.0, seed=0):
+    """Rest to rest along 35 s⁴ − 84 s⁵ + 70 s⁶ − 20 s⁷, which leaves no vibration, there and back; no damping."""
+    rng, period, length = np.random.default_rng(seed), 1e-3, 0.6
+    t = period * np.arange(3 * round(length / period))
+    s = np.clip(np.abs((t / length + 1.5) % 3 - 1.5) - 0.25, 0, 1)
+    there = np.polynomial.Polynomial([0, 0, 0, 0, 35, -84, 70, -20])
+    sign = np.where((t / length) % 3 < 1.5, 1, -1)
+    q, dq, ddq = (0.8 * there.deriv(k)(s) * (sign / length) ** k for k in range(3))
+    robot = Robot.from_urdf(
+        ARM.replace('value="5"', f'value="{5 / mass}"').replace('"0.2"', f'"{0.2 / mass}"'),
+        [{"name": "j", "stiffness": nominal, "damping": 0.0, "motor_inertia": 1.0}],
+        encoder={"resolution": encoder},
+        accelerometers=[{"name": "a", "link": "arm", "xyz": [0.5, 0, 0], "axes": "xy", "noise_std": 0.05}],
+    )
+    noise = rng.normal(0, 0.05, (2, len(t)))
+    theta = np.round((q + INERTIA * ddq / stiffness) / encoder) * encoder
+    columns = {"t": t, "theta_j": theta, "a_x": noise[0] - 0.5 * dq**2, "a_y": noise[1] + 0.5 * ddq}
+    return robot, Log.from_table(columns, robot)
+
+
+@pytest.mark.parametrize("encoder", [1e-6, 1e-5])
+@pytest.mark.parametrize("factor", [0.8, 1.0, 3.0])
+def test_a_smooth_motion_tells_the_spring_too(factor, encoder):
+    robot, log = smooth(6000.0, factor * 6000.0, encoder)
+    found = calibrate(robot, log, ["stiffness", "sensor_noise", "motor_noise", "jerk_noise"])["stiffness_j"]
+    assert abs(found.value - 6000) < 4 * found.std
+    assert found.std < 0.05 * 6000
+
+
+def test_masses_that_are_wrong_show_in_the_stiffness():
+    robot, log = smooth(6000.0, 6000.0, mass=1.05)
+    found = calibrate(robot, log, ["stiffness", "sensor_noise", "motor_noise", "jerk_noise"])["stiffness_j"]
+    assert found.value / 6000 == pytest.approx(1 / 1.05, abs=0.02)
+
+
+def test_motors_positions_by_themselves_tell_nothing():
+    """However smooth the motion: what is maximised is the density of the other sensors' readings, given theirs."""
+    robot, log = smooth(6000.0, 6000.0)
+    silent = replace(log, acceleration=np.full_like(log.acceleration, np.nan))
+    problem = Problem(robot, [silent], Noise(), False, choose(robot, ["stiffness", "jerk_noise"], False, {}))
+    for z in (-3.0, 0.0, 8.0):
+        evidence = problem.evidence(np.array([z, 0.0]))
+        assert evidence.used == 0
+        assert evidence.log_likelihood == pytest.approx(0, abs=1e-6)
+        assert evidence.gradient == pytest.approx(0, abs=1e-6)
 
 
 def test_the_robot_file_keeps_its_comments_and_order(calibrated, tmp_path):

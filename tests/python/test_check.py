@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from linkside import Log, Robot, demo, sensors
 from linkside.figures import save
-from linkside.observability import CheckReport, Sight, check
+from linkside.observability import CheckReport, Observability, check
 from linkside.observability.analysis import LOG_ROWS
-from linkside.observability.findings import describe
+from linkside.observability.result import describe
 
 from .robots import ARM, DATA, spring
 
@@ -36,21 +36,21 @@ def report() -> CheckReport:
 def test_many_postures_are_seen_as_each_one_is(folder):
     robot = load(folder)
     q = np.random.default_rng(0).uniform(-3, 3, (20, robot.n))
-    sight = Sight.of(robot, q)
+    observability = Observability.of(robot, q)
     for row, one in enumerate(sensors.acceleration_map(robot, posture) for posture in q):
-        np.testing.assert_allclose(sight.values[row], one.singular_values, rtol=1e-9)
-        np.testing.assert_allclose(sight.joints[row], one.acceleration_std, rtol=1e-9)
-        np.testing.assert_allclose(sight.condition[row], one.condition, rtol=1e-9)
-        np.testing.assert_allclose(abs(sight.directions[row, -1] @ one.worst_direction), 1, rtol=1e-9)
+        np.testing.assert_allclose(observability.values[row], one.singular_values, rtol=1e-9)
+        np.testing.assert_allclose(observability.joints[row], one.acceleration_std, rtol=1e-9)
+        np.testing.assert_allclose(observability.condition[row], one.condition, rtol=1e-9)
+        np.testing.assert_allclose(abs(observability.directions[row, -1] @ one.worst_direction), 1, rtol=1e-9)
 
 
 @pytest.mark.parametrize("axes", ["x", "xz", "xy"])
 def test_what_no_axis_sees_is_seen_as_the_map_of_one_posture_says(axes):
     robot = arm(accelerometers=[SENSOR | {"link": "upper", "axes": axes}])
-    sight, one = Sight.of(robot, np.zeros((1, 2))), sensors.acceleration_map(robot, [0, 0])
-    np.testing.assert_allclose(sight.values[0], one.singular_values, atol=1e-12)
-    np.testing.assert_array_equal(sight.joints[0], one.acceleration_std)
-    assert sight.condition[0] == one.condition == np.inf
+    observability, one = Observability.of(robot, np.zeros((1, 2))), sensors.acceleration_map(robot, [0, 0])
+    np.testing.assert_allclose(observability.values[0], one.singular_values, atol=1e-12)
+    np.testing.assert_array_equal(observability.joints[0], one.acceleration_std)
+    assert observability.condition[0] == one.condition == np.inf
 
 
 def test_both_singular_families_of_a_six_axis_arm_are_found(report):
@@ -86,7 +86,7 @@ def out_of_plane(where):
 
 
 def test_the_refined_posture_is_no_better_than_any_drawn(report):
-    assert min(posture.worst for posture in report.postures) >= report.sight.worst.max()
+    assert min(posture.worst for posture in report.postures) >= report.observability.worst.max()
 
 
 def test_joints_that_do_not_matter_are_known(report):
@@ -99,7 +99,7 @@ def test_the_log_is_looked_at_row_by_row(report):
     log = Log.read(demo.LOG, report.robot)
     assert report.path is not None
     np.testing.assert_array_equal(report.path.t, log.t)
-    np.testing.assert_allclose(report.path.worst, Sight.of(report.robot, log.theta).worst, rtol=1e-12)
+    np.testing.assert_allclose(report.path.worst, Observability.of(report.robot, log.theta).worst, rtol=1e-12)
     np.testing.assert_array_equal(report.home, np.median(log.theta, axis=0))
     streamed = check(report.robot, Log.stream(demo.LOG, report.robot, rows=300))
     np.testing.assert_array_equal(streamed.path.joints, report.path.joints)
@@ -141,7 +141,7 @@ def test_a_posture_free_of_singularities_is_still_the_worst():
     report = check(robot)
     assert report.singular == ()
     assert len(report.postures) == 1
-    assert report.postures[0].worst == pytest.approx(report.sight.worst.max(), rel=1e-3)
+    assert report.postures[0].worst == pytest.approx(report.observability.worst.max(), rel=1e-3)
     assert "No singular posture was found" in report.to_text()
 
 
@@ -210,7 +210,7 @@ def test_directions_in_words(direction, words):
 @settings(max_examples=30, deadline=None)
 def test_deviations_are_those_of_the_covariance(q):
     robot = arm(accelerometers=[SENSOR])
-    sight = Sight.of(robot, np.array([q]))
-    if sight.values[0, -1] > 1e-3:
+    observability = Observability.of(robot, np.array([q]))
+    if observability.values[0, -1] > 1e-3:
         matrix = robot.acceleration_map(q, [0, 0])[0] / 0.1
-        np.testing.assert_allclose(sight.joints[0] ** 2, np.diag(np.linalg.inv(matrix.T @ matrix)), rtol=1e-5)
+        np.testing.assert_allclose(observability.joints[0] ** 2, np.diag(np.linalg.inv(matrix.T @ matrix)), rtol=1e-5)

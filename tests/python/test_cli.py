@@ -17,7 +17,7 @@ import pytest
 from click.testing import CliRunner
 
 from linkside import AccelerationObserver, Estimate, Log, Noise, Robot, cli, demo, poles
-from linkside.cli import bar, commands, methods
+from linkside.cli import commands, methods, terminal
 
 DATA = Path(__file__).parents[1] / "data"
 ACCURACY = {  # RMS of the tool error, offset out [mm]
@@ -323,9 +323,36 @@ def test_a_recording_that_cannot_be(folder, monkeypatch, column, change, words, 
     refuse(*estimate(), words=["log.parquet", *words])
 
 
+def test_what_is_wrong_with_a_recording_is_said_before_it_is_believed(folder):
+    alter("t", lambda t: 1e3 * t)
+    alter("acc_link4_x", lambda x: np.where(np.arange(len(x)) >= 900, x[900], x))
+    result = linkside(*estimate())
+    assert result.exit_code == 0
+    warned = result.stderr.splitlines()
+    assert [line.partition("column ")[2].split(" at row")[0].split(";")[0] for line in warned] == [
+        "'t' is in milliseconds (steps of 0.5)",
+        "'acc_link4_x' is stuck at -8.68851 for 1100 rows",
+    ]
+    assert all(line.startswith("linkside: warning: log.parquet: ") for line in warned)
+    listed = linkside("check", "robot.yaml", "log.parquet")
+    assert listed.exit_code == 0
+    assert re.search(r"channels that stay +suspicious: column 'acc_link4_x' is stuck", listed.stdout)
+    assert re.search(r"motor torques +good", listed.stdout)
+
+
+def test_a_recording_in_degrees_is_refused_and_check_lists_why(folder):
+    for joint in ("a1", "a2", "a3", "a4", "a5", "a6"):
+        alter(f"theta_{joint}", np.degrees)
+    refuse(*estimate(), words=["'theta_a3' is in degrees", "convert it to radians"])
+    listed = linkside("check", "robot.yaml", "log.parquet")
+    assert listed.exit_code == 2
+    assert re.search(r"units of positions +refused: column 'theta_a3' is in degrees", listed.stdout)
+
+
 def test_a_recording_that_makes_numbers_overflow_names_log_and_sample(folder):
     alter("tau_a1", put(1500, 1e308))
-    refuse(*estimate(), words=["log.parquet", "sample 150"])
+    refuse(*estimate(), words=["log.parquet", "'tau_a1' is 1e+308", "row 1500"])
+    refuse(*estimate(), "--no-check", words=["log.parquet", "sample 150"])
 
 
 def test_files_that_are_no_recordings(folder):
@@ -489,16 +516,16 @@ class Terminal(list):
 
 @pytest.mark.parametrize(("delay", "shown"), [(0.0, True), (60.0, False)])
 def test_a_bar_appears_only_when_work_takes_long(monkeypatch, delay, shown):
-    terminal = Terminal()
-    monkeypatch.setattr(sys, "stderr", terminal)
+    screen = Terminal()
+    monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setattr(bar, "DELAY", delay)
-    with bar.bar(100) as advance:
+    monkeypatch.setattr(terminal, "DELAY", delay)
+    with terminal.bar(100) as advance:
         time.sleep(0.01)
         advance("log.parquet", 40)
         time.sleep(0.2)
         advance("log.parquet", 60)
-    assert ("log.parquet" in "".join(terminal)) == shown
+    assert ("log.parquet" in "".join(screen)) == shown
 
 
 def test_check_tells_words_tables_and_draws(folder):

@@ -261,7 +261,7 @@ def refused_paths(folder):
 def test_paths_that_cannot_be_written_are_refused_before_any_work(tmp_path):
     for path, words in refused_paths(tmp_path):
         for call in (check_writable, EstimateWriter, motion().write):
-            refusal(OutputError, lambda path=path, call=call: call(path), f"{path}: ", words)
+            refusal(OutputError, lambda path=path, call=call: call(path), f"{path}: ".replace("\0", "\\x00"), words)
     assert [p.name for p in tmp_path.iterdir()] == ["folder.csv"]
 
 

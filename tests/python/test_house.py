@@ -1,17 +1,20 @@
 """The house stands: modules import downwards only, and none uses what is private to another."""
 
 import ast
+import importlib
 from pathlib import Path
 
 import pytest
 
 import linkside
+from linkside.moved import MOVED
 
 ROOT = Path(linkside.__file__).parent
 
 LAYERS = (
     ("errors", "moved"),
-    ("arrays", "channels", "text"),
+    ("arrays", "channels", "findings", "text"),
+    ("arguments",),
     ("statistics", "files", "figures"),
     ("robot",),
     ("recording",),
@@ -121,15 +124,20 @@ def test_no_private_attribute_of_another_module_is_used():
 
 def test_no_library_prints():
     """Standard output and bars are the command line's."""
-    speaks = {"print", "bar", "Progress"}
+    speaks = {"print", "echo", "show", "bar", "Progress"}
     called = [
         f"{name}: {ast.unparse(node)}"
         for name, tree in TREES.items()
         for node in ast.walk(tree)
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in speaks
+        if isinstance(node, ast.Call) and ast.unparse(node.func).rpartition("click.")[2] in speaks
         if room(name) != "cli"
     ]
     assert called == []
+
+
+@pytest.mark.parametrize(("old", "new"), MOVED.items())
+def test_a_module_is_still_found_under_its_old_name(old, new):
+    assert importlib.import_module(f"linkside.{old}") is importlib.import_module(f"linkside.{new}")
 
 
 @pytest.mark.parametrize("smoother", [linkside.RauchTungStriebelSmoother, linkside.ElasticJointSmoother])

@@ -481,7 +481,10 @@ def test_stream_of_no_rows():
         ("t,theta_a,theta_b\n0,1,2\n2024-01-01,1,3\n", "'t' is '2024-01-01' at row 1: seconds as a float"),
         ("t,theta_a,theta_b\n0,1,2\n1,2\n2,3,4\n", "row 1 has 2 columns where the header has 3"),
         ("t,theta_a,theta_b\n0,1,2\n1,2,3,4\n2,3,4\n", "row 1 has 4 columns where the header has 3"),
-        ("t;theta_a;theta_b\n0;1;2\n1;2;3\n", "column 't' is missing"),
+        ("t;theta_a;theta_b\n0;1;2\n1;2\n", "row 1 has 2 columns where the header has 3"),
+        ("t;theta_a;theta_b\n0,0;1,5;2\n0,1;2,5;1.2.3\n", "column 'theta_b' is '1.2.3' at row 1"),
+        ("t theta_a theta_b\n0 1 2\n1 2 3\n", "columns separated by blanks: a comma, a semicolon or a tab"),
+        ("# only\n# comments\n", "no header: a line with the names"),
     ],
 )
 def test_broken_csv(text, words, tmp_path):

@@ -60,7 +60,7 @@ def errors(method, count, seeds, run="run", noise=LINEAR, **settings):
     settings = {"collapse": "flag"} | settings
     robot, log = slide()
     reference = {"run": ExtendedKalmanFilter, "smooth": RauchTungStriebelSmoother}[run]
-    exact = reference(robot, noise).run(log, covariance=True)
+    exact = reference(robot, noise, tolerances=False).run(log, covariance=True)
     out = []
     for seed in range(seeds):
         filter_ = method(robot, noise, particles=count, seed=seed, **settings)

@@ -10,7 +10,7 @@ from ruamel.yaml import YAML
 import linkside
 from linkside import ConfigError, EstimatorError, Log, Robot
 from linkside.cli import main
-from linkside.observability import Placement, Sight, candidates, place, read_candidates
+from linkside.observability import Observability, Placement, candidates, place, read_candidates
 from linkside.robot import compile as tree
 
 from .robots import ARM, DATA, spring
@@ -34,7 +34,7 @@ def mounted(robot, sensors):
 
 def test_a_better_place_than_the_recordings_sensor_is_found(placed):
     q = np.concatenate([log.theta for log in LOGS])
-    own, chosen = Sight.of(ROBOT, q).condition.max(), Sight.of(placed.robot, q).condition.max()
+    own, chosen = Observability.of(ROBOT, q).condition.max(), Observability.of(placed.robot, q).condition.max()
     assert chosen < 0.5 * own
     assert placed.score == pytest.approx(chosen, rel=0.02)  # postures are thinned out
     assert placed.before == pytest.approx(own, rel=0.02)
@@ -69,12 +69,14 @@ def test_every_set_is_looked_at_where_they_are_few():
     q = LOGS[0].theta[::200].copy()
     found = place(ROBOT, sensors, q, count=2)
     scores = {
-        chosen: Sight.of(mounted(ROBOT, [sensors[i] for i in chosen]), q).condition.max()
+        chosen: Observability.of(mounted(ROBOT, [sensors[i] for i in chosen]), q).condition.max()
         for chosen in combinations(range(len(sensors)), 2)
     }
     best = min(scores, key=scores.__getitem__)
     assert found.score == pytest.approx(scores[best], rel=1e-6)
-    assert found.alone[best[0]] == pytest.approx(Sight.of(mounted(ROBOT, [sensors[best[0]]]), q).condition.max())
+    assert found.alone[best[0]] == pytest.approx(
+        Observability.of(mounted(ROBOT, [sensors[best[0]]]), q).condition.max()
+    )
 
 
 def test_exchange_is_nearly_as_good_as_every_set(monkeypatch):

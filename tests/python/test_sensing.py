@@ -4,10 +4,20 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
-from linkside import EstimatorError, ExtendedKalmanFilter, Log, RauchTungStriebelSmoother, Robot
-from linkside.kalman.late_sensors import Schedule, unfiltered
+from linkside import (
+    ElasticJointFilter,
+    ElasticNoise,
+    EstimatorError,
+    ExtendedKalmanFilter,
+    Log,
+    Noise,
+    ParticleFilter,
+    RauchTungStriebelSmoother,
+    Robot,
+)
 
 FOLDER = Path(__file__).parents[1] / "data/arm2_square"
 ROBOT = Robot.load(FOLDER / "robot.yaml")
@@ -54,41 +64,59 @@ def test_a_declared_delay_is_undone(method):
     assert tool_error(method, with_sensor(delay=rows * LOG.period), log) < 1.1 * clean
 
 
-def test_a_filter_undone_is_the_signal_a_lag_ago():
-    period, corner = 5e-4, 100.0
-    t = np.arange(400) * period
-    robot = with_sensor(corner_frequency=corner)
-    wave = np.sin(2 * np.pi * 5 * t)[:, None] * np.ones(len(robot.acceleration_channels))
-    readings, lag, noise = unfiltered(robot, filtered(wave, corner, period), period)
-    assert np.abs(readings[100:, 0] - np.sin(2 * np.pi * 5 * (t[100:] - lag[0]))).max() < 1e-4
-    assert 0.45 * period < lag[0] < 0.5 * period
-    assert (noise > 1).all()
+@pytest.mark.parametrize(
+    "inside", [{"corner_frequency": 100.0}, {"delay": 2.6 * LOG.period}, {"corner_frequency": 60.0, "delay": 1e-3}]
+)
+def test_live_and_in_pieces_it_is_the_run(inside):
+    robot, log = with_sensor(**inside), LOG[:40]
+    noise = Noise(jerk=100.0)
+    whole = ExtendedKalmanFilter(robot, noise).run(log, covariance=True)
+    pieces = list(ExtendedKalmanFilter(robot, noise).run_pieces([log[:13], log[13:]]))
+    assert np.array_equal(np.vstack([piece.q for piece in pieces]), whole.q)
+    live = ExtendedKalmanFilter(robot, noise)
+    for k in range(len(log)):
+        dtheta = None if log.dtheta is None else log.dtheta[k]
+        ddqref = None if log.ddqref is None else log.ddqref[k]
+        sample = {"theta": log.theta[k], "acceleration": log.acceleration[k], "dtheta": dtheta, "ddqref": ddqref}
+        state = live.step(dt=log.period, **sample)
+    assert np.allclose(state[: robot.n], whole.q[-1], rtol=0, atol=1e-9)
+    assert np.isclose(whole.used, robot.n + len(robot.acceleration_channels)).all()
 
 
-def test_a_schedule_keeps_every_reading_once_in_order_of_time():
-    t = np.arange(6) * 1.0
-    schedule = Schedule(t, np.array([0.0, 2.5, 0.5]))
-    readings = np.arange(18.0).reshape(6, 3)
-    dt, spread, _, _ = schedule.spread((t, readings, readings[:, :1], readings[:, :1]), 1.0)
-    assert (dt >= 0).all()
-    assert np.isclose(dt[1:].sum(), 5.0)
-    # The second channel's first three readings, and the third's first, are of before the first sample.
-    for channel, lost in enumerate([0, 3, 1]):
-        kept = spread[:, channel][~np.isnan(spread[:, channel])]
-        assert np.array_equal(kept, readings[lost:, channel])
+def test_the_smoother_ends_where_the_filter_does():
+    robot = with_sensor(corner_frequency=60.0, delay=2.3 * LOG.period)
+    log = LOG[:60]
+    forth = ExtendedKalmanFilter(robot).run(log, covariance=True)
+    back = RauchTungStriebelSmoother(robot).run(log, covariance=True)
+    assert np.allclose(back.state[-1], forth.state[-1], rtol=0, atol=1e-9)
+    assert (
+        np.diagonal(back.covariance, axis1=1, axis2=2) <= np.diagonal(forth.covariance, axis1=1, axis2=2) + 1e-12
+    ).all()
 
 
-def test_rows_count_what_was_used_since_the_row_before():
-    robot = with_sensor(delay=0.3 * LOG.period)
-    estimate = ExtendedKalmanFilter(robot).run(LOG[:50], innovations=True)
-    assert estimate.used.tolist() == [2] + [5] * 49
-    assert not estimate.status.any()
-    assert np.isfinite(estimate.innovation[1:]).all()
+def test_elastic_filters_take_late_sensors():
+    robot = with_sensor(corner_frequency=60.0, delay=1e-3)
+    estimate = ElasticJointFilter(robot).run(LOG[:60])
+    assert np.isfinite(estimate.q).all()
 
 
-def test_what_needs_readings_in_order_says_so():
-    robot = with_sensor(delay=1e-3)
-    with pytest.raises(EstimatorError, match="call run on the whole log"):
-        ExtendedKalmanFilter(robot).step(dt=5e-4, theta=LOG.theta[0])
-    with pytest.raises(EstimatorError, match="call run on the whole log"):
-        next(ExtendedKalmanFilter(robot).run_pieces([LOG]))
+def test_particles_say_that_they_take_readings_as_they_come():
+    with pytest.raises(EstimatorError, match="use a Kalman filter"):
+        ParticleFilter(with_sensor(delay=1e-3), particles=10)
+
+
+@pytest.mark.parametrize(("method", "noise"), [(ExtendedKalmanFilter, Noise), (ElasticJointFilter, ElasticNoise)])
+def test_a_tachometer_on_the_links_tells_their_velocity(method, noise):
+    log = LOG[:300]
+    truth = pq.read_table(FOLDER / "truth.parquet").to_pydict()
+    dq = np.stack([np.interp(log.t, truth["t"], truth[f"dq_{name}"]) for name in ROBOT.names], axis=1)
+    measured = dq + 3e-5 * np.random.default_rng(0).normal(size=dq.shape)
+    plain = method(ROBOT).run(log)
+    estimate = method(ROBOT, noise(link_velocity=3e-5)).run(dataclasses.replace(log, dq=measured))
+
+    def rms(found):
+        return np.sqrt(np.mean((found.dq - dq)[50:] ** 2))
+
+    assert rms(estimate) < 0.5 * rms(plain)
+    assert rms(estimate) < 3e-5
+    assert (estimate.used - plain.used == ROBOT.n).all()

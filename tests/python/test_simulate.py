@@ -392,7 +392,7 @@ def test_controllers_out_of_range():
     bad("number of tools", controller=SimpleAdaptive(**good))
     for name, value in {"position": (-1, 0), "leakage": (0, np.nan), "bandwidth": 0, "joint_damping": np.inf}.items():
         bad("expected a finite number", controller=SimpleAdaptive(**good, **{name: value}))
-    bad("kp has shape", controller=JointPD([1, 2, 3], 1, [0], [[0, 0]]))
+    bad("kp has 3 entries, expected 1 or 2", controller=JointPD([1, 2, 3], 1, [0], [[0, 0]]))
     bad("kd is NaN", controller=JointPD(1, np.nan, [0], [[0, 0]]))
     bad("reference has 0 entries", controller=JointPD(1, 1, np.empty(0), np.empty((0, 2))))
     bad("time of a knot is 0", controller=JointPD(1, 1, [0, 0], [[0, 0]] * 2))

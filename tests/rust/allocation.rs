@@ -126,6 +126,7 @@ fn a_kalman_step_allocates_nothing() {
         reading: vec![1e-3; 30],
         torsion: 1e-3,
         bias_walk: vec![1e-6; 30],
+        bias_time: vec![50.0; 30],
         initial: vec![1e-3; 18],
         initial_bias: vec![1e-4; 30],
     };
@@ -192,6 +193,7 @@ fn a_particle_filters_step_allocates_nothing() {
             reading: vec![1e-2; 12],
             torsion: 1e-3,
             bias_walk: vec![1e-6; 12],
+            bias_time: vec![50.0; 12],
             initial: vec![1e-3; 18],
             initial_bias: vec![1e-4; 12],
         };

@@ -5,7 +5,7 @@ mod arm;
 use arm::{Mounting, arm, drive};
 use linkside_core::estimate::kalman::{
     ExtendedKalmanFilter, FilterSettings, Gaussian, Inputs, JerkDriven, JerkModel, KalmanRecording, KalmanSample, Keep,
-    Model, Noise, Smoother,
+    Measurement, Model, Noise, Smoother,
 };
 use linkside_core::estimate::measurement::{Evaluation, Kind};
 use linkside_core::robot::{Drive, Robot, Sensor, SoftWindup};
@@ -42,6 +42,7 @@ fn noise() -> Noise {
         reading: vec![1e-3; CHANNELS],
         torsion: 1e-3,
         bias_walk: vec![1e-6; CHANNELS],
+        bias_time: vec![50.0; CHANNELS],
         initial: vec![1e-3; 3 * JOINTS],
         initial_bias: vec![1e-4; CHANNELS],
     }
@@ -82,6 +83,16 @@ proptest! {
                 let (ours, theirs) = (plain.jacobian[i * 3 * JOINTS + k], h.gradient[k]);
                 prop_assert!((ours - theirs).abs() <= 1e-11 * (1.0 + theirs.abs()), "{:?} {k}: {ours} {theirs}", channels[i]);
             }
+        }
+    }
+
+    /// The two ways to the links' motion, by bodies' own axes and by the base's, read the same.
+    #[test]
+    fn channels_alone_are_those_with_derivatives(state in states()) {
+        let mut model = linearised(&state);
+        let with: Vec<f64> = model.linearised().prediction.to_vec();
+        for (with, alone) in with.iter().zip(model.measurement_mut().evaluate(&state)) {
+            prop_assert!((with - alone).abs() <= 1e-12 * (1.0 + with.abs()), "{with} {alone}");
         }
     }
 

@@ -48,6 +48,7 @@ fn noise() -> Noise {
         reading: vec![1e-2; CHANNELS],
         torsion: 3e-3,
         bias_walk: vec![1e-4; CHANNELS],
+        bias_time: vec![f64::INFINITY; CHANNELS],
         initial: [[1e-4; JOINTS], [1e-3; JOINTS], [0.1; JOINTS]].concat(),
         initial_bias: vec![1e-2; CHANNELS],
     }

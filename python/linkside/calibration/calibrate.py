@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 
 from linkside.arrays import FloatArray
+from linkside.errors import EstimatorError, LinksideError, NumericalError
+from linkside.files.yaml_source import suggest
 from linkside.kalman.noise import Noise
 from linkside.recording.log import Log
 from linkside.recording.motion import moving
 from linkside.robot import Robot
 
+from .acceptance import foretell, objections
 from .calibration import Calibration
 from .equations import better
 from .parameters import NOISE, Bounds, Parameter, choose
@@ -20,12 +24,28 @@ from .problem import Problem
 from .recordings import refuse, use_torque
 from .result import Estimated, Fit
 from .search import GAIN, ROUGH, Progress, Search
-from .uncertainty import Alone, Contradiction, Uncertainty, compare, uncertainty, untold
+from .starts import other_springs
+from .uncertainty import Alone, Contradiction, Uncertainty, compare, uncertainty, unidentifiable
 
 ROUNDS = 3
-"""How often parameters that turn out not to be told are left out and the rest is estimated anew."""
+"""How often parameters that turn out not to be identifiable are left out and the rest is estimated anew."""
 
 
+@contextmanager
+def _in_our_words() -> Iterator[None]:
+    """Let nothing out that is not ours."""
+    try:
+        yield
+    except LinksideError:
+        raise
+    except np.linalg.LinAlgError as error:
+        message = "calibration: the recordings do not tell the free parameters apart (a matrix is singular)"
+        raise NumericalError(f"{message}; leave some out of free, or check the tolerances") from error
+    except (ValueError, ArithmeticError) as error:
+        raise EstimatorError(f"calibration: {error}") from error
+
+
+@_in_our_words()
 def calibrate(
     robot: Robot,
     logs: Log | Sequence[Log],
@@ -40,9 +60,10 @@ def calibrate(
 ) -> Calibration:
     """Find a robot's parameters from its own recordings, without any external measurement.
 
-    The posterior probability of the free parameters is maximised: the likelihood of all readings, which the
-    innovations of the Kalman filter on the acceleration-driven model give (Schweppe 1965), and a Gaussian prior around
-    the values of robot.yaml whose widths are its ``tolerances``. Gradients are exact. Innovations beyond four standard
+    The posterior probability of the free parameters is maximised: the likelihood of what accelerometers (and motor
+    torques) read, given the motors' positions, which the innovations of the Kalman filter on the acceleration-driven
+    model give (Schweppe 1965), and a Gaussian prior around the values of robot.yaml whose widths are its
+    ``tolerances``. Gradients are exact. Innovations beyond four standard
     deviations count linearly (Huber 1964), so that outliers have a bounded influence.
 
     Parameters
@@ -83,10 +104,12 @@ def calibrate(
     refuse(robot, logs)
     torque = use_torque(robot, logs, torque)
     problem = Problem(robot, logs, noise or Noise(), torque, choose(robot, free, torque, bounds or {}))
+    _refuse_unknown(problem, start or {})
     before = Fit.of(problem.evidence(np.zeros(len(problem.free)), detail=True))
     run = _Run(problem, dict(start or {}), progress)
     run.solve()
     after = run.problem.evidence(run.z, detail=True)
+    foretold = foretell(run.problem, run.z) if len(run.problem.free) else None
     found = uncertainty(after, min(log.period for log in logs))
     return Calibration(
         estimates=_estimates(run.problem.free, run.z, found),
@@ -95,12 +118,23 @@ def calibrate(
         after=Fit.of(after),
         held_out=_held_out(run.problem, run.z, held_out),
         contradictions=_contradictions(run.problem, run.z),
+        foretold=foretold,
+        objections=objections(run.problem.free, run.z, foretold),
         evaluations=run.evaluations,
         seconds=time.perf_counter() - began,
         problem=run.problem,
         z=run.z,
         uncertainty=found,
     )
+
+
+def _refuse_unknown(problem: Problem, start: Mapping[str, float]) -> None:
+    known = [parameter.name for parameter in problem.free]
+    for name, z in start.items():
+        if name not in known:
+            raise EstimatorError(f"start: '{name}' is not a free parameter of this calibration; {suggest(name, known)}")
+        if not np.isfinite(z):
+            raise EstimatorError(f"start: '{name}' is {z}, expected a finite number")
 
 
 class _Run:
@@ -129,7 +163,9 @@ class _Run:
     def solve(self) -> None:
         self._leave_out()
         self._search(ROUGH, [p for p in self.problem.free if p.kind in NOISE])
+        self.at = other_springs(self.problem, self.at)
         self._search(ROUGH, self.problem.free)
+        self.at = other_springs(self.problem, self.at)
         self._leave_out()
         for _ in range(ROUNDS):
             self._search(GAIN, self.problem.free)
@@ -145,7 +181,7 @@ class _Run:
 
     def _leave_out(self) -> bool:
         """Whether anything had to be left out."""
-        reasons = untold(self.problem, self.problem.evidence(self.z, detail=True), self.still)
+        reasons = unidentifiable(self.problem, self.problem.evidence(self.z, detail=True), self.still)
         if reasons:
             self.refused |= reasons
             self.problem = self.problem.restricted([p for p in self.problem.free if p.name not in reasons])
@@ -175,5 +211,5 @@ def _contradictions(problem: Problem, z: FloatArray) -> tuple[Contradiction, ...
         best = Search(alone).maximise(z)
         evidence = alone.evidence(best, detail=True)
         still = [name for name, does in zip(problem.robot.names, moving(log), strict=True) if not does]
-        fits.append(Alone(best, uncertainty(evidence, log.period), frozenset(untold(alone, evidence, still))))
+        fits.append(Alone(best, uncertainty(evidence, log.period), frozenset(unidentifiable(alone, evidence, still))))
     return tuple(compare(problem, fits))

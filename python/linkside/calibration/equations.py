@@ -14,13 +14,13 @@ import scipy.optimize
 import scipy.signal
 
 from linkside.arrays import FloatArray
-from linkside.errors import NumericalError
 from linkside.recording.log import Log
 from linkside.robot import Robot
 from linkside.robot.config import JointConfig
 
 from .problem import Problem
 from .signals import derivative, filled, signals
+from .starts import posterior
 
 Drive = dict[str, float]
 Equation = tuple[dict[str, FloatArray], FloatArray]
@@ -70,9 +70,9 @@ class Filter:
 def better(problem: Problem, z: Mapping[str, float]) -> dict[str, float]:
     """Put a joint's start values in place of those in ``z``, by name, where recordings are more probable with them."""
     at = dict(z)
-    most = _posterior(problem, at)
+    most = posterior(problem, at)
     for values in start_values(problem):
-        value = _posterior(problem, at | values)
+        value = posterior(problem, at | values)
         if value > most:
             at, most = at | values, value
     return at
@@ -97,14 +97,6 @@ def start_values(problem: Problem) -> list[dict[str, float]]:
         for chosen, drive in zip(free, drives, strict=True)
     ]
     return [values for values in found if values and max(map(abs, values.values())) < PLAUSIBLE]
-
-
-def _posterior(problem: Problem, at: Mapping[str, float]) -> float:
-    z = np.array([at.get(p.name, 0.0) for p in problem.free])
-    try:
-        return problem.log_likelihood(z) - 0.5 * float(z @ z)
-    except NumericalError:
-        return -np.inf
 
 
 class _Source:

@@ -16,10 +16,18 @@ from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from linkside.files.writing import write_text
 from linkside.files.yaml_source import Source
 
-from .parameters import AXES, SHORTEST_FILTER
+from .parameters import AXES, KINDS, SHORTEST_FILTER
 from .result import Estimated, Result
 
+CONSIDERED = ("stiffness", "cubic_stiffness", "damping", "mass_scale", "translation", "rotation", "scale")
+"""Kinds whose standard errors count in estimates."""
+
 Writer = Callable[[Any, Estimated], None]
+
+
+def _folder(path: str | Path) -> str:
+    """Where a file is, links followed."""
+    return os.path.dirname(os.path.realpath(path))
 
 
 def write(calibration: Result, source: str | Path, out: str | Path) -> None:
@@ -41,13 +49,14 @@ def write(calibration: Result, source: str | Path, out: str | Path) -> None:
     """
     tree = Source.read(source).tree
     urdf = Path(source).parent / tree["urdf"]
-    if Path(source).resolve().parent != Path(out).resolve().parent and not os.path.isabs(tree["urdf"]):
-        tree["urdf"] = os.path.relpath(urdf.resolve(), Path(out).resolve().parent)
+    if _folder(source) != _folder(out) and not os.path.isabs(tree["urdf"]):
+        tree["urdf"] = os.path.relpath(os.path.realpath(urdf), _folder(out))
     for estimated in calibration.estimates:
         if (writer := _WRITERS.get(estimated.parameter.kind)) is not None:
             writer(tree, estimated)
     for index in sorted({e.parameter.core[1] for e in calibration.estimates if e.parameter.kind == "rotation"}):
         _write_rotation(tree["accelerometers"][index], calibration, index)
+    _write_errors(tree, calibration)
     text = StringIO()
     yaml = YAML()
     yaml.width = 120
@@ -149,6 +158,18 @@ def _write_rotation(sensor: Any, calibration: Result, index: int) -> None:
     turned = pin.rpy.rpyToMatrix(*map(float, sensor.get("rpy", [0.0] * 3))) @ pin.exp3(vector)
     _put(sensor, "rpy", _flow_seq([float(round(x, 6)) for x in pin.rpy.matrixToRpy(turned)]), "xyz")
     _note(sensor, "rpy", "± " + ", ".join(f"{e.std:.2g} about {AXES[a]}" for a, e in sorted(found.items())))
+
+
+def _write_errors(tree: Any, calibration: Result) -> None:
+    """Standard errors in place of the tolerances from which calibration began, for `linkside.robot.considered`."""
+    shares = {
+        e.parameter.name: float(f"{e.std / (abs(e.value) if KINDS[e.parameter.kind].relative else 1.0):.2g}")
+        for e in calibration.estimates
+        if e.parameter.kind in CONSIDERED and not e.at_bound and np.isfinite(e.std) and e.std > 0 and e.value
+    }
+    if shares:
+        tolerances = tree.setdefault("tolerances", CommentedMap())
+        tolerances["calibrated"] = {**tolerances.get("calibrated", {}), **shares}
 
 
 def _flow_map() -> CommentedMap:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from linkside import _core
+from linkside._core import Likelihood
 from linkside.arrays import FloatArray
 from linkside.kalman.noise import Noise
 from linkside.recording.log import Log
@@ -17,11 +17,14 @@ from linkside.robot import Robot
 from linkside.robot import compile as tree
 from linkside.robot.config import PayloadConfig
 
-from .parameters import CoreName, Parameter, catalogue
+from .parameters import TORQUE_ONLY, CoreName, Parameter, catalogue
 from .signals import noise_arrays, signals
 
 HUBER = 4.0
 """Innovations beyond so many standard deviations count linearly."""
+
+OF_SENSORS = ("translation", "rotation", "bias", "scale", "time_constant", "delay", "sensor_noise", *TORQUE_ONLY)
+"""Kinds that the motors' positions alone do not depend on."""
 
 STATED = ("mass_scale", "payload_mass", "payload_xyz", "bias", "scale", "time_constant", "delay")
 """Kinds that the core takes as parameters even where they are not free."""
@@ -30,6 +33,8 @@ STATED = ("mass_scale", "payload_mass", "payload_xyz", "bias", "scale", "time_co
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """What recordings say at one point, by the parameters' z; without the prior.
+
+    All but `innovations` is of what the other sensors read, given the motors' positions.
 
     Attributes
     ----------
@@ -41,8 +46,10 @@ class Evidence:
         Fisher's information.
     used : int
         Readings.
+    densities : list of (T,)
+        Each sample's part of the log-likelihood, one array a recording, where asked for.
     scores : list of (T, p)
-        Each sample's part of the gradient, one array a recording, where asked for.
+        Each sample's part of the gradient, likewise.
     innovations : list of (T, m)
         Normalised innovations, likewise.
     """
@@ -51,12 +58,18 @@ class Evidence:
     gradient: FloatArray
     information: FloatArray
     used: int
+    densities: list[FloatArray]
     scores: list[FloatArray]
     innovations: list[FloatArray]
 
 
 class Problem:
     """Recordings of one robot and the parameters that are free.
+
+    What is maximised is the density of what accelerometers (and motor torques) read, given what the motors' encoders
+    read: ln p(θ, a) − ln p(θ). The encoders' own density must not count. With random jerk on the links, a soft spring
+    makes p(θ) roll off with ω⁻² where a stiff one has ω⁻⁶; commanded motion is smoother than either, so that p(θ) pays
+    thousands for "no spring" on a smooth motion, whatever the spring is.
 
     Parameters
     ----------
@@ -84,8 +97,9 @@ class Problem:
         self.robot, self.logs, self.noise, self.torque = robot, list(logs), noise, torque
         self.free, self.held = tuple(free), tuple(held)
         base = bare(robot)
-        fixed = self._fixed()
-        self._cores = [self._core(base, log, fixed) for log in self.logs]
+        self._cores = [self._core(base, log) for log in self.logs]
+        alone = _blind(base)
+        self._motors = [self._motors_alone(alone, log) for log in self.logs]
 
     def restricted(self, free: Sequence[Parameter]) -> Problem:
         """Give the same problem with other parameters free."""
@@ -115,12 +129,20 @@ class Problem:
         """Evaluate at one point; raises NumericalError where the filter breaks down."""
         names, values = [p.core for p in self.free], self.values(z)
         slopes = np.array([p.slope(x) for p, x in zip(self.free, z, strict=True)])
+        seen = np.flatnonzero([p.kind not in OF_SENSORS for p in self.free])
         parts = [core.evaluate(names, values, detail) for core in self._cores]
+        motors = [core.evaluate([names[i] for i in seen], [values[i] for i in seen], detail) for core in self._motors]
+        gradient, information = sum(part["gradient"] for part in parts), sum(part["information"] for part in parts)
+        gradient[seen] -= sum(part["gradient"] for part in motors)
+        information[np.ix_(seen, seen)] -= sum(part["information"] for part in motors)
+        for part, motor in zip(parts, motors, strict=True):
+            part["scores"][:, seen] -= motor["scores"]
         return Evidence(
-            log_likelihood=sum(part["log_likelihood"] for part in parts),
-            gradient=slopes * sum(part["gradient"] for part in parts),
-            information=np.outer(slopes, slopes) * sum(part["information"] for part in parts),
-            used=sum(part["used"] for part in parts),
+            log_likelihood=sum(p["log_likelihood"] - m["log_likelihood"] for p, m in zip(parts, motors, strict=True)),
+            gradient=slopes * gradient,
+            information=_positive(np.outer(slopes, slopes) * information),
+            used=sum(p["used"] - m["used"] for p, m in zip(parts, motors, strict=True)),
+            densities=[p["densities"] - m["densities"] for p, m in zip(parts, motors, strict=True)],
             scores=[part["scores"] * slopes for part in parts],
             innovations=[part["innovations"] for part in parts],
         )
@@ -128,7 +150,10 @@ class Problem:
     def log_likelihood(self, z: FloatArray) -> float:
         """Log-likelihood alone, without derivatives."""
         names, values = [p.core for p in self.free], self.values(z)
-        return sum(core.log_likelihood(names, values) for core in self._cores)
+        seen = [i for i, p in enumerate(self.free) if p.kind not in OF_SENSORS]
+        all_readings = sum(core.log_likelihood(names, values) for core in self._cores)
+        motors = ([names[i] for i in seen], [values[i] for i in seen])
+        return float(all_readings - sum(core.log_likelihood(*motors) for core in self._motors))
 
     @property
     def _estimated(self) -> tuple[Parameter, ...]:
@@ -148,20 +173,36 @@ class Problem:
             return bool(self.robot.accelerometers[parameter.core[1]].corner_frequency)
         return parameter.kind != "delay" or parameter.core[1] in late
 
-    def _core(self, base: Robot, log: Log, fixed: list[tuple[CoreName, float]]) -> _core.Likelihood:
+    def _core(self, base: Robot, log: Log) -> Likelihood:
         free = {p.name for p in self._estimated}
         free_bias = [f"bias_{channel}" in free for channel in self.robot.acceleration_channels]
         noise: dict[str, Any] = noise_arrays(self.robot, log, self.noise, self.torque, free_bias)
-        return _core.Likelihood(
-            base.core,
-            signals(self.robot, log, self.torque),
-            noise=noise,
-            biased=[True] * len(noise["reading"]),
-            torque=self.torque,
-            held=False,
-            fixed=fixed,
-            huber=HUBER,
-        )
+        return _likelihood(base, signals(self.robot, log, self.torque), noise, self.torque, self._fixed())
+
+    def _motors_alone(self, alone: Robot, log: Log) -> Likelihood:
+        """The density of the motors' positions by themselves."""
+        log = replace(log, acceleration=None)
+        noise: dict[str, Any] = noise_arrays(alone, log, self.noise, False, [])
+        fixed = [(name, value) for name, value in self._fixed() if name[0] not in OF_SENSORS]
+        return _likelihood(alone, signals(alone, log, False), noise, False, fixed)
+
+
+def _likelihood(
+    robot: Robot, arrays: dict[str, Any], noise: dict[str, Any], torque: bool, fixed: list[tuple[CoreName, float]]
+) -> Likelihood:
+    biased = [True] * len(noise["reading"])
+    return Likelihood(robot.core, arrays, noise=noise, biased=biased, torque=torque, fixed=fixed, huber=HUBER)
+
+
+def _blind(robot: Robot) -> Robot:
+    """Take a robot's accelerometers off."""
+    return Robot(robot.config.model_copy(update={"accelerometers": ()}), robot.model)
+
+
+def _positive(information: FloatArray) -> FloatArray:
+    """Information without directions of negative curvature, which the difference of two samples' sums may have."""
+    values, vectors = np.linalg.eigh(information)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 def bare(robot: Robot) -> Robot:

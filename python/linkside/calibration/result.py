@@ -9,6 +9,7 @@ import numpy as np
 from linkside.arrays import FloatArray
 from linkside.statistics import autocovariance
 
+from .acceptance import Foretold
 from .parameters import Parameter
 from .problem import Evidence, Problem
 from .uncertainty import Contradiction, Uncertainty
@@ -88,6 +89,10 @@ class Result:
         Log-likelihood of recordings that were not used, before and after.
     contradictions : tuple of Contradiction
         Between recordings.
+    foretold : Foretold, optional
+        How well readings are foretold by parameters that were fitted without them.
+    objections : tuple of str
+        Reasons not to believe the outcome.
     evaluations : int
         Of the likelihood with its gradient.
     seconds : float
@@ -106,11 +111,18 @@ class Result:
     after: Fit
     held_out: tuple[float, float] | None
     contradictions: tuple[Contradiction, ...]
+    foretold: Foretold | None
+    objections: tuple[str, ...]
     evaluations: int
     seconds: float
     problem: Problem
     z: FloatArray
     uncertainty: Uncertainty
+
+    @property
+    def accepted(self) -> bool:
+        """Whether there is no reason not to believe the outcome."""
+        return not self.objections
 
     @property
     def correlation(self) -> FloatArray:
@@ -123,12 +135,15 @@ class Result:
 
     def to_text(self) -> str:
         """Report in words."""
-        lines = [f"{'':28} {'before':>12} {'estimate':>12} {'std. error':>11}"]
+        lines = [f"not to be believed: {objection}" for objection in self.objections]
+        lines.append(f"{'':28} {'before':>12} {'estimate':>12} {'std. error':>11}")
         for e in self.estimates:
             edge = "  at its bound" if e.at_bound else ""
             lines.append(f"{e.parameter.name:28} {e.parameter.start:12.5g} {e.value:12.5g} {e.std:11.2g}{edge}")
         lines += [f"not estimated: {name}: {reason}" for name, reason in self.refused.items()]
         lines.append(self._fit_line())
+        if self.foretold is not None:
+            lines.append(f"{self.foretold} against robot.yaml, by parameters fitted without them")
         if self.held_out is not None:
             lines.append(f"held out: log-likelihood {self.held_out[0]:.1f} before, {self.held_out[1]:.1f} after")
         wide = max((e.widening for e in self.estimates), default=1.0)

@@ -16,8 +16,8 @@ from .problem import Evidence, Problem
 MEMORY = 0.1
 """Errors of a model are correlated over about this time [s]."""
 
-TOLD = 0.5
-"""A parameter whose standard error is more than this share of its tolerance has not been told by the data."""
+IDENTIFIABLE = 0.5
+"""A parameter whose standard error is more than this share of its tolerance is not identifiable from the data."""
 
 SIGNIFICANT = 1e-4
 """Recordings contradict each other when estimates as far apart as theirs have a smaller probability than this."""
@@ -87,7 +87,7 @@ def long_run(scores: FloatArray, lags: int) -> FloatArray:
     return total
 
 
-def untold(problem: Problem, evidence: Evidence, still: Sequence[str]) -> dict[str, str]:
+def unidentifiable(problem: Problem, evidence: Evidence, still: Sequence[str]) -> dict[str, str]:
     """Parameters that the recordings cannot tell, each with the reason; the worst first, then anew without it.
 
     ``still`` are the names of joints that do not move.
@@ -102,7 +102,7 @@ def untold(problem: Problem, evidence: Evidence, still: Sequence[str]) -> dict[s
         std = np.sqrt(np.diag(covariance))
         judged = [s if free[i].kind not in NOISE else 0.0 for s, i in zip(std, kept, strict=True)]
         worst = int(np.argmax(judged))
-        if judged[worst] < TOLD:
+        if judged[worst] < IDENTIFIABLE:
             break
         alone = 1 / np.sqrt(information[worst, worst])
         parameter = free[kept[worst]]
@@ -124,7 +124,7 @@ def _excess(evidence: Evidence) -> float:
 
 def _reason(parameter: Parameter, alone: float, covariance: FloatArray, index: int, free: list[Parameter]) -> str:
     advice = EXCITATION[parameter.kind]
-    if alone >= TOLD or len(free) == 1:
+    if alone >= IDENTIFIABLE or len(free) == 1:
         return f"the recordings hardly depend on it; they lack {advice}"
     std = np.sqrt(np.diag(covariance))
     correlation = covariance[index] / (std * std[index])
@@ -176,13 +176,13 @@ class Alone:
         Estimates in tolerances.
     uncertainty : Uncertainty
         Theirs.
-    untold : set of str
+    unidentifiable : set of str
         Names of parameters that this recording does not tell.
     """
 
     z: FloatArray
     uncertainty: Uncertainty
-    untold: frozenset[str] = frozenset()
+    unidentifiable: frozenset[str] = frozenset()
 
 
 def compare(problem: Problem, fits: Sequence[Alone]) -> list[Contradiction]:
@@ -200,7 +200,7 @@ def _between(problem: Problem, logs: tuple[int, int], a: Alone, b: Alone) -> Con
         i
         for i, p in enumerate(problem.free)
         if p.kind not in NOISE
-        and p.name not in a.untold | b.untold
+        and p.name not in a.unidentifiable | b.unidentifiable
         and not (p.exceeds(float(a.z[i])) or p.exceeds(float(b.z[i])))
     ]
     if not chosen:

@@ -8,6 +8,7 @@ from pathlib import Path
 from linkside.calibration import Calibration, Step, calibrate
 from linkside.calibration import resume as state
 from linkside.errors import EstimatorError
+from linkside.files.writing import check_writable
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
@@ -24,9 +25,12 @@ def run(
     torque: bool | None,
     bounds: Sequence[str],
     held_out: Sequence[str],
+    force: bool,
+    no_check: bool = False,
 ) -> Calibration:
-    """Calibrate and write; the best so far is kept beside ``out`` until all is done."""
+    """Calibrate, and write what is to be believed, or all by ``force``; the best so far is kept beside ``out``."""
     partial = Path(f"{out}.partial")
+    check_writable(partial, (".partial",))
     start = state.kept(partial) if resume else None
     limits = dict(map(_bound, bounds))
     loaded = Robot.load(robot)
@@ -38,15 +42,16 @@ def run(
 
     result = calibrate(
         loaded,
-        [Log.read(log, loaded) for log in logs],
+        [Log.read(log, loaded, check=not no_check) for log in logs],
         None if free is None else free.split(","),
         torque=torque,
         bounds=limits,
-        held_out=[Log.read(log, loaded) for log in held_out],
+        held_out=[Log.read(log, loaded, check=not no_check) for log in held_out],
         start=start,
         progress=show,
     )
-    result.write(robot, out)
+    if result.accepted or force:
+        result.write(robot, out)
     if report is not None:
         result.write_report(report)
     partial.unlink(missing_ok=True)

@@ -5,6 +5,9 @@ Whatever a user can get wrong is one line on standard error and exit status 2, a
 
 from __future__ import annotations
 
+import os
+import sys
+import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -12,26 +15,28 @@ from typing import Any
 
 import click
 
-from linkside.errors import EstimatorError, OutputError
+from linkside.errors import EstimatorError, LogError, OutputError, RecordingWarning
 from linkside.files.writing import check_writable
 from linkside.kalman.noise import Noise
 from linkside.observers import poles as patterns
+from linkside.recording.checks import verdicts
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
-from linkside.text import show
 
-from .bar import bar
 from .error_tables import tool_table
 from .estimate_logs import Job, estimate_all, naming, output_folder
 from .failures import Commands
 from .methods import METHODS, Options
+from .terminal import bar, show
 
 ROWS = 8192
 """Rows of a log that are in memory at a time."""
 
 WHOLE = 2**62
 """More rows than a log has."""
+
+_no_check = click.option("--no-check", is_flag=True, help="Believe the recordings without looking at them first.")
 
 PATTERNS: dict[str, Callable[[float], patterns.PolePattern]] = {
     "damped": patterns.damped,
@@ -79,12 +84,17 @@ def main(ctx: click.Context, debug: bool) -> None:
 @click.option("--particles", type=int, default=1000, show_default=True, help="How many a particle filter has.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of a particle filter's random numbers.")
 @click.option("--gain", type=float, default=100, show_default=True, help="Gain of a velocity observer [1/s].")
+@click.option("--strict", is_flag=True, help="Exit with status 3 where readings contradict the model.")
+@_no_check
 @click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this file; one for each log.")
-def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, truths: tuple[str, ...], **options: Any) -> None:
+def estimate(
+    robot: str, logs: tuple[str, ...], method: str, out: str, strict: bool, no_check: bool, **options: Any
+) -> int:
     """Estimate the motion of ROBOT's links from recordings.
 
     ROBOT is a robot.yaml, each LOG a Parquet or CSV file. Logs are read piece by piece and may be larger than memory.
     """
+    truths: tuple[str, ...] = options.pop("truths")
     if truths and len(truths) != len(logs):
         raise click.UsageError(f"--truth is there {len(truths)} times, for {len(logs)} logs")
     _refuse_untaken(method)
@@ -92,14 +102,16 @@ def estimate(robot: str, logs: tuple[str, ...], method: str, out: str, truths: t
     if options["tuning"] is not None:
         options["tuning"] = METHODS[method].read_tuning(options["tuning"])
     with naming(robot):
-        run = METHODS[method].build(loaded, Options(**options))
+        spill = Path(os.path.realpath(out))
+        run = METHODS[method].build(loaded, Options(**options, spill=spill if spill.is_dir() else spill.parent))
     rows = WHOLE if METHODS[method].whole(loaded) else ROWS
     with output_folder(out, logs) as outputs:
         _refuse_clashes(outputs, [robot, *logs, *truths])
         for output in outputs:
             check_writable(output)
         files = zip(logs, outputs, truths or [None] * len(logs), strict=True)
-        estimate_all([Job(loaded, run, rows, *three) for three in files])
+        believable = estimate_all([Job(loaded, run, rows, not no_check, *three) for three in files])
+    return 3 if strict and not believable else 0
 
 
 def _refuse_untaken(method: str) -> None:
@@ -120,6 +132,7 @@ def _refuse_untaken(method: str) -> None:
 @click.option("--free", help="Which values, by their keys in that file, a,b,c.  [default: transmission, poles]")
 @click.option("--states", multiple=True, type=click.Path(), help="What the links did, one for each LOG (observer).")
 @click.option("--figure", type=click.Path(), help="Draw the Pareto front (observer).")
+@_no_check
 @click.option("--evaluations", type=click.IntRange(1), default=2000, help="How often to estimate LOGs (observer).")
 def tune(robot: str, logs: tuple[str, ...], method: str, **options: Any) -> None:
     """Find the noise of a Kalman filter under which recordings are most likely, or the poles of an observer.
@@ -141,7 +154,7 @@ def _tune_noise(robot: str, logs: Sequence[str], options: dict[str, Any]) -> Non
 
     loaded = Robot.load(robot)
     noise = None if options["start"] is None else Noise.read(options["start"])
-    recordings = [Log.read(log, loaded) for log in logs]
+    recordings = [Log.read(log, loaded, check=not options["no_check"]) for log in logs]
     free = tuple((options["free"] or "transmission").split(","))
     with bar(None) as advance:
         result = module.tune(loaded, recordings, noise, free, partial(_show_best, advance, "log-likelihood"))
@@ -154,7 +167,7 @@ def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> 
 
     loaded = Robot.load(robot)
     _check_figure(options["figure"], [robot, *logs, *options["states"], options["out"]])
-    recordings = [Log.read(log, loaded) for log in logs]
+    recordings = [Log.read(log, loaded, check=not options["no_check"]) for log in logs]
     states = [Estimate.read(file) for file in options["states"]] or None
     free = tuple((options["free"] or "poles").split(","))
     with bar(None) as advance:
@@ -176,9 +189,15 @@ def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> 
 @click.option("--torque/--no-torque", default=None, help="Whether motor torques are readings, too.")
 @click.option("--bound", "bounds", multiple=True, help="NAME=LOW:HIGH, least and largest value of a parameter.")
 @click.option("--held-out", type=click.Path(), multiple=True, help="A log that only tests the outcome.")
+@_no_check
 @click.option("--resume", is_flag=True, help="Go on with an interrupted run.")
+@click.option("--force", is_flag=True, help="Write the outcome even where it is not to be believed.")
 def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **options: Any) -> None:
-    """Find ROBOT's stiffness, damping, load and sensor errors from its own recordings."""
+    """Find ROBOT's stiffness, damping, load and sensor errors from its own recordings.
+
+    An outcome that does not foretell readings better than ROBOT as it is, or that is at a bound or far from it, is not
+    written, and the exit status is 3.
+    """
     from . import calibrate_logs
 
     outputs = [Path(out), *([Path(options["report"])] if options["report"] else [])]
@@ -189,8 +208,10 @@ def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **optio
     with bar(None) as advance:
         result = calibrate_logs.run(robot, logs, out, resume, advance, **options)
     click.echo(result.to_text(), nl=False)
-    for output in outputs:
+    for output in outputs if result.accepted or options["force"] else outputs[1:]:
         click.echo(f"written: {output}")
+    if not result.accepted:
+        sys.exit(3)
 
 
 @main.command()
@@ -198,16 +219,30 @@ def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **optio
 @click.argument("log", type=click.Path(), required=False)
 @click.option("--figure", type=click.Path(), help="Draw it: a file that ends in .png, .pdf or .svg.")
 def check(robot: str, log: str | None, figure: str | None) -> None:
-    """Say which link accelerations ROBOT's sensors see, how well and where, along LOG if it is given."""
+    """Say what ROBOT's sensors see, how well and where; along LOG if it is given, which is looked at for mistakes."""
     from linkside.observability import analysis as module
     from linkside.observability.words import check_tables
 
     loaded = Robot.load(robot)
     _check_figure(figure, [robot, log])
-    report = module.check(loaded, None if log is None else Log.stream(log, loaded))
+    if log is not None:
+        _look_at(loaded, log)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecordingWarning)  # all is listed above
+        report = module.check(loaded, None if log is None else Log.stream(log, loaded))
     show(check_tables(report))
     if figure is not None:
         _draw(report.figure(), figure)
+
+
+def _look_at(robot: Robot, path: str) -> None:
+    """List what the checks of recordings find; raise `LogError` where one refuses."""
+    rows, refused = verdicts(Log.read(path, robot, check=False), robot)
+    for name, words in rows:
+        click.echo(f"{name:<22}{words}")
+    click.echo("")
+    if refused is not None:
+        raise LogError(f"{path}: {refused}")
 
 
 @main.command()
@@ -237,6 +272,7 @@ def demo(figure: str) -> None:
 @click.option("--limit", type=float, help="Take the smallest set whose score is at most this.")
 @click.option("--by", type=click.Choice(["condition", "covariance"]), default="condition", show_default=True)
 @click.option("--out", type=click.Path(), help="Where to write the chosen `accelerometers`, YAML.")
+@_no_check
 @click.option("--figure", type=click.Path(), help="Draw where it is singular: a file that ends in .png, .pdf or .svg.")
 def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: Any) -> None:
     """Choose accelerometers for ROBOT: those that see its joints best along LOGs, or in the whole workspace."""
@@ -252,7 +288,7 @@ def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: 
     kinds = options["axes"].split(",")
     with naming(robot):
         sensors += placement.candidates(loaded, links, reach=options["reach"], steps=options["steps"], axes=kinds)
-        where = [Log.read(log, loaded) for log in logs] or None
+        where = [Log.read(log, loaded, check=not options["no_check"]) for log in logs] or None
         choice = {"count": options["count"], "limit": options["limit"], "criterion": options["by"]}
         found = placement.place(loaded, sensors, where, **choice)
     click.echo(found.to_text(), nl=False)
@@ -268,9 +304,9 @@ def _show_best(advance: Callable[[str, int], None], what: str, _: int, best: flo
 
 
 def _refuse_clashes(outputs: Sequence[Path], inputs: Sequence[str | None]) -> None:
-    taken = {Path(path).resolve(): "would be written over what is read" for path in inputs if path is not None}
+    taken = {os.path.realpath(path): "would be written over what is read" for path in inputs if path is not None}
     for output in outputs:
-        if (where := output.resolve()) in taken:
+        if (where := os.path.realpath(output)) in taken:
             raise OutputError(f"{output}: {taken[where]}")
         taken[where] = "is the output of two logs; give --out as a name that differs, or run them apart"
 

@@ -17,13 +17,12 @@ from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log, log_rows
 from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
-from linkside.text import show
 
-from .bar import bar
 from .error_tables import error_tables
 from .failures import complain, in_words
 from .methods import Run
 from .tally import Tally
+from .terminal import bar, show
 
 
 @dataclass(frozen=True)
@@ -33,19 +32,23 @@ class Job:
     robot: Robot
     run: Run
     rows: int
+    check: bool
     log: str
     output: Path
     truth: str | None
 
 
-def estimate_all(jobs: Sequence[Job]) -> None:
-    """Estimate each log; of several, one that cannot be used does not keep the others waiting."""
-    failed = 0
+def estimate_all(jobs: Sequence[Job]) -> bool:
+    """Estimate each log; of several, one that cannot be used does not keep the others waiting.
+
+    Returns whether all are to be believed.
+    """
+    failed, believable = 0, True
     counts = [log_rows(job.log) for job in jobs]
     with bar(None if None in counts else sum(cast("list[int]", counts))) as advance:
         for job in jobs:
             try:
-                _estimate_one(job, partial(advance, job.log))
+                believable &= _estimate_one(job, partial(advance, job.log))
             except LinksideError as error:
                 if len(jobs) == 1:
                     raise
@@ -53,9 +56,10 @@ def estimate_all(jobs: Sequence[Job]) -> None:
                 complain(in_words(error))
     if failed:
         raise click.ClickException(f"{failed} of {len(jobs)} logs could not be estimated")
+    return believable
 
 
-def _estimate_one(job: Job, advance: Callable[[int], None]) -> None:
+def _estimate_one(job: Job, advance: Callable[[int], None]) -> bool:
     known = None if job.truth is None else Estimate.read(job.truth)
     tally, kept = Tally(), []
     with EstimateWriter(job.output) as writer:
@@ -70,10 +74,13 @@ def _estimate_one(job: Job, advance: Callable[[int], None]) -> None:
     if error is not None:
         show(error_tables(error, job.robot, str(job.truth)))
     click.echo(f"{job.output}: {tally}")
+    for finding in tally.findings:
+        click.echo(f"{job.log}: {finding}")
+    return tally.believable
 
 
 def _pieces(job: Job, tally: Tally) -> Iterator[Estimate]:
-    pieces = tally.timed(Log.stream(job.log, job.robot, job.rows), sign=-1)
+    pieces = tally.timed(Log.stream(job.log, job.robot, job.rows, check=job.check), sign=-1)
     estimates = tally.timed(job.run(pieces))
     while True:
         with naming(job.log):

@@ -5,12 +5,14 @@ from __future__ import annotations
 import signal
 import sys
 import traceback
-from contextlib import suppress
-from typing import Any, NoReturn, cast
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, NoReturn, TextIO, cast
 
 import click
 
-from linkside.errors import LinksideError
+from linkside.errors import LinksideError, LinksideWarning, printable
 
 
 class Commands(click.Group):
@@ -20,7 +22,8 @@ class Commands(click.Group):
         """Run a command and exit: 0 if all is well, 2 on an error, 130 when interrupted."""
         _prepare_streams()
         try:
-            sys.exit(super().main(*args, **{**kwargs, "prog_name": "linkside", "standalone_mode": False}) or 0)
+            with _warnings_in_words():
+                sys.exit(super().main(*args, **{**kwargs, "prog_name": "linkside", "standalone_mode": False}) or 0)
         except click.Abort:
             complain("interrupted")
             sys.exit(130)
@@ -57,4 +60,29 @@ def in_words(error: Exception) -> str:
 
 def complain(message: str) -> None:
     """Write a line on standard error."""
-    click.echo(f"linkside: {' '.join(message.split())}", err=True)
+    click.echo(f"linkside: {printable(message)}", err=True)
+
+
+@contextmanager
+def _warnings_in_words() -> Iterator[None]:
+    """Let warnings of ours be lines on standard error, each once."""
+    said: set[str] = set()
+
+    def show(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        if not issubclass(category, LinksideWarning):
+            click.echo(warnings.formatwarning(message, category, filename, lineno, line), file=file or sys.stderr)
+        elif str(message) not in said:
+            said.add(str(message))
+            complain(f"warning: {message}")
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", LinksideWarning)
+        warnings.showwarning = show
+        yield

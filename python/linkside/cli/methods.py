@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 from linkside.kalman.elastic_joint import ElasticJointFilter, ElasticJointSmoother, ElasticNoise
 from linkside.kalman.jerk_driven import ExtendedKalmanFilter, RauchTungStriebelSmoother
-from linkside.kalman.late_sensors import is_late
 from linkside.kalman.noise import Noise
 from linkside.kalman.stretches import smooth_pieces
 from linkside.observers.poles import PolePattern
@@ -36,6 +36,7 @@ class Options:
     particles: int
     seed: int
     gain: float
+    spill: Path
 
 
 @dataclass(frozen=True)
@@ -70,12 +71,12 @@ def _observer(robot: Robot, options: Options) -> Run:
 
 def _ekf(robot: Robot, options: Options) -> Run:
     ekf = ExtendedKalmanFilter(robot, options.tuning, gate=options.gate)
-    return partial(map, ekf.run) if is_late(robot) else ekf.run_pieces
+    return ekf.run_pieces
 
 
 def _smoother(robot: Robot, options: Options) -> Run:
     smoother = RauchTungStriebelSmoother(robot, options.tuning, gate=options.gate)
-    return partial(map, smoother.run) if is_late(robot) else partial(smooth_pieces, smoother)
+    return partial(smooth_pieces, smoother, folder=options.spill)
 
 
 def _elastic_ekf(robot: Robot, options: Options) -> Run:
@@ -101,8 +102,8 @@ METHODS = {
         _observer,
         read_tuning=ObserverTuning.read,
     ),
-    "ekf": Method("Kalman filter with the links' dynamics, and how sure it is", ("tuning", "gate"), _ekf, is_late),
-    "smoother": Method("the same by all samples, later ones too", ("tuning", "gate"), _smoother, is_late),
+    "ekf": Method("Kalman filter with the links' dynamics, and how sure it is", ("tuning", "gate"), _ekf),
+    "smoother": Method("the same by all samples, later ones too", ("tuning", "gate"), _smoother),
     "elastic-ekf": Method(
         "Kalman filter on the elastic-joint dynamics, moved by the motor torques; needs no accelerometer",
         ("tuning", "gate"),

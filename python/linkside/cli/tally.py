@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeVar
 
+from linkside.findings import Finding, largest_nis
 from linkside.kalman.filtering import KalmanEstimate
 from linkside.recording.estimate import Estimate
 
@@ -24,6 +25,8 @@ STATUS_WORDS = {
     "gated": "with an outlier left out",
     "predicted": "predicted without a reading",
     "unwrapped": "with an encoder's wrap taken out",
+    "contradicted": "in contradiction to the model",
+    "faulty": "of these by one channel",
 }
 
 
@@ -43,6 +46,8 @@ class Tally:
         Rows by status.
     nis, used : float
         Normalised innovation squared and readings used, where the method is a Kalman filter.
+    findings : tuple of Finding
+        Contradictions between readings and model.
     """
 
     rows: int = 0
@@ -51,6 +56,7 @@ class Tally:
     status: Counter[str] = field(default_factory=Counter)
     nis: float = 0.0
     used: int = 0
+    findings: tuple[Finding, ...] = ()
     _first: float | None = None
 
     def add(self, estimate: Estimate) -> None:
@@ -60,6 +66,7 @@ class Tally:
             self.motion = float(estimate.t[-1]) - self._first
         self.rows += len(estimate)
         self.status.update(estimate.status_summary())
+        self.findings = estimate.findings or self.findings
         if isinstance(estimate, KalmanEstimate) and estimate.nis is not None and estimate.used is not None:
             self.nis += float(estimate.nis.sum())
             self.used += int(estimate.used.sum())
@@ -83,8 +90,13 @@ class Tally:
         nis = f"; NIS {self.nis / self.used:.2f} per reading (1 if the noise is right)" if self.used else ""
         return f"{self.rows} rows, {self.motion:.6g} s of motion, {speed:.3g} µs per sample; {self._status()}{nis}"
 
+    @property
+    def believable(self) -> bool:
+        """Whether no reading contradicts the model, and the NIS is not above its bound."""
+        return not self.findings and self.nis <= largest_nis(self.used)
+
     def _status(self) -> str:
         if self.status["good"] == self.rows:
-            return "all good"
+            return "all good" if self.believable else "no row stands out, but the NIS is outside its bounds"
         odd = (f"{count} {STATUS_WORDS.get(word, word)}" for word, count in self.status.items() if count)
         return ", ".join(odd)

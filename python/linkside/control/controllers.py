@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from linkside.arguments import per_joint
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.robot import Robot
@@ -60,7 +61,7 @@ class JointPD:
 
     def law(self, robot: Robot) -> dict[str, Any]:
         """Describe the controller to the core."""
-        gains = {name: _per_joint(name, getattr(self, name), robot.n) for name in ("kp", "kd", "tau")}
+        gains = {name: per_joint(name, getattr(self, name), robot.n).tolist() for name in ("kp", "kd", "tau")}
         return {"reference": knots(self.times, self.theta, robot.n, "theta"), **gains}
 
 
@@ -143,13 +144,6 @@ def law_of(controller: Controller, robot: Robot) -> Any:
         return np.ascontiguousarray(function(t, State(*arrays)), dtype=np.float64)
 
     return law
-
-
-def _per_joint(name: str, value: npt.ArrayLike, n: int) -> list[float]:
-    array = np.asarray(value, dtype=np.float64)
-    if array.shape not in ((), (n,)):
-        raise EstimatorError(f"{name} has shape {array.shape}, expected one number or ({n},)")
-    return np.broadcast_to(array, n).tolist()  # type: ignore[no-any-return]
 
 
 def knots(times: npt.ArrayLike, values: npt.ArrayLike, width: int, name: str) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from linkside.errors import OutputError
+from linkside.files.parts import open_part
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 SUFFIXES = (".png", ".pdf", ".svg")
@@ -33,14 +34,17 @@ def save(figure: Figure, path: str | Path) -> None:
     """Write a figure in the format of its suffix, whole or not at all."""
     check_writable(path)
     path = Path(path)
-    part = path.with_name(f".{os.getpid()}.part{path.suffix}")
+    part = None
     try:
-        figure.savefig(part, dpi=150)
-        os.replace(part, path)
+        part, file = open_part(path)
+        with file:
+            figure.savefig(file, dpi=150, format=path.suffix[1:].lower())
+        os.replace(part, os.path.realpath(path))
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
     finally:
-        part.unlink(missing_ok=True)
+        if part is not None:
+            part.unlink(missing_ok=True)
 
 
 def finish(axes: Any, legend: bool = True) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,7 +18,13 @@ import pyarrow.parquet as pq
 from linkside.arrays import FloatArray
 from linkside.errors import LogError
 
-_NUMBER = r"^\s*[-+]?((\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|(?i:inf|infinity|nan))\s*$"
+from .csv_dialect import Dialect
+from .regular import instead
+
+_NUMBER = r"^\s*[-+]?((\d+{0}?\d*|{0}\d+)([eE][-+]?\d+)?|(?i:inf|infinity|nan))\s*$"
+
+MOST_COLUMNS = 10_000
+"""Columns of a recording."""
 
 
 def numbers(table: pa.Table, name: str, source: str) -> FloatArray:
@@ -46,6 +53,7 @@ class ParquetTable:
         with reading(self.source), pq.ParquetFile(self.source) as file:
             self.names: list[str] = list(file.schema_arrow.names)
             self.count: int | None = file.metadata.num_rows
+        _refuse_many(self.names, self.source)
 
     def read(self, columns: list[str]) -> pa.Table:
         """All rows of some columns."""
@@ -60,26 +68,50 @@ class ParquetTable:
 
 
 class CsvTable:
-    """A CSV file with a header, plain or compressed with gzip; every column that is read holds numbers."""
+    """A CSV file with a header, plain or compressed with gzip; every column that is read holds numbers.
+
+    Separator, decimal mark and encoding are recognised: `csv_dialect`.
+    """
 
     count: int | None = None
 
     def __init__(self, path: str | Path) -> None:
         """Read the names of the columns."""
         self.source = str(path)
-        with reading(self.source), self._opened() as file:
-            self.names: list[str] = list(file.schema.names)
+        with reading(self.source):
+            self._dialect = Dialect.of(path)
+        self.names: list[str] = list(self._dialect.names)
+        _refuse_many(self.names, self.source)
 
     def read(self, columns: list[str]) -> pa.Table:
         """All rows of some columns."""
         with reading(self.source), self._naming_cells(columns):
-            return pa.csv.read_csv(self.source, convert_options=_conversion(columns, pa.float64()))
+            options = self._read_options(), self._parse_options(), self._conversion(columns, pa.float64())
+            return pa.csv.read_csv(self.source, *options)
 
     def batches(self, columns: list[str], rows: int) -> Iterator[pa.Table]:
         """Some columns in tables of ``rows`` rows, the last one shorter."""
-        options = _conversion(columns, pa.float64())
+        options = self._conversion(columns, pa.float64())
         with reading(self.source), self._naming_cells(columns), self._opened(options) as file:
             yield from _regroup(file, rows)
+
+    def _read_options(self, **settings: Any) -> pa.csv.ReadOptions:
+        dialect = self._dialect
+        encoding = dialect.encoding.removesuffix("-sig")  # Arrow knows that mark itself
+        return pa.csv.ReadOptions(
+            column_names=list(dialect.names), skip_rows=dialect.skipped, encoding=encoding, **settings
+        )
+
+    def _parse_options(self, **settings: Any) -> pa.csv.ParseOptions:
+        return pa.csv.ParseOptions(delimiter=self._dialect.separator, **settings)
+
+    def _conversion(self, columns: list[str], kind: pa.DataType) -> pa.csv.ConvertOptions:
+        return pa.csv.ConvertOptions(
+            include_columns=columns,
+            column_types=dict.fromkeys(columns, kind),
+            strings_can_be_null=True,
+            decimal_point=self._dialect.decimal,
+        )
 
     @contextmanager
     def _opened(self, options: pa.csv.ConvertOptions | None = None) -> Iterator[pa.csv.CSVStreamingReader]:
@@ -89,15 +121,15 @@ class CsvTable:
             ragged.append(row)
             return "error"
 
-        one_thread = pa.csv.ReadOptions(use_threads=False)  # rows have numbers only then
-        parse = pa.csv.ParseOptions(invalid_row_handler=refuse)
+        one_thread = self._read_options(use_threads=False)  # rows have numbers only then
+        parse = self._parse_options(invalid_row_handler=refuse)
         try:
             with pa.csv.open_csv(self.source, one_thread, parse, options) as file:
                 yield file
         except pa.ArrowInvalid as error:
             for row in ragged:
                 sizes = f"{row.actual_columns} columns where the header has {row.expected_columns}"
-                raise failure(self.source, f"row {row.number - 2} has {sizes}") from error
+                raise failure(self.source, f"row {row.number - 1 - self._dialect.skipped} has {sizes}") from error
             raise
 
     @contextmanager
@@ -110,11 +142,11 @@ class CsvTable:
 
     def _first_text(self, columns: list[str]) -> LogError | None:
         """Say where the first cell is that holds no number; columns begin with that of time."""
-        first_row = 0
-        with self._opened(_conversion(columns, pa.string())) as file:
+        first_row, pattern = 0, _NUMBER.format(re.escape(self._dialect.decimal))
+        with self._opened(self._conversion(columns, pa.string())) as file:
             for batch in file:
                 for name in columns:
-                    number = pc.match_substring_regex(batch.column(name), _NUMBER)
+                    number = pc.match_substring_regex(batch.column(name), pattern)
                     row = pc.index(pc.fill_null(number, True), False).as_py()
                     if row >= 0:
                         cell = f"{batch.column(name)[row].as_py()!r} at row {first_row + row}"
@@ -130,16 +162,18 @@ def open_table(path: str | Path) -> ParquetTable | CsvTable:
     if not name.endswith((".parquet", ".csv", ".csv.gz")):
         raise failure(str(path), "a file that ends in .parquet, .csv or .csv.gz is expected")
     with reading(str(path)):  # a name may also be too long, or out of reach
-        if not Path(path).exists():
-            raise failure(str(path), "no such file")
-        if Path(path).is_dir():
-            raise failure(str(path), "this is a directory, a file is expected")
+        try:
+            other = instead(path)
+        except FileNotFoundError:
+            raise failure(str(path), "no such file") from None
+        if other:
+            raise failure(str(path), f"this is {other}, a file is expected")
     return ParquetTable(path) if name.endswith(".parquet") else CsvTable(path)
 
 
-def _conversion(columns: list[str], kind: pa.DataType) -> pa.csv.ConvertOptions:
-    types = dict.fromkeys(columns, kind)
-    return pa.csv.ConvertOptions(include_columns=columns, column_types=types, strings_can_be_null=True)
+def _refuse_many(names: list[str], source: str) -> None:
+    if len(names) > MOST_COLUMNS:
+        raise failure(source, f"at most {MOST_COLUMNS} columns are expected, not {len(names)}")
 
 
 def _regroup(batches: Any, rows: int) -> Iterator[pa.Table]:
@@ -163,6 +197,7 @@ def column_names(table: Any, source: str) -> list[str]:
         return [str(name) for name in table]
     if isinstance(table, pa.Table | pa.RecordBatch):
         return list(table.schema.names)
+    table = _with_index(table)
     if hasattr(table, "columns") and (hasattr(table, "iloc") or hasattr(table, "__arrow_c_stream__")):
         return [str(name) for name in table.columns]
     kinds = "a pandas or Polars data frame, an Arrow table or a dict of arrays"
@@ -178,8 +213,20 @@ def to_arrow(table: Any, columns: list[str], source: str) -> pa.Table:
     if isinstance(table, pa.Table):
         return table.select(columns)
     if hasattr(table, "iloc"):  # pandas before 2.2 has no stream of Arrow data
-        return pa.Table.from_pandas(table[columns], preserve_index=False)
+        return pa.Table.from_pandas(_dense(_with_index(table)[columns]), preserve_index=False)
     return pa.table(table[columns])
+
+
+def _with_index(table: Any) -> Any:
+    """A pandas data frame whose index has a name of its own, with that as a column."""
+    names = getattr(getattr(table, "index", None), "names", None) if hasattr(table, "iloc") else None
+    return table.reset_index() if names and all(n is not None and n not in table.columns for n in names) else table
+
+
+def _dense(table: Any) -> Any:
+    """A pandas data frame without sparse columns, which Arrow does not know."""
+    sparse = [name for name in table.columns if type(table.dtypes[name]).__name__ == "SparseDtype"]
+    return table.assign(**{name: table[name].sparse.to_dense() for name in sparse}) if sparse else table
 
 
 def _from_arrays(arrays: dict[str, Any], source: str) -> pa.Table:
@@ -213,8 +260,9 @@ def reading(source: str) -> Iterator[None]:
         yield
     except LogError:
         raise
-    except (pa.ArrowException, OSError, ValueError, EOFError, MemoryError, OverflowError) as error:
-        raise failure(source, f"cannot be read: {error}") from error
+    except (pa.ArrowException, OSError, ValueError, TypeError, EOFError, MemoryError, OverflowError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise failure(source, f"cannot be read: {reason}") from error
 
 
 def failure(source: str, text: str) -> LogError:

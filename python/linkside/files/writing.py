@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import os
-import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO
 
 import pyarrow as pa
 
 from linkside.errors import OutputError
+
+from .parts import open_part
+from .regular import instead
 
 
 def write_text(path: str | Path, text: str) -> None:
@@ -30,8 +31,9 @@ def check_writable(path: str | Path, suffixes: tuple[str, ...] = (".parquet", ".
     if path.suffix.lower() not in suffixes:
         raise OutputError(f"{path}: a file that ends in {' or '.join(suffixes)} is expected")
     with writing(path):
-        if path.exists() and not path.is_file():
-            raise OutputError(f"{path}: this is not a file, and is in the way")
+        with suppress(FileNotFoundError):  # links in a circle are an OSError of their own
+            if instead(path):
+                raise OutputError(f"{path}: this is not a file, and is in the way")
         if path.exists() and not os.access(path, os.W_OK):
             raise OutputError(f"{path}: this file must not be written")
         folder = Path(os.path.realpath(path)).parent
@@ -40,13 +42,6 @@ def check_writable(path: str | Path, suffixes: tuple[str, ...] = (".parquet", ".
         part, file = open_part(path)  # only an attempt tells of full disks and read-only file systems
         file.close()
         part.unlink()
-
-
-def open_part(path: Path) -> tuple[Path, IO[bytes]]:
-    """Create a file beside ``path``, on the same file system, with the permissions of any new file."""
-    target = Path(os.path.realpath(path))
-    part = target.with_name(f".{uuid.uuid4().hex}.part")
-    return part, part.open("xb")
 
 
 @contextmanager

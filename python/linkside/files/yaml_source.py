@@ -21,6 +21,17 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLWarning
 from linkside.errors import ConfigError
 from linkside.files.writing import write_text
 
+from .regular import instead
+
+LARGEST = 64 * 2**20
+"""Bytes of a file of settings, or of a URDF."""
+
+DEEPEST = 32
+"""How deep settings nest."""
+
+MOST = 200_000
+"""Values in settings."""
+
 Model = TypeVar("Model", bound=BaseModel)
 Key = str | int
 
@@ -76,6 +87,8 @@ class Source:
         tree = _parse(read_text(name), name)
         if not isinstance(tree, Mapping):
             raise ConfigError(f"{name}: expected a mapping, got {_got(tree)}")
+        if fault := _endless(tree):
+            raise ConfigError(f"{name}: {fault}")
         return cls(tree, name)
 
     def where(self, *keys: Key) -> str:
@@ -118,7 +131,13 @@ class Source:
 def read_text(name: str) -> str:
     """Read a file of text; raises ConfigError if that cannot be done."""
     try:
+        if other := instead(name):
+            raise ConfigError(f"{name}: this is {other}, a file is expected")
+        if (size := Path(name).stat().st_size) > LARGEST:
+            raise ConfigError(f"{name}: a file of at most {LARGEST} bytes is expected, not of {size}")
         return Path(name).read_text(encoding="utf-8")
+    except ConfigError:
+        raise
     except OSError as error:
         raise ConfigError(f"{name}: {(error.strerror or str(error)).lower()}") from None
     except ValueError:  # a UnicodeDecodeError, or a path with a null byte
@@ -138,6 +157,23 @@ def _parse(text: str, name: str) -> Any:
             Exception
         ) as error:  # not only YAMLError: ruamel.yaml lets ValueError, KeyError, … of odd scalars through
             raise ConfigError(f"{name}: not valid YAML: {one_line(error)}") from None
+
+
+def _endless(tree: Any) -> str:
+    """Say that settings nest or repeat beyond all use, as aliases of aliases do; '' if not."""
+    level, count = [tree], 0
+    for _ in range(DEEPEST):
+        level = [v for node in level if isinstance(node, Mapping | list) for v in _values(node)]
+        count += len(level)
+        if count > MOST:
+            return f"expected at most {MOST} values"
+        if not level:
+            return ""
+    return f"expected settings at most {DEEPEST} deep"
+
+
+def _values(node: Any) -> list[Any]:
+    return list(node.values()) if isinstance(node, Mapping) else list(node)
 
 
 def one_line(message: object) -> str:

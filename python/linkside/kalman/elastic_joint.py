@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from os import PathLike
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from linkside import _core
+from linkside.arguments import one_of, per_joint, sized
 from linkside.arrays import FloatArray, Signal
-from linkside.errors import EstimatorError, NumericalError
+from linkside.errors import NumericalError
 from linkside.files.yaml_source import Source
 from linkside.recording.estimate import result_of
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
-from .filtering import KalmanEstimate, KalmanMethod, LiveFilter, sized
-from .late_sensors import is_late
-from .noise import PositiveStd, Std, channel_arrays, motor_noise, per_joint
+from .filtering import KalmanEstimate, KalmanMethod
+from .late_sensors import inside
+from .noise import LEAST_JERK, PositiveStd, Std, Time, channel_arrays, jerk_scale, motor_noise
+from .start import Moving, Readings, Start
+from .starting import DecidingFilter, first_readings, with_first
 
 Arrays = tuple[FloatArray, FloatArray, FloatArray]
+
+TORQUE_TIME = 0.5
+"""Times over which a log is asked how far its torques wander end here [s]."""
 
 
 class ElasticNoise(BaseModel):
@@ -34,13 +40,16 @@ class ElasticNoise(BaseModel):
         [rad/s/√s].
     torque
         Noise of the motor torques, in multiples of robot.yaml's ``torque.noise_std``.
+    torque_walk
+        By how much a motor torque may have wandered from its last reading after one second without [N m/√s]. None: the
+        most that the log's torques do over any time up to `TORQUE_TIME`.
     disturbance, disturbance_walk
         Initial uncertainty of each motor's disturbance torque, and by how much it wanders in a second, in multiples of
         the torque that the motor's friction has at 1 rad/s (N m if it has none).
     transmission, motor_velocity, acceleration, rate, link, joint_torque, link_velocity
         Noise of readings, as of `Noise`.
-    motor_bias, acceleration_bias, rate_bias, motor_bias_walk, acceleration_bias_walk, rate_bias_walk
-        Of biases, as of `Noise`.
+    motor_bias, acceleration_bias, rate_bias
+        Initial uncertainty of biases, as of `Noise`; likewise ``…_bias_walk`` and ``…_bias_time``.
     position, velocity
         Uncertainty of links and motors at the first sample, where the robot is taken to be at rest [rad, rad/s].
     """
@@ -50,6 +59,7 @@ class ElasticNoise(BaseModel):
     link_acceleration: Std | tuple[Std, ...] = 3e-3
     motor_acceleration: Std | tuple[Std, ...] = 1e-2
     torque: Std = 1.0
+    torque_walk: Std | tuple[Std, ...] | None = None
     disturbance: Std = 0.1
     disturbance_walk: Std = 0.1
     transmission: Std | tuple[Std, ...] = 1e-5
@@ -61,10 +71,13 @@ class ElasticNoise(BaseModel):
     link_velocity: PositiveStd = 1e-3
     motor_bias: Std = 1e-5
     motor_bias_walk: Std = 1e-6
+    motor_bias_time: Time | None = None
     acceleration_bias: Std = 0.1
     acceleration_bias_walk: Std = 1e-3
+    acceleration_bias_time: Time | None = None
     rate_bias: Std = 1e-3
     rate_bias_walk: Std = 1e-5
+    rate_bias_time: Time | None = None
     position: Std = 1e-4
     velocity: Std = 1e-3
 
@@ -72,6 +85,13 @@ class ElasticNoise(BaseModel):
     def read(cls, path: str | PathLike[str]) -> ElasticNoise:
         """Read a tuning file: YAML with any of the attributes as keys; `ConfigError` names file, line and key."""
         return Source.read(path).validate(cls)
+
+    def for_log(self, log: Log, robot: Robot) -> ElasticNoise:
+        """Fill in what is to be read off the log: how far torques wander where they are missing."""
+        if self.torque_walk is not None or log.tau is None or not np.isnan(log.tau).any():
+            return self
+        walk = torque_walk(log, self.torque * robot.config.torque.noise_std)
+        return type(self).model_validate(self.model_dump() | {"torque_walk": tuple(walk.tolist())})
 
     def arrays(self, robot: Robot, kinds: tuple[str, ...]) -> dict[str, list[float]]:
         """Arrays for the filter: one number a joint or channel, the channels being those of ``kinds`` in order."""
@@ -83,6 +103,7 @@ class ElasticNoise(BaseModel):
             "link": per_joint("link_acceleration", self.link_acceleration, n),
             "motor": per_joint("motor_acceleration", self.motor_acceleration, n),
             "torque": np.full(n, self.torque * robot.config.torque.noise_std),
+            "torque_walk": per_joint("torque_walk", self.torque_walk or 0.0, n),
             "disturbance_walk": self.disturbance_walk * drag,
             "initial": np.concatenate(initial),
         }
@@ -109,21 +130,20 @@ class ElasticJoint(KalmanMethod):
         transition: Literal["exact", "first-order"] = "exact",
         gate: float | None = None,
         iterations: int = 1,
+        start: Start = "auto",
     ) -> None:
         wanted = {"acceleration": accelerations, "dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
-        super().__init__(robot, wanted, biases, gate, iterations)
-        if transition not in ("exact", "first-order"):
-            raise EstimatorError(f"transition is {transition!r}, expected 'exact' or 'first-order'")
-        if motor_torque not in ("sampled", "held"):
-            raise EstimatorError(f"motor_torque is {motor_torque!r}, expected 'sampled' or 'held'")
+        super().__init__(robot, wanted, biases, gate, iterations, start)
+        one_of("transition", transition, ("exact", "first-order"))
+        one_of("motor_torque", motor_torque, ("sampled", "held"))
         self.noise = noise or ElasticNoise()
         self._held = motor_torque == "held"
         self._disturbances, self._transition = disturbances, transition
 
     def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
         kinds = self.kinds(log)
-        core = self.core(kinds, held=self._held)
         dt, readings, tau = self.arrays(log, kinds)
+        core = self.started_core(kinds, log, first_readings(log))
         (outcome,) = core.run_all([(dt, readings, self._acting(tau))], self._smooth, covariance, innovations)
         return self._estimate(log, kinds, result_of(log.source, outcome))
 
@@ -134,22 +154,38 @@ class ElasticJoint(KalmanMethod):
         log.require("tau", purpose=purpose)
         return self._with_wanted(("motor",), log, purpose)
 
-    def core(self, kinds: tuple[str, ...], *, held: bool) -> _core.ElasticJointFilter:
-        """Build a filter of the core for channels of these kinds, which has taken no sample."""
-        if "acceleration" in kinds and is_late(self.robot):
-            raise EstimatorError(
-                "the elastic-joint filter takes accelerations as they come, and robot.yaml gives an accelerometer a "
-                "corner_frequency or a delay; set accelerations=False, or use ExtendedKalmanFilter"
-            )
+    def started_core(self, kinds: tuple[str, ...], log: Log, first: Readings) -> _core.ElasticJointFilter:
+        """Build a filter of the core that starts where the ``first`` samples say."""
+        noise = self.noise.for_log(log, self.robot)
+        core = self.core(kinds, log.period, noise, held=self._held)
+        self._begin(core, first, kinds, noise, jerk_scale(log))
+        return core
+
+    def _state(self, moving: Moving, arrays: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
+        elastic = self.robot.elastic
+        disturbance = np.array(arrays["initial"])[2 * self.robot.n :]
+        mean = [moving.q, moving.dq, moving.theta[elastic], moving.dtheta[elastic]]
+        motors = np.hypot(arrays["reading"][: self.robot.n], self.noise.position)
+        std = [moving.q_std, moving.dq_std, motors[elastic], moving.dtheta_std[elastic]]
+        if self._disturbances:
+            mean.append(np.zeros(self.robot.n))
+            std.append(disturbance)
+        return np.concatenate(mean), np.concatenate(std)
+
+    def core(
+        self, kinds: tuple[str, ...], period: float, noise: ElasticNoise, *, held: bool
+    ) -> _core.ElasticJointFilter:
+        """Build a filter of the core, without a sample yet, for channels of these kinds every ``period`` [s]."""
         return _core.ElasticJointFilter(
             self.robot.core,
             **self._channels(kinds),
             disturbances=self._disturbances,
             first_order=self._transition == "first-order",
             held=held,
-            noise=self.noise.arrays(self.robot, kinds),
+            noise=noise.arrays(self.robot, kinds),
             gate=self._gate,
             iterations=self._iterations,
+            late=inside(self.robot, kinds, period),
         )
 
     def arrays(self, log: Log, kinds: tuple[str, ...], before: tuple[float, FloatArray] | None = None) -> Arrays:
@@ -158,7 +194,8 @@ class ElasticJoint(KalmanMethod):
             log.require_start("a filter", ("theta", "tau"))
         readings = np.hstack([log.theta if kind == "motor" else getattr(log, kind) for kind in kinds])
         dt = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before[0])
-        return dt, np.ascontiguousarray(readings), _torques(log, None if before is None else before[1])
+        assert log.tau is not None  # `kinds` has asked for it
+        return dt, np.ascontiguousarray(readings), log.tau
 
     def _acting(self, tau: FloatArray, before: tuple[float, FloatArray] | None = None) -> FloatArray:
         """Motor torques as the core takes them: held ones belong to the sample at which they end."""
@@ -167,7 +204,7 @@ class ElasticJoint(KalmanMethod):
         return np.vstack([tau[:1] if before is None else before[1], tau[:-1]])
 
 
-class ElasticJointFilter(ElasticJoint, LiveFilter[_core.ElasticJointFilter]):
+class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter]):
     """EKF on the full elastic-joint dynamics, driven by the motor torques of the log.
 
     Ulrich and Sasiadek, "Extended Kalman filtering for flexible joint space robot control", ACC 2011, who measure motor
@@ -194,7 +231,7 @@ class ElasticJointFilter(ElasticJoint, LiveFilter[_core.ElasticJointFilter]):
     transition
         How the covariance is carried over a step: ``"exact"``, by the exponential of the derivatives, or
         ``"first-order"``, 1 + A h, as in the paper.
-    gate, iterations
+    gate, iterations, start
         As of `ExtendedKalmanFilter`.
 
     Raises
@@ -219,7 +256,7 @@ class ElasticJointFilter(ElasticJoint, LiveFilter[_core.ElasticJointFilter]):
         further: Signal | None = None,
         out: FloatArray | None = None,
     ) -> FloatArray:
-        """Take one sample and give the mean of the state at its time; the first sample starts from rest.
+        """Take one sample and give the mean of the state at its time.
 
         Parameters
         ----------
@@ -242,6 +279,30 @@ class ElasticJointFilter(ElasticJoint, LiveFilter[_core.ElasticJointFilter]):
             Link positions (n) and velocities (n), motor positions and velocities of the elastic joints, disturbance
             torques, biases. ``covariance`` and ``status`` tell the rest.
         """
+        if self._deciding():
+            sample: dict[str, Any] = {"dt": dt, "theta": theta, "tau": tau, "dtheta": dtheta}
+            sample |= {"acceleration": acceleration, "further": further}
+            jerk = np.full(self.robot.n, LEAST_JERK)
+            state = self._decide(
+                sample, self._step, lambda first: self._begin(self._live, first, self.live_kinds, self.noise, jerk)
+            )
+            if out is None:
+                return np.asarray(state)
+            out[:] = sized("out", state, len(out))
+            return out
+        return self._step(dt, theta, tau, dtheta, acceleration, further, out)
+
+    def _step(
+        self,
+        dt: float,
+        theta: Signal,
+        tau: Signal,
+        dtheta: Signal | None,
+        acceleration: Signal | None,
+        further: Signal | None,
+        out: FloatArray | None = None,
+    ) -> FloatArray:
+        self._period = dt if self._started is None else self._period
         live, kinds = self._live, self.live_kinds
         given = {"motor": theta, "acceleration": acceleration, "dtheta": dtheta}
         names = {"motor": "theta"}
@@ -259,18 +320,21 @@ class ElasticJointFilter(ElasticJoint, LiveFilter[_core.ElasticJointFilter]):
         return ("motor", *(kind for kind, use in wanted.items() if use))
 
     def _start(self) -> _core.ElasticJointFilter:
-        return self.core(self.live_kinds, held=self._held)
+        return self.core(self.live_kinds, self._period, self.noise, held=self._held)
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
         """Estimate a recording that comes piece by piece, in bounded memory; the same bits as `run`."""
         core: _core.ElasticJointFilter | None = None
         kinds: tuple[str, ...] = ()
         before: tuple[float, FloatArray] | None = None
+        first, pieces = with_first(pieces)
         for piece in pieces:
             if core is None:
                 kinds = self.kinds(piece)
-                core = self.core(kinds, held=self._held)
             dt, readings, tau = self.arrays(piece, kinds, before)
+            if core is None and first is not None:
+                core = self.started_core(kinds, piece, first)
+            assert core is not None  # there is a first piece
             try:
                 result = core.run((dt, readings, self._acting(tau, before)))
             except NumericalError as error:
@@ -278,12 +342,12 @@ class ElasticJointFilter(ElasticJoint, LiveFilter[_core.ElasticJointFilter]):
             before = float(piece.t[-1]), tau[-1:]
             yield self._estimate(piece, kinds, result)
 
-    def fresh(self) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
-        """Build a filter of the core for a loop, and the kinds of its channels.
+    def fresh(self, period: float) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
+        """Build a filter of the core for a loop of this period [s], and the kinds of its channels.
 
         It has taken no sample; a sample's torques are those that have acted, held, since the one before.
         """
-        return self.core(self.live_kinds, held=True), self.live_kinds
+        return self.core(self.live_kinds, period, self.noise, held=True), self.live_kinds
 
 
 class ElasticJointSmoother(ElasticJoint):
@@ -292,12 +356,19 @@ class ElasticJointSmoother(ElasticJoint):
     _smooth = True
 
 
-def _torques(log: Log, before: FloatArray | None) -> FloatArray:
-    """Motor torques (T, n); a missing one is the one before it, at first that of the row ``before``."""
-    assert log.tau is not None  # `kinds` has asked for it
-    missing = np.isnan(log.tau)
-    if not missing.any():
-        return log.tau
-    tau = log.tau if before is None else np.vstack([before, log.tau])
-    rows = np.arange(len(tau))[:, None] * ~np.isnan(tau)
-    return np.ascontiguousarray(np.take_along_axis(tau, np.maximum.accumulate(rows, axis=0), axis=0)[-len(log) :])
+def torque_walk(log: Log, noise: float) -> FloatArray:
+    """Density of a random walk (n,) that wanders at least as far as the log's torques over any time [N m/√s].
+
+    For each lag, a power of two of samples, the mean square of the change beyond ``noise`` [N m], over the lag.
+    """
+    assert log.tau is not None
+    longest = min(TORQUE_TIME, float(log.t[-1] - log.t[0]) / 2)
+    squares = [np.zeros(log.tau.shape[1])]
+    lag = 1
+    while lag < len(log) and (lag == 1 or lag * log.period <= longest):
+        change, time = log.tau[lag:] - log.tau[:-lag], log.t[lag:] - log.t[:-lag]
+        there = ~np.isnan(change)
+        total = np.where(there, change**2 - 2 * noise**2, 0.0).sum(axis=0)
+        squares.append(total / np.maximum((there * time[:, None]).sum(axis=0), log.period))
+        lag *= 2
+    return np.asarray(np.sqrt(np.max(squares, axis=0)))

@@ -11,12 +11,17 @@ from typing import Any, Generic, Protocol, TypeVar, overload
 import numpy as np
 import numpy.typing as npt
 
+from linkside.arguments import whole
 from linkside.arrays import FloatArray
 from linkside.channels import BIASED, CHANNELS
-from linkside.errors import EstimatorError
+from linkside.errors import EstimatorError, NumericalError
+from linkside.findings import named
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
+
+from .scale import blame_settings
+from .start import Moving, Readings, Spread, Start, find_start, given
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -25,8 +30,6 @@ class KalmanEstimate(Estimate):
 
     Attributes
     ----------
-    nis : (T,)
-        Normalised innovation squared; its mean should be that of ``used``.
     used : (T,)
         Readings used at each sample.
     log_likelihood : (T,)
@@ -39,7 +42,6 @@ class KalmanEstimate(Estimate):
         The m columns of the log that were read.
     """
 
-    nis: FloatArray | None = None
     used: npt.NDArray[np.uint32] | None = None
     log_likelihood: FloatArray | None = None
     state: FloatArray | None = None
@@ -60,6 +62,20 @@ class CoreFilter(Protocol):
         """Covariance of the state, (states, states)."""
 
 
+class Startable(CoreFilter, Protocol):
+    """A filter of the core that can be told where it starts."""
+
+    def reset(self) -> None:
+        """Forget the state."""
+
+    @property
+    def own_states(self) -> int:
+        """Number of states, but for those of late sensors."""
+
+    def set_start(self, mean: FloatArray, covariance: FloatArray) -> None:
+        """Let a first sample find this belief."""
+
+
 Core = TypeVar("Core", bound=CoreFilter)
 
 
@@ -69,6 +85,7 @@ class LiveFilter(ABC, Generic[Core]):
     def __init__(self) -> None:
         self.status = 0
         self._started: Core | None = None
+        self._period = np.inf  # of the samples, where `step` has begun
 
     @property
     def covariance(self) -> FloatArray:
@@ -76,7 +93,7 @@ class LiveFilter(ABC, Generic[Core]):
         return self._live.covariance
 
     def reset(self) -> None:
-        """Forget the state: the next `step` starts anew, from rest."""
+        """Forget the state: the next `step` starts anew."""
         self._started = None
 
     @property
@@ -94,6 +111,7 @@ class KalmanMethod(ABC):
     """A Kalman filter, or with ``_smooth`` a smoother, of any model, over recordings."""
 
     _smooth = False
+    noise: Any
 
     def __init__(
         self,
@@ -102,16 +120,19 @@ class KalmanMethod(ABC):
         biases: Sequence[str],
         gate: float | None,
         iterations: int,
+        start: Start = "auto",
     ) -> None:
         super().__init__()
+        if isinstance(start, str) and start not in ("auto", "rest"):
+            raise EstimatorError(f"start is {start!r}, expected 'auto', 'rest', or a mean and a covariance")
+        self._at = start
         unknown = sorted(set(biases) - set(BIASED))
         if unknown:
             raise EstimatorError(f"biases: {unknown[0]!r} is not one of {', '.join(map(repr, BIASED))}")
-        if not isinstance(iterations, int) or iterations < 1:
-            raise EstimatorError(f"iterations is {iterations!r}, expected a whole number of at least 1")
+        robot.require_masses("a Kalman filter", elastic_only=True)
         self.robot = robot
         self._wanted, self._biases = dict(wanted), tuple(biases)
-        self._gate, self._iterations = gate, iterations
+        self._gate, self._iterations = gate, whole("iterations", iterations, least=1)
 
     @overload
     def run(self, log: Log, *, covariance: bool = False, innovations: bool = False) -> KalmanEstimate: ...
@@ -122,7 +143,7 @@ class KalmanMethod(ABC):
     def run(
         self, log: Log | Sequence[Log], *, covariance: bool = False, innovations: bool = False
     ) -> KalmanEstimate | list[KalmanEstimate]:
-        """Estimate a recording, or several on all cores; each starts from rest at its first sample.
+        """Estimate a recording, or several on all cores; each starts as ``start`` says.
 
         Parameters
         ----------
@@ -140,10 +161,42 @@ class KalmanMethod(ABC):
         NumericalError
             The estimate is no longer finite; names the sample.
         """
-        if isinstance(log, Log):
-            return self._run(log, covariance, innovations)
-        with ThreadPoolExecutor() as pool:
-            return list(pool.map(lambda one: self._run(one, covariance, innovations), log))
+        try:
+            if isinstance(log, Log):
+                return self._run(log, covariance, innovations)
+            with ThreadPoolExecutor() as pool:
+                return list(pool.map(lambda one: self._run(one, covariance, innovations), log))
+        except NumericalError as error:
+            raise blame_settings(error, self.robot, self.noise) from None
+
+    def _begin(self, core: Startable, first: Readings, kinds: tuple[str, ...], noise: Any, jerk: FloatArray) -> None:
+        """Tell a filter of the core where it starts, by its first samples, or by what the user says."""
+        if self._at == "rest":
+            return
+        arrays = noise.arrays(self.robot, kinds)
+        biased = self._channels(kinds)["biased"]
+        bias = np.array(arrays["initial_bias"])[biased]
+        if not isinstance(self._at, str):
+            core.set_start(
+                *given(
+                    self._at, np.concatenate([np.zeros(core.own_states - len(bias)), bias]), core.own_states - len(bias)
+                )
+            )
+            return
+        n = self.robot.n
+        sensors = np.array(arrays["reading"])[n:][: self.width("acceleration") if "acceleration" in kinds else 0]
+        spread = Spread(np.array(arrays["reading"])[:n], max(noise.motor_velocity, 1e-9), sensors, jerk)
+        if "acceleration" not in kinds:
+            first = Readings(first.t, first.theta, first.dtheta, None)
+        moving = find_start(self.robot, first, spread)
+        if moving is not None:
+            mean, std = self._state(moving, arrays)
+            std = np.concatenate([std, bias])
+            core.set_start(np.concatenate([mean, np.zeros(len(bias))]), np.diag(std**2))
+
+    @abstractmethod
+    def _state(self, moving: Moving, arrays: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
+        """Mean and standard deviations of the state without biases, of a robot that is moving."""
 
     @abstractmethod
     def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
@@ -166,7 +219,7 @@ class KalmanMethod(ABC):
     def _channels(self, kinds: tuple[str, ...]) -> dict[str, Any]:
         """Kinds of channels as the core names them, and which of their channels have a bias."""
         return {
-            "kinds": ["theta" if kind == "motor" else kind for kind in kinds],
+            "kinds": [CHANNELS[kind].signal for kind in kinds],
             "biased": [kind in self._biases for kind in kinds for _ in range(self.width(kind))],
         }
 
@@ -175,14 +228,6 @@ class KalmanMethod(ABC):
         return tuple(name for kind in kinds for name in log.columns(CHANNELS[kind].signal))
 
     def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> KalmanEstimate:
-        return KalmanEstimate(t=log.t, names=self.robot.names, channels=self.columns(log, kinds), **result)
-
-
-def sized(name: str, signal: npt.ArrayLike | None, size: int) -> FloatArray:
-    """Give a copy of a signal's ``size`` values at one sample; NaN where there is no signal."""
-    if signal is None:
-        return np.full(size, np.nan)
-    array = np.array(signal, np.float64)
-    if array.shape != (size,):
-        raise EstimatorError(f"{name} has shape {array.shape}, expected ({size},)")
-    return array
+        columns = self.columns(log, kinds)
+        found = named(result.pop("findings", ()), columns)
+        return KalmanEstimate(t=log.t, names=self.robot.names, channels=columns, findings=found, **result)

@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 
 from linkside import _core
+from linkside.arguments import sized, whole
 from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError
 from linkside.robot import Robot
 
-from .filtering import KalmanEstimate, sized
+from .filtering import KalmanEstimate
 from .jerk_driven import Arrays, ExtendedKalmanFilter
 from .noise import Noise
+from .start import WINDOW, Readings
 
 
 class FixedLagSmoother:
@@ -33,26 +35,23 @@ class FixedLagSmoother:
     Raises
     ------
     EstimatorError
-        Settings out of range, or sensors whose readings come late.
+        Settings out of range.
     """
 
     def __init__(self, robot: Robot, noise: Noise | None = None, *, lag: int, **settings: Any) -> None:
-        if not isinstance(lag, int) or lag < 1:
-            raise EstimatorError(f"lag is {lag!r}, expected a whole number of at least 1")
-        self.robot, self.lag = robot, lag
+        self.robot, self.lag = robot, whole("lag", lag, least=1)
         self._filter = ExtendedKalmanFilter(robot, noise, **settings)
-        self._filter.refuse_late("a fixed-lag smoother")
         self._kinds = self._filter.live_kinds
-        self._before = self._filter.core(self._kinds, self._filter.noise)
+        self._before = self._filter.core(self._kinds, self._filter.noise, np.inf)
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything: the next `step` starts anew, from rest."""
+        """Forget everything: the next `step` starts anew."""
         self._before.reset()
         self._window: deque[tuple[float, FloatArray, FloatArray, FloatArray]] = deque()
         self._ddqref: FloatArray | None = None
-        self._begun = False
-        self._t = 0.0
+        self._begun, self._period = False, np.inf  # the first step of time says how many samples a delay spans
+        self._t, self._count = 0.0, 0
 
     def step(
         self,
@@ -74,16 +73,24 @@ class FixedLagSmoother:
         """
         if not dt > 0:
             raise EstimatorError(f"dt is {dt}, expected a positive time")
+        self._period = self._period if self._begun else dt
         self._window.append((dt, self._reading(theta, acceleration, further), *self._moved(dt, dtheta, ddqref)))
+        self._count += 1
+        if self._count <= WINDOW:
+            self._begin()
         if len(self._window) <= self.lag:
             return None
-        estimate = self._back(1)
-        self._forget()
+        row = len(self._window) - 1 - self.lag
+        estimate = self._back(slice(row, row + 1))
+        # While the first samples decide where the filter starts, none can be forgotten.
+        while self._count >= WINDOW and len(self._window) > self.lag:
+            self._forget()
         return estimate
 
     def flush(self) -> KalmanEstimate | None:
         """At the end of a stream, the estimate of the last ``lag`` samples; then start anew."""
-        estimate = self._back(len(self._window)) if self._window else None
+        done = max(len(self._window) - self.lag, 0)
+        estimate = self._back(slice(done, None)) if self._window else None
         self.reset()
         return estimate
 
@@ -108,13 +115,26 @@ class FixedLagSmoother:
         self._ddqref = now
         return sized("dtheta", dtheta, self.robot.n), jerk
 
-    def _back(self, rows: int) -> KalmanEstimate:
-        """The window's first rows, smoothed."""
+    def _begin(self) -> None:
+        """Let the filter before the window start where the samples so far say."""
+        readings = np.array([row[1] for row in self._window])
+        dtheta = np.array([row[2] for row in self._window])
+        n, sensors = self.robot.n, self._filter.width("acceleration")
+        first = Readings(
+            np.cumsum([row[0] for row in self._window]),
+            readings[:, :n],
+            None if np.isnan(dtheta).all() else dtheta,
+            None if np.isnan(readings[:, n : n + sensors]).all() else readings[:, n : n + sensors],
+        )
+        self._before = self._filter.started_core(self._kinds, self._filter.noise, first, self._period)
+
+    def _back(self, rows: slice) -> KalmanEstimate:
+        """Rows of the window, smoothed."""
         arrays = self._stacked(len(self._window))
         result = _core.StretchSmoother(self._before).back(self._before, arrays, True)
         t = self._t + np.cumsum(arrays[0]) - arrays[0][0]
-        first: dict[str, Any] = {name: a[:rows] for name, a in result.items()}
-        return KalmanEstimate(t=t[:rows], names=self.robot.names, **first)
+        first: dict[str, Any] = {name: a[rows] for name, a in result.items() if name != "findings"}
+        return KalmanEstimate(t=t[rows], names=self.robot.names, **first)
 
     def _forget(self) -> None:
         """Let the filter before the window take the window's first sample."""

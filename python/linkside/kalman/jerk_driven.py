@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -14,11 +13,14 @@ from linkside.errors import EstimatorError, NumericalError
 from linkside.recording.estimate import result_of
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.considered import considered
 from linkside.robot.requirements import refuse_unsupported
 
-from .filtering import CoreFilter, KalmanEstimate, KalmanMethod, LiveFilter
-from .late_sensors import Schedule, is_late, unfiltered
+from .filtering import CoreFilter, KalmanEstimate, KalmanMethod, LiveFilter, Startable
+from .late_sensors import inside, is_late
 from .noise import Noise
+from .start import Moving, Readings, Start
+from .starting import DecidingFilter, first_readings, with_first
 
 Arrays = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
@@ -56,7 +58,7 @@ class JerkDrivenFilter(LiveFilter[Core]):
         further: Signal | None = None,
         out: FloatArray | None = None,
     ) -> FloatArray:
-        """Take one sample and give the mean of the state at its time; the first sample starts from rest.
+        """Take one sample and give the mean of the state at its time.
 
         Parameters
         ----------
@@ -84,6 +86,7 @@ class JerkDrivenFilter(LiveFilter[Core]):
         NumericalError
             Of a particle filter: no particle explains the sample.
         """
+        self._period = dt if self._started is None else self._period
         live = self._live
         out = np.empty(live.states) if out is None else out
         self.status = live.step(dt, theta, acceleration, dtheta, ddqref, further, out)
@@ -107,45 +110,29 @@ class JerkDriven(KalmanMethod):
         dq: bool | None = None,
         gate: float | None = None,
         iterations: int = 1,
+        tolerances: bool = True,
+        start: Start = "auto",
     ) -> None:
         refuse_unsupported(robot, "a filter on the acceleration-driven model")
         wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
-        super().__init__(robot, wanted, biases, gate, iterations)
+        super().__init__(robot, wanted, biases, gate, iterations, start)
         self.noise = noise or Noise()
         self._damping = damping
+        self._uncertain = considered(robot) if tolerances else []
 
     def refuse_late(self, what: str) -> None:
-        """Raise `EstimatorError` where an accelerometer has a filter or a delay inside, which ``what`` cannot undo."""
+        """Raise `EstimatorError` where a sensor has a filter or delay inside, which ``what`` does not know."""
         if is_late(self.robot):
             raise EstimatorError(
-                f"{what} takes readings as they come, and robot.yaml gives an accelerometer a corner_frequency or a "
-                "delay; call run on the whole log"
+                f"{what} takes readings as they come, and robot.yaml gives a sensor a corner_frequency or a delay; "
+                "use a Kalman filter"
             )
 
     def _run(self, log: Log, covariance: bool, innovations: bool) -> KalmanEstimate:
         kinds = self.kinds(log)
-        noise = self.noise.for_log(log)
-        if is_late(self.robot):
-            result = self._run_late(log, kinds, noise, covariance, innovations)
-        else:
-            core = self.core(kinds, noise)
-            (outcome,) = core.run_all([self.arrays(log, kinds)], self._smooth, covariance, innovations)
-            result = result_of(log.source, outcome)
-        return self._estimate(log, kinds, result)
-
-    def _run_late(
-        self, log: Log, kinds: tuple[str, ...], noise: Noise, covariance: bool, innovations: bool
-    ) -> dict[str, Any]:
-        """Accelerometers with a filter or a delay inside: each reading is used at the time that it is of."""
-        assert log.acceleration is not None  # `kinds` has asked for it
-        acceleration, late, factor = unfiltered(self.robot, log.acceleration, log.period)
-        arrays = self.arrays(replace(log, acceleration=acceleration), kinds)
-        lag = np.zeros(arrays[1].shape[1])
-        lag[self.robot.n :][: len(late)] = late
-        schedule = Schedule(log.t, lag)
-        core = self.core(kinds, noise, factor)
-        (outcome,) = core.run_all([schedule.spread(arrays, log.period)], self._smooth, covariance, innovations)
-        return schedule.gather(result_of(log.source, outcome), arrays[1])
+        core = self.started_core(kinds, self.noise.for_log(log), first_readings(log), log.period)
+        (outcome,) = core.run_all([self.arrays(log, kinds)], self._smooth, covariance, innovations)
+        return self._estimate(log, kinds, result_of(log.source, outcome))
 
     def kinds(self, log: Log) -> tuple[str, ...]:
         """Kinds of channels to use, in the filter's order."""
@@ -154,21 +141,36 @@ class JerkDriven(KalmanMethod):
             log.require("acceleration", purpose="the Kalman filter")
         return self._with_wanted(("motor", "acceleration"), log, "the Kalman filter")
 
-    def core(
-        self, kinds: tuple[str, ...], noise: Noise, factor: FloatArray | float = 1.0
-    ) -> _core.ExtendedKalmanFilter:
-        """Build a filter of the core for channels of these kinds, which has taken no sample."""
+    def core(self, kinds: tuple[str, ...], noise: Noise, period: float) -> _core.ExtendedKalmanFilter:
+        """Build a filter of the core, without a sample yet, for channels of these kinds every ``period`` [s]."""
         return _core.ExtendedKalmanFilter(
-            self.robot.core, **self.settings(kinds, noise, factor), gate=self._gate, iterations=self._iterations
+            self.robot.core,
+            **self.settings(kinds, noise),
+            gate=self._gate,
+            iterations=self._iterations,
+            late=inside(self.robot, kinds, period),
+            told=[parameter.told for parameter in self._uncertain],
         )
 
-    def settings(self, kinds: tuple[str, ...], noise: Noise, factor: FloatArray | float = 1.0) -> dict[str, Any]:
+    def started_core(
+        self, kinds: tuple[str, ...], noise: Noise, first: Readings, period: float
+    ) -> _core.ExtendedKalmanFilter:
+        """Build a filter of the core that starts where the ``first`` samples say."""
+        core = self.core(kinds, noise, period)
+        self.begin(core, first, kinds, noise)
+        return core
+
+    def begin(self, core: Startable, first: Readings, kinds: tuple[str, ...], noise: Noise) -> None:
+        """Tell a filter of the core where the ``first`` samples say that it starts."""
+        self._begin(core, first, kinds, noise, np.array(noise.arrays(self.robot, kinds)["jerk"]))
+
+    def _state(self, moving: Moving, arrays: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
+        mean = np.concatenate([moving.q, moving.dq, moving.ddq])
+        return mean, np.concatenate([moving.q_std, moving.dq_std, moving.ddq_std])
+
+    def settings(self, kinds: tuple[str, ...], noise: Noise) -> dict[str, Any]:
         """Settings of the model: its channels, which of them have a bias, noise, damping."""
-        arrays = noise.arrays(self.robot, kinds)
-        sensors = slice(self.robot.n, self.robot.n + self.width("acceleration"))
-        factors = np.broadcast_to(factor, self.width("acceleration"))
-        arrays["reading"][sensors] = list(arrays["reading"][sensors] * factors)
-        return self._channels(kinds) | {"noise": arrays, "damping": self._damping}
+        return self._channels(kinds) | {"noise": noise.arrays(self.robot, kinds), "damping": self._damping}
 
     def arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:
         """Steps of time, readings, motor velocities and commanded jerk, one row a sample."""
@@ -182,7 +184,9 @@ class JerkDriven(KalmanMethod):
         return dt, np.ascontiguousarray(readings), dtheta, commanded_jerk(log, dt, before)
 
 
-class ExtendedKalmanFilter(JerkDriven, JerkDrivenFilter[_core.ExtendedKalmanFilter]):
+class ExtendedKalmanFilter(
+    JerkDriven, DecidingFilter[_core.ExtendedKalmanFilter], JerkDrivenFilter[_core.ExtendedKalmanFilter]
+):
     """EKF on the acceleration-driven model: jerk moves the links, motor and sensors measure.
 
     Axelsson, Karlsson and Norrlöf, "Tool position estimation of a flexible industrial robot using recursive Bayesian
@@ -210,6 +214,13 @@ class ExtendedKalmanFilter(JerkDriven, JerkDrivenFilter[_core.ExtendedKalmanFilt
         Leave a reading out when its innovation exceeds this many standard deviations; None uses all.
     iterations
         How often a sample's measurement is linearised; 1 is the plain update.
+    tolerances
+        Whether the ``tolerances`` of robot.yaml count in standard deviations, as far as independent sensors have not
+        narrowed them (Schmidt–Kalman); the estimate itself is the same.
+    start
+        The state at the first sample: ``"auto"``, the first 32 samples decide, be the robot at rest or in motion;
+        ``"rest"``; or a mean and a covariance of the state, with or without its biases. `step` answers at once: its
+        first rows are as uncertain as the samples up to then leave them.
 
     Raises
     ------
@@ -218,12 +229,22 @@ class ExtendedKalmanFilter(JerkDriven, JerkDrivenFilter[_core.ExtendedKalmanFilt
 
     Notes
     -----
-    An accelerometer's ``corner_frequency`` and ``delay`` in robot.yaml are accounted for: each of its readings is used
-    at the time that it is of, so that a row then rests on readings that come up to the delay later.
+    ``corner_frequency`` and ``delay`` of accelerometers and gyroscopes in robot.yaml are accounted for: what the sensor
+    holds is part of the state, behind the biases. In `step` the first ``dt`` says how many samples a delay spans.
 
     A reading that is NaN is missing, which equals deleting it. Steps of time may vary, and sensors have rates of their
     own: leave NaN where a sensor has no sample.
     """
+
+    def step(self, **sample: Any) -> FloatArray:
+        """Take one sample and give the mean of the state at its time; arguments as of `JerkDrivenFilter.step`."""
+        if not self._deciding():
+            return super().step(**sample)
+        out = sample.pop("out", None)
+        state = self._decide(
+            sample, super().step, lambda first: self.begin(self._live, first, self.live_kinds, self.noise)
+        )
+        return state if out is None else _written(state, out)
 
     @property
     def live_kinds(self) -> tuple[str, ...]:
@@ -231,23 +252,24 @@ class ExtendedKalmanFilter(JerkDriven, JerkDrivenFilter[_core.ExtendedKalmanFilt
         return ("motor", "acceleration", *(kind for kind, wanted in self._wanted.items() if wanted))
 
     def _start(self) -> _core.ExtendedKalmanFilter:
-        self.refuse_late("step")
-        return self.core(self.live_kinds, self.noise)
+        return self.core(self.live_kinds, self.noise, self._period)
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
         """Estimate a recording that comes piece by piece, in bounded memory.
 
         The same bits as `run` when ``noise.jerk`` is given; otherwise the scale of jerk is read off the first piece.
         """
-        self.refuse_late("run_pieces")
         core: _core.ExtendedKalmanFilter | None = None
         kinds: tuple[str, ...] = ()
         before: Log | None = None
+        first, pieces = with_first(pieces)
         for piece in pieces:
             if core is None:
                 kinds = self.kinds(piece)
-                core = self.core(kinds, self.noise.for_log(piece))
             arrays = self.arrays(piece, kinds, before)
+            if core is None and first is not None:
+                core = self.started_core(kinds, self.noise.for_log(piece), first, piece.period)
+            assert core is not None  # there is a first piece
             try:
                 result = core.run(arrays, False, False)
             except NumericalError as error:
@@ -264,6 +286,14 @@ class RauchTungStriebelSmoother(JerkDriven):
     """
 
     _smooth = True
+
+
+def _written(state: FloatArray, out: FloatArray) -> FloatArray:
+    """``out``, with the state in it."""
+    if len(out) != len(state):
+        raise EstimatorError(f"out has {len(out)} entries, expected {len(state)}")
+    out[:] = state
+    return out
 
 
 def commanded_jerk(log: Log, dt: FloatArray, before: Log | None) -> FloatArray:

@@ -9,18 +9,22 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from linkside.arguments import per_joint
 from linkside.arrays import FloatArray
 from linkside.channels import CHANNELS, Channel, widths
-from linkside.errors import EstimatorError
 from linkside.files.yaml_source import Source, write_yaml
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
 Std = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 PositiveStd = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Time = Annotated[float, Field(gt=0)]
 
 JERK_TIME = 0.02
 """Over this time jerk is taken to stay the same, where its size is read off a log [s]."""
+
+SHORTEST = 5
+"""Readings that a cubic is put through at least."""
 
 LINK_WALKS = ("position_walk", "velocity_walk")
 """What lets links wander, in the order of the core."""
@@ -63,6 +67,10 @@ class Noise(BaseModel):
         Initial uncertainty of biases [rad, m/s², rad/s].
     motor_bias_walk, acceleration_bias_walk, rate_bias_walk
         By how much biases wander in one second [rad/√s, m/s²/√s, rad/s/√s].
+    motor_bias_time, acceleration_bias_time, rate_bias_time
+        Over which time biases forget where they were [s] (Gauss and Markov's process): beyond it they wander no further
+        than ``walk · √(time/2)``. None: the time with which that is their initial uncertainty, so that they are as
+        uncertain at any time. Infinite: they wander without bound, and over a long recording the estimate with them.
     position, velocity, initial_acceleration
         Uncertainty of the links' state at the first sample, where the robot is taken to be at rest
         [rad, rad/s, rad/s²].
@@ -83,10 +91,13 @@ class Noise(BaseModel):
     velocity_walk: Std | tuple[Std, ...] = 0.0
     motor_bias: Std = 1e-5
     motor_bias_walk: Std = 1e-6
+    motor_bias_time: Time | None = None
     acceleration_bias: Std = 0.1
     acceleration_bias_walk: Std = 1e-3
+    acceleration_bias_time: Time | None = None
     rate_bias: Std = 1e-3
     rate_bias_walk: Std = 1e-5
+    rate_bias_time: Time | None = None
     position: Std = 1e-4
     velocity: Std = 1e-3
     initial_acceleration: Std = 0.1
@@ -132,19 +143,20 @@ def channel_arrays(noise: Any, motor: FloatArray, robot: Robot, kinds: tuple[str
     ``noise`` has the attributes of `Noise` that describe readings; ``motor`` is that of motor positions (n,) [rad].
     """
     chosen = [CHANNELS[kind] for kind in kinds]
-    sizes = widths(robot, kinds)
     readings = [motor if kind == "motor" else _reading_noise(noise, CHANNELS[kind], robot) for kind in kinds]
+    biases = np.repeat([_bias(noise, channel) for channel in chosen], widths(robot, kinds), axis=0)
+    bias, walk, time = biases.T
+    return {"reading": np.concatenate(readings), "initial_bias": bias, "bias_walk": walk, "bias_time": time}
 
-    def biases(suffix: str) -> FloatArray:
-        """Of each channel; zero of a kind that has none."""
-        values = [getattr(noise, f"{c.kind}{suffix}") if c.biased else 0.0 for c in chosen]
-        return np.repeat(np.asarray(values, float), sizes)
 
-    return {
-        "reading": np.concatenate(readings),
-        "bias_walk": biases("_bias_walk"),
-        "initial_bias": biases("_bias"),
-    }
+def _bias(noise: Any, channel: Channel) -> tuple[float, float, float]:
+    """Initial uncertainty, walk and time constant of the biases of a kind of channel."""
+    if not channel.biased:
+        return 0.0, 0.0, np.inf
+    bias, walk, time = (getattr(noise, f"{channel.kind}_bias{what}") for what in ("", "_walk", "_time"))
+    if time is None and bias > 0 and walk > 0:
+        time = 2 * (bias / walk) ** 2
+    return bias, walk, time or np.inf
 
 
 def _reading_noise(noise: Any, channel: Channel, robot: Robot) -> FloatArray:
@@ -162,24 +174,35 @@ def motor_noise(robot: Robot, transmission: float | tuple[float, ...]) -> FloatA
     return np.asarray(np.hypot(step, per_joint("transmission", transmission, robot.n)))
 
 
-def per_joint(name: str, value: float | tuple[float, ...], n: int) -> FloatArray:
-    """One number for each of n joints."""
-    values = np.atleast_1d(np.asarray(value, float))
-    if len(values) not in (1, n):
-        raise EstimatorError(f"noise: {name} has {len(values)} entries, expected 1 or {n}")
-    return np.array(np.broadcast_to(values, n))
-
-
 def jerk_scale(log: Log) -> FloatArray:
-    """Density of each joint's jerk (n,), from the third derivative of the motor positions [rad/s³/√Hz]."""
-    half = min(len(log) - 1, 2 * round(JERK_TIME / log.period)) // 2
-    if half < 2:
-        return np.full(log.theta.shape[1], LEAST_JERK)
-    filled = np.where(np.isnan(log.theta), np.nanmean(log.theta, axis=0), log.theta)
-    # A cubic through each window of samples: its third derivative is a fixed combination of them.
-    weights = 6 * np.linalg.pinv(np.vander(np.arange(-half, half + 1) * log.period, 4, increasing=True))[3]
-    jerk = np.stack([np.correlate(joint, weights, "valid") for joint in filled.T], axis=1)
-    return np.asarray(np.maximum(LEAST_JERK, np.sqrt(np.mean(jerk**2, axis=0) * JERK_TIME)))
+    """Density of each joint's jerk (n,), from the third derivative of the motor positions [rad/s³/√Hz].
+
+    That of cubics through windows of `JERK_TIME`, of five readings at least; readings that are missing are left out.
+    """
+    return np.array([_jerk_scale(log.t, theta) for theta in log.theta.T])
+
+
+def _jerk_scale(t: FloatArray, theta: FloatArray) -> float:
+    there = ~np.isnan(theta)
+    t, theta = t[there], theta[there]
+    if len(t) < SHORTEST:
+        return LEAST_JERK
+    period = float(np.median(np.diff(t)))
+    count = min(len(t), max(SHORTEST, 2 * round(JERK_TIME / period) + 1))
+    every = max(1, count // 8)
+    times, angles = (np.lib.stride_tricks.sliding_window_view(x, count)[::every] for x in (t, theta))
+    whole = times[:, -1] - times[:, 0] < 2 * (count - 1) * period
+    if not whole.any():
+        return LEAST_JERK
+    times, angles = times[whole], angles[whole]
+    span = 0.5 * (times[:, -1:] - times[:, :1])
+    s = (times - times[:, :1]) / span - 1.0
+    powers = np.stack([np.ones_like(s), s, s * s, s * s * s], axis=2)
+    normal, right = powers.swapaxes(1, 2) @ powers, powers.swapaxes(1, 2) @ (angles - angles[:, :1])[:, :, None]
+    jerk = 6 * np.linalg.solve(normal, right)[:, 3, 0] / span[:, 0] ** 3
+    # Over a window longer than that, jerk that lasts is as much as more of it that does not.
+    lasting = max(JERK_TIME, (count - 1) * period / 2)
+    return max(LEAST_JERK, float(np.sqrt(np.mean(jerk**2) * lasting)))
 
 
 def sensor_noise(sensors: Any) -> FloatArray:

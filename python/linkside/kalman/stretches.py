@@ -6,10 +6,11 @@ the stretch began. What waits for the way back, and what waits for its turn to b
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import gettempdir
 from typing import Any
 
 import numpy as np
@@ -20,13 +21,16 @@ from pyarrow import feather
 from linkside import _core
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError, NumericalError, OutputError
+from linkside.files.parts import spill_folder
 from linkside.files.writing import check_writable
+from linkside.findings import named
 from linkside.recording.log import Log
 from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
 
 from .filtering import KalmanEstimate
 from .jerk_driven import Arrays, RauchTungStriebelSmoother
+from .starting import with_first
 
 ROWS = 65_536
 """Rows of a recording that are in memory at a time."""
@@ -39,7 +43,13 @@ READ = ("dt", "readings", "dtheta", "jerk")
 
 
 def smooth_file(
-    smoother: RauchTungStriebelSmoother, path: str | Path, robot: Robot, out: str | Path, rows: int = ROWS
+    smoother: RauchTungStriebelSmoother,
+    path: str | Path,
+    robot: Robot,
+    out: str | Path,
+    rows: int = ROWS,
+    *,
+    check: bool = True,
 ) -> int:
     """Smooth a recording of any length from file to file, in bounded memory; gives the rows written.
 
@@ -59,6 +69,8 @@ def smooth_file(
         The estimate, Parquet or CSV; it appears when it is complete.
     rows
         Rows in memory at a time.
+    check
+        Look at the recording before it is believed, as `Log.read` does.
 
     Raises
     ------
@@ -72,7 +84,9 @@ def smooth_file(
     check_writable(out)
     count = 0
     with EstimateWriter(out) as writer:
-        for piece in smooth_pieces(smoother, Log.stream(path, robot, rows), Path(out).resolve().parent):
+        for piece in smooth_pieces(
+            smoother, Log.stream(path, robot, rows, check=check), Path(os.path.realpath(out)).parent
+        ):
             writer.write(piece)
             count += len(piece)
     return count
@@ -92,20 +106,20 @@ def smooth_pieces(
     folder
         Where a temporary directory is made, removed at the end whatever happens; by default the system's.
     """
-    smoother.refuse_late("smoothing piece by piece")
     with _spill_folder(folder) as spill:
-        starts = list(_forward(smoother, pieces, spill))
+        starts, columns = _forward(smoother, pieces, spill)
+        found = named(starts.pop().findings, columns) if starts else ()
         _backward(starts, spill)
         for index in range(len(starts)):
             arrays: dict[str, Any] = _load(spill / f"{index}.estimate")
-            yield KalmanEstimate(names=smoother.robot.names, **arrays)
+            yield KalmanEstimate(names=smoother.robot.names, channels=columns, findings=found, **arrays)
 
 
 @contextmanager
 def _spill_folder(folder: str | Path | None) -> Iterator[Path]:
     try:
-        with TemporaryDirectory(prefix=".smooth-", dir=folder) as name:
-            yield Path(name)
+        with spill_folder(Path(gettempdir() if folder is None else folder)) as spill:
+            yield spill
     except (OSError, pa.ArrowException) as error:
         if isinstance(error, OutputError):
             raise
@@ -114,22 +128,29 @@ def _spill_folder(folder: str | Path | None) -> Iterator[Path]:
 
 def _forward(
     smoother: RauchTungStriebelSmoother, pieces: Iterable[Log], spill: Path
-) -> Iterator[_core.ExtendedKalmanFilter]:
-    """Filter, spill what was read, and give the filter as it was at the start of each piece."""
+) -> tuple[list[_core.ExtendedKalmanFilter], tuple[str, ...]]:
+    """Filter, spill what was read, and give the filter at the start of each piece and at the end; and its columns."""
     core: _core.ExtendedKalmanFilter | None = None
     kinds: tuple[str, ...] = ()
     before: Log | None = None
+    starts: list[_core.ExtendedKalmanFilter] = []
+    columns: tuple[str, ...] = ()
     rows = 0
+    first, pieces = with_first(pieces)
     for index, piece in enumerate(pieces):
         if core is None:
             kinds = smoother.kinds(piece)
-            core = smoother.core(kinds, smoother.noise.for_log(piece))
-        yield core.copy()
+            columns = smoother.columns(piece, kinds)
         arrays = smoother.arrays(piece, kinds, before)
+        if core is None:
+            assert first is not None  # there is a piece
+            core = smoother.started_core(kinds, smoother.noise.for_log(piece), first, piece.period)
+        starts.append(core.copy())
         _save(spill / f"{index}.log", dict(zip((*READ, "t"), (*arrays, piece.t), strict=True)))
         with _in_rows(rows, len(piece)):
             core.run(arrays, False, False)
         before, rows = piece[-1:], rows + len(piece)
+    return ([*starts, core] if core is not None else []), columns
 
 
 def _backward(starts: Sequence[_core.ExtendedKalmanFilter], spill: Path) -> None:
@@ -156,7 +177,8 @@ def _smooth(
         core.run(cut, False, False)
         filters.append(core)
     parts = [smoother.back(f, cut, False) for f, cut in zip(reversed(filters), reversed(cuts), strict=True)]
-    return {name: np.concatenate([part[name] for part in reversed(parts)]) for name in parts[0]}
+    names = [name for name in parts[0] if name != "findings"]
+    return {name: np.concatenate([part[name] for part in reversed(parts)]) for name in names}
 
 
 def _rows(arrays: tuple[FloatArray, ...], first: int, last: int) -> Arrays:

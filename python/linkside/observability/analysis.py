@@ -20,8 +20,8 @@ from linkside.recording.log import Log, LogStream
 from linkside.robot import Robot
 from linkside.robot.workspace import joint_limits, sobol
 
-from .findings import Path, Posture, Sight, describe, involved
 from .report import CheckReport
+from .result import Observability, Path, Posture, describe, involved
 
 LOG_ROWS = 500_000
 """A log with more rows than this is looked at every so many rows."""
@@ -44,14 +44,14 @@ def check(robot: Robot, log: Log | LogStream | None = None) -> CheckReport:
     unit = sobol(2 * robot.n)
     q = limits[0] + unit[:, : robot.n] * (limits[1] - limits[0])
     other = limits[0] + unit[:, robot.n :] * (limits[1] - limits[0])
-    sight = Sight.of(robot, q)
+    observability = Observability.of(robot, q)
     path = None if log is None else _path(robot, log)
     home = limits.mean(axis=0) if path is None else np.median(path.q, axis=0)
     influence = _influence(robot, q[:4096], other[:4096])
-    report = CheckReport(robot, limits, home, sight, influence, (), path)
+    report = CheckReport(robot, limits, home, observability, influence, (), path)
     if not (report.observable and robot.elastic.any()):
         return report
-    return CheckReport(robot, limits, home, sight, influence, _worst_postures(report, q), path)
+    return CheckReport(robot, limits, home, observability, influence, _worst_postures(report, q), path)
 
 
 def _path(robot: Robot, log: Log | LogStream) -> Path | None:
@@ -60,11 +60,11 @@ def _path(robot: Robot, log: Log | LogStream) -> Path | None:
     times, postures, worst, joints = [], [], [], []
     for piece in (log[i : i + 65_536] for i in range(0, rows, 65_536)) if isinstance(log, Log) else log:
         known = np.flatnonzero(np.isfinite(piece.theta).all(axis=1))[::step]
-        sight = Sight.of(robot, np.ascontiguousarray(piece.theta[known]))
+        observability = Observability.of(robot, np.ascontiguousarray(piece.theta[known]))
         times.append(piece.t[known])
         postures.append(piece.theta[known])
-        worst.append(sight.worst)
-        joints.append(sight.joints)
+        worst.append(observability.worst)
+        joints.append(observability.joints)
     path = Path(log.source, *map(np.concatenate, (times, postures, worst, joints)))
     return path if len(path.t) else None
 
@@ -73,7 +73,7 @@ def _influence(robot: Robot, q: FloatArray, other: FloatArray) -> FloatArray:
     """Total-effect index of each joint: half the mean square change of log10 σ when it alone moves elsewhere."""
 
     def decades(q: FloatArray) -> FloatArray:
-        return np.asarray(np.log10(np.clip(Sight.of(robot, q).worst, 1e-12, 1e12)))
+        return np.asarray(np.log10(np.clip(Observability.of(robot, q).worst, 1e-12, 1e12)))
 
     base, index = decades(q), np.zeros(robot.n)
     for joint in range(robot.n):
@@ -85,7 +85,7 @@ def _influence(robot: Robot, q: FloatArray, other: FloatArray) -> FloatArray:
 
 def _worst_postures(report: CheckReport, q: FloatArray) -> tuple[Posture, ...]:
     """Refine the worst samples of each kind, and keep of each kind of singularity the one nearest to home."""
-    found = [_refine(report, start) for start in _starts(report.sight, q)]
+    found = [_refine(report, start) for start in _starts(report.observability, q)]
     kinds: dict[frozenset[int], list[Posture]] = {}
     for posture in (posture for posture in found if posture.singular):
         kinds.setdefault(frozenset(np.flatnonzero(involved(posture.direction))), []).append(posture)
@@ -107,10 +107,10 @@ def _distinct(kinds: dict[frozenset[int], list[Posture]]) -> list[frozenset[int]
     return kept
 
 
-def _starts(sight: Sight, q: FloatArray, kinds: int = 8, each: int = 8) -> FloatArray:
+def _starts(observability: Observability, q: FloatArray, kinds: int = 8, each: int = 8) -> FloatArray:
     """Pick the worst samples of each kind, by the joints that take part in what is seen worst."""
-    order = np.argsort(-sight.worst, kind="stable")[: len(q) // 16]
-    parts = involved(sight.directions[order, -1])
+    order = np.argsort(-observability.worst, kind="stable")[: len(q) // 16]
+    parts = involved(observability.directions[order, -1])
     kind = parts @ (1 << np.arange(parts.shape[1]))
     first = np.unique(kind, return_index=True)[1]
     chosen = [order[kind == kind[i]][:each] for i in np.sort(first)[:kinds]]
@@ -129,7 +129,7 @@ def _refine(report: CheckReport, start: FloatArray) -> Posture:
     def square(x: FloatArray) -> tuple[float, FloatArray]:
         q = np.tile(base, (len(steps), 1))
         q[:, free] = x + steps
-        value = Sight.of(report.robot, q).values[:, -1] ** 2
+        value = Observability.of(report.robot, q).values[:, -1] ** 2
         up, down = value[1:].reshape(2, -1)
         return float(value[0]), (up - down) / 2e-6
 
@@ -137,7 +137,7 @@ def _refine(report: CheckReport, start: FloatArray) -> Posture:
         bounds = report.limits[:, free].T
         options = {"ftol": 0.0, "gtol": 1e-12, "maxiter": 200}
         base[free] = minimize(square, base[free], jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
-    sight = Sight.of(report.robot, base[None])
-    direction = sight.directions[0, -1]
+    observability = Observability.of(report.robot, base[None])
+    direction = observability.directions[0, -1]
     words = describe(report.joints, direction)
-    return Posture(base, float(sight.worst[0]), float(sight.condition[0]), direction, words)
+    return Posture(base, float(observability.worst[0]), float(observability.condition[0]), direction, words)

@@ -15,7 +15,7 @@ from linkside.arrays import FloatArray
 from linkside.figures import COLOURS, finish
 from linkside.robot.workspace import prismatic
 
-from .findings import LIMIT, Findings, Sight
+from .result import LIMIT, CheckResult, Observability
 from .words import check_words
 
 CELLS = 180
@@ -23,7 +23,7 @@ FINER = 3
 POINTS = 4000
 
 
-def check_figure(report: Findings) -> Figure:
+def check_figure(report: CheckResult) -> Figure:
     """Draw where accelerations are lost, see `CheckReport.figure`."""
     if not (report.observable and report.joints):
         return _words_only(report)
@@ -38,13 +38,13 @@ def check_figure(report: Findings) -> Figure:
     return figure
 
 
-def leading_pair(report: Findings) -> list[int]:
+def leading_pair(report: CheckResult) -> list[int]:
     """The two joints whose position matters most."""
     first = [int(joint) for joint in report.influential]
     return sorted((first + [joint for joint in range(report.robot.n) if joint not in first])[:2])
 
 
-def draw_map(figure: Figure, axes: Any, report: Findings, pair: list[int]) -> None:
+def draw_map(figure: Figure, axes: Any, report: CheckResult, pair: list[int]) -> None:
     """Draw the worst combination's standard deviation over two joints."""
     if len(pair) == 1:
         _line(axes, report)
@@ -58,19 +58,19 @@ def draw_map(figure: Figure, axes: Any, report: Findings, pair: list[int]) -> No
     axes.set(xlabel=_label(report, pair[0]), ylabel=_label(report, pair[1]), title=_held(report, pair))
 
 
-def _sweep(report: Findings, across: int, up: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _sweep(report: CheckResult, across: int, up: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Standard deviation over two joints, all others at home; degrees where a joint turns.
 
     A cell shows the worst of some postures in it, or else narrow singular curves would fall between the samples.
     """
     low, high, q = spread(report, across, up, CELLS * FINER)
-    worst = np.concatenate([Sight.of(report.robot, part).worst for part in np.array_split(q, 16)])
+    worst = np.concatenate([Observability.of(report.robot, part).worst for part in np.array_split(q, 16)])
     cells = np.minimum(worst, 1e12).reshape(CELLS, FINER, CELLS, FINER).max(axis=(1, 3))
     edges = (np.linspace(low[j], high[j], CELLS + 1) * scale(report, j) for j in (across, up))
     return next(edges), next(edges), cells
 
 
-def spread(report: Findings, across: int, up: int, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def spread(report: CheckResult, across: int, up: int, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Limits of all joints, and postures over two of them, `count` along each, all others at home."""
     low, high = report.limits
     middles = (np.arange(count) + 0.5) / count
@@ -80,7 +80,7 @@ def spread(report: Findings, across: int, up: int, count: int) -> tuple[FloatArr
     return low, high, q
 
 
-def _draw_path(axes: Any, report: Findings, pair: list[int]) -> None:
+def _draw_path(axes: Any, report: CheckResult, pair: list[int]) -> None:
     assert report.path is not None
     rows = _thinned(len(report.path.t))
     x, y = (report.path.q[rows, joint] * scale(report, joint) for joint in pair)
@@ -90,10 +90,10 @@ def _draw_path(axes: Any, report: Findings, pair: list[int]) -> None:
     axes.legend(loc="upper right")
 
 
-def _line(axes: Any, report: Findings) -> None:
+def _line(axes: Any, report: CheckResult) -> None:
     """A robot of one joint has no map, but a curve."""
     q = np.linspace(report.limits[0, 0], report.limits[1, 0], POINTS)
-    worst = Sight.of(report.robot, q[:, None]).worst
+    worst = Observability.of(report.robot, q[:, None]).worst
     axes.semilogy(q * scale(report, 0), np.minimum(worst, 1e12), color=COLOURS[0])
     axes.set(xlabel=_label(report, 0), ylabel="standard deviation [rad/s²]", title="over the workspace")
     axes.set_ylim(worst.min() / 3, 3 * max(LIMIT, worst.min()))
@@ -101,10 +101,10 @@ def _line(axes: Any, report: Findings) -> None:
     finish(axes, legend=False)
 
 
-def _shares(axes: Any, report: Findings) -> None:
+def _shares(axes: Any, report: CheckResult) -> None:
     """Draw the share of the workspace in which each joint is seen at least so well."""
     share = np.linspace(0, 100, 1001)
-    for name, values, style in _styled(report.joints, report.sight.joints):
+    for name, values, style in _styled(report.joints, report.observability.joints):
         ranked = np.quantile(values, share / 100, method="lower")
         axes.semilogx(np.minimum(ranked, 1e12), share, label=name, **style)
     axes.axvline(LIMIT, color="0.4", linestyle=":")
@@ -114,7 +114,7 @@ def _shares(axes: Any, report: Findings) -> None:
     finish(axes)
 
 
-def _along(axes: Any, report: Findings) -> None:
+def _along(axes: Any, report: CheckResult) -> None:
     """Draw each joint's standard deviation along the log, the worst of every stretch of it."""
     assert report.path is not None
     rows = _thinned(len(report.path.t))
@@ -135,7 +135,7 @@ def _styled(joints: Iterable[str], values: FloatArray) -> Iterable[tuple[str, Fl
         yield name, values[:, index], style
 
 
-def _words_only(report: Findings) -> Figure:
+def _words_only(report: CheckResult) -> Figure:
     figure = Figure(figsize=(8, 2), layout="constrained")
     figure.text(0.5, 0.5, "\n".join(check_words(report)), ha="center", va="center", wrap=True)
     return figure
@@ -145,21 +145,21 @@ def _thinned(rows: int) -> npt.NDArray[np.intp]:
     return np.arange(0, rows, 1 + rows // POINTS)
 
 
-def _held(report: Findings, pair: list[int]) -> str:
+def _held(report: CheckResult, pair: list[int]) -> str:
     held = [joint for joint in sorted(map(int, report.influential)) if joint not in pair]
     places = (f"{report.robot.names[j]} = {report.home[j] * scale(report, j):.1f}{_unit(report, j)}" for j in held)
     others = textwrap.fill(f"at {', '.join(places)}", 60) if held else ""
     return f"worst combination of link accelerations\n{others}".strip()
 
 
-def _label(report: Findings, joint: int) -> str:
+def _label(report: CheckResult, joint: int) -> str:
     return f"{report.robot.names[joint]} [{_unit(report, joint)}]"
 
 
-def _unit(report: Findings, joint: int) -> str:
+def _unit(report: CheckResult, joint: int) -> str:
     return "m" if prismatic(report.robot)[joint] else "°"
 
 
-def scale(report: Findings, joint: int) -> float:
+def scale(report: CheckResult, joint: int) -> float:
     """What a position is multiplied by to be shown, in degrees where a joint turns."""
     return 1.0 if prismatic(report.robot)[joint] else 180 / np.pi

@@ -36,8 +36,8 @@ from linkside.robot.config import AccelerometerConfig
 from linkside.robot.workspace import workspace
 
 from .analysis import check
-from .findings import Sight
 from .report import CheckReport
+from .result import Observability
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -247,7 +247,7 @@ class _Search:
         # Sets that see too little still compare: a trace of knowledge in all directions.
         self.trace = 1e-12 * np.trace(self.information.sum(axis=0), axis1=1, axis2=2).max() * np.eye(rows[0].shape[2])
         everything = _mounted(robot, sensors)
-        if not np.isfinite(Sight.of(everything, q).worst).any():
+        if not np.isfinite(Observability.of(everything, q).worst).any():
             raise EstimatorError(
                 "all candidates together do not tell the elastic joints apart; add some on other links, or more axes"
             )
@@ -342,10 +342,10 @@ class _Search:
         return self._exact(_mounted(self.robot, tuple(self.sensors[i] for i in chosen)))
 
     def _exact(self, robot: Robot) -> float:
-        sight = Sight.of(robot, self.q)
+        observability = Observability.of(robot, self.q)
         if self.criterion == "condition":
-            return float(np.quantile(sight.condition, self.share, method="lower"))
-        variance = np.sort(np.sum(sight.joints**2, axis=1))
+            return float(np.quantile(observability.condition, self.share, method="lower"))
+        variance = np.sort(np.sum(observability.joints**2, axis=1))
         return float(np.sqrt(variance[: max(1, int(self.share * len(variance)))].mean()))
 
     def result(self, best: tuple[int, ...]) -> Placement:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from linkside.figures import COLOURS, finish
 
 from .figure import CELLS, draw_map, leading_pair, scale, spread
-from .findings import LIMIT, Findings, Sight
+from .result import LIMIT, CheckResult, Observability
 
 
 class Scores(NamedTuple):
@@ -23,7 +23,7 @@ class Scores(NamedTuple):
     label: str
 
 
-def placement_figure(report: Findings, names: Sequence[str], scores: Scores) -> Figure:
+def placement_figure(report: CheckResult, names: Sequence[str], scores: Scores) -> Figure:
     """Draw where a set of sensors is singular, see `Placement.figure`."""
     figure = Figure(figsize=(12, 5.6), layout="constrained")
     figure.suptitle(f"{', '.join(names)}: where it loses sight of the links")
@@ -37,14 +37,14 @@ def placement_figure(report: Findings, names: Sequence[str], scores: Scores) -> 
     return figure
 
 
-def _mark_singular(axes: Any, report: Findings, pair: list[int]) -> None:
+def _mark_singular(axes: Any, report: CheckResult, pair: list[int]) -> None:
     """Mark, of each kind of singularity, the posture on the map whose lost direction is most purely of that kind."""
     q = spread(report, pair[0], pair[1], CELLS)[2]
-    sight = Sight.of(report.robot, q)
-    lost = sight.worst > LIMIT / 2
+    observability = Observability.of(report.robot, q)
+    lost = observability.worst > LIMIT / 2
     for posture, marker in zip(report.singular, "XPDs*^v", strict=False):
         if lost.any():
-            likeness = np.abs(sight.directions[lost, -1] @ posture.direction)
+            likeness = np.abs(observability.directions[lost, -1] @ posture.direction)
             x, y = (q[lost][np.argmax(likeness), joint] * scale(report, joint) for joint in pair)
             axes.plot(x, y, marker, color=COLOURS[1], markeredgecolor="white", markersize=12, label=posture.words)
     axes.legend(loc="lower left", title="singular for")

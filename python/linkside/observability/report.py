@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from linkside.text import as_text
 
-from .findings import Findings
+from .result import CheckResult
 from .words import check_tables
 
 if TYPE_CHECKING:
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class CheckReport(Findings):
-    """Findings with a report in words and a figure."""
+class CheckReport(CheckResult):
+    """CheckResult with a report in words and a figure."""
 
     def to_text(self, width: int = 100) -> str:
         """Report in words and tables, without colours."""

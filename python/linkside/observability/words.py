@@ -11,10 +11,10 @@ from linkside.arrays import FloatArray
 from linkside.robot.workspace import prismatic
 from linkside.text import Titled
 
-from .findings import LIMIT, NEVER, Findings
+from .result import LIMIT, NEVER, CheckResult
 
 
-def check_tables(report: Findings) -> Iterator[RenderableType]:
+def check_tables(report: CheckResult) -> Iterator[RenderableType]:
     """Say in words and tables what the sensors see."""
     yield from check_words(report)
     if not (report.joints and report.robot.accelerometers):
@@ -25,7 +25,7 @@ def check_tables(report: Findings) -> Iterator[RenderableType]:
         yield _posture_table(report)
 
 
-def check_words(report: Findings) -> Iterator[str]:
+def check_words(report: CheckResult) -> Iterator[str]:
     """Say in a few sentences what the sensors see."""
     robot, joints = report.robot, report.joints
     axes = len(robot.acceleration_channels)
@@ -44,8 +44,8 @@ def check_words(report: Findings) -> Iterator[str]:
         yield from _seen(report)
 
 
-def _seen(report: Findings) -> Iterator[str]:
-    lost = float(np.mean(report.sight.worst > LIMIT))
+def _seen(report: CheckResult) -> Iterator[str]:
+    lost = float(np.mean(report.observability.worst > LIMIT))
     share = f"In {_percent(lost)} of the workspace some link acceleration is known worse than {LIMIT:g} rad/s² (1 σ)."
     yield f"Every link acceleration is seen. {share}"
     if report.singular:
@@ -59,13 +59,13 @@ def _seen(report: Findings) -> Iterator[str]:
         yield f"Along {report.path.source} the worst is {where}; {_percent(lost)} of it is worse than {LIMIT:g} rad/s²."
 
 
-def _joint_table(report: Findings) -> Titled:
+def _joint_table(report: CheckResult) -> Titled:
     heads = ["joint", "best", "median", "worst", f"worse than {LIMIT:g}"]
     path = report.path
     heads += ["log: best", "log: median", "log: worst"] if path is not None else []
     table = Titled("link acceleration, standard deviation over the workspace [rad/s²]", [*heads, "in words"])
     for index, name in enumerate(report.joints):
-        values = report.sight.joints[:, index]
+        values = report.observability.joints[:, index]
         lost = float(np.mean(values > LIMIT))
         cells = [*_three(values), _percent(lost)]
         cells += _three(path.joints[:, index]) if path is not None else []
@@ -83,17 +83,17 @@ def _grade(lost: float) -> str:
     return "seen in every posture drawn" if lost == 0 else "lost near singular postures"
 
 
-def _spread_table(report: Findings) -> Titled:
+def _spread_table(report: CheckResult) -> Titled:
     heads = ("", "best", "median", "90 %", "99 %", "worst drawn")
     table = Titled("worst combination of link accelerations, share of the workspace at least as good", heads)
     order = (0.0, 0.5, 0.9, 0.99, 1.0)
-    for name, values in (("1/σ [rad/s²]", report.sight.worst), ("condition", report.sight.condition)):
+    for name, values in (("1/σ [rad/s²]", report.observability.worst), ("condition", report.observability.condition)):
         ranked = np.quantile(values, order, method="lower")
         table.add_row(name, *(_deviation(float(value)) for value in ranked))
     return table
 
 
-def _posture_table(report: Findings) -> Titled:
+def _posture_table(report: CheckResult) -> Titled:
     robot, slides = report.robot, prismatic(report.robot)
     heads = [f"{name} [{'m' if slide else '°'}]" for name, slide in zip(robot.names, slides, strict=True)]
     table = Titled("worst postures", ["lost", *heads, "1/σ [rad/s²]"])

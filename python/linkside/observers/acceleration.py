@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Literal, overload
+from typing import Any, Literal, overload
 
 import numpy as np
 
 from linkside import _core
+from linkside.arguments import one_of
 from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError, NumericalError
 from linkside.recording.continuity import longest_dropout, refuse_dropouts, refuse_uneven
@@ -72,8 +73,8 @@ class AccelerationObserver:
         period: float | None = None,
         worst_acceleration_std: float = 10.0,
     ) -> None:
-        _one_of("form", form, ("current", "predictor"))
-        _one_of("accelerations", accelerations, ("sensors", "joints"))
+        one_of("form", form, ("current", "predictor"))
+        one_of("accelerations", accelerations, ("sensors", "joints"))
         on_joints = " on joint accelerations" if accelerations == "joints" else ""
         refuse_unsupported(robot, f"the acceleration-driven observer{on_joints}")
         self.robot, self.form, self.accelerations = robot, form, accelerations
@@ -162,7 +163,7 @@ class AccelerationObserver:
             core = core or self._designed(piece.period)
             arrays = self._arrays(piece, seen, first)
             try:
-                result = core.run(*arrays)
+                result: dict[str, Any] = core.run(*arrays)
             except NumericalError as error:
                 raise NumericalError(f"{piece.source}: {error}") from None
             seen, first = piece[-longest_dropout(piece) :], first + len(piece)
@@ -212,11 +213,6 @@ class AccelerationObserver:
 def _named(message: str, joints: Sequence[str]) -> str:
     """Joints by their names, which the core does not know."""
     return re.sub(r"\bjoint (\d+)", lambda match: f"joint '{joints[int(match[1])]}'", message)
-
-
-def _one_of(name: str, value: object, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        raise EstimatorError(f"{name} is {value!r}, expected one of {', '.join(map(repr, allowed))}")
 
 
 def _orders(robot: Robot, bias: bool) -> dict[str, int]:

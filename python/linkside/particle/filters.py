@@ -10,11 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside import _core
+from linkside.arguments import one_of, whole
 from linkside.arrays import FloatArray
 from linkside.channels import OUTLIERS, widths
 from linkside.errors import EstimatorError, NumericalError
+from linkside.findings import named
 from linkside.kalman.jerk_driven import ExtendedKalmanFilter, JerkDrivenFilter
 from linkside.kalman.noise import Noise
+from linkside.kalman.start import Readings
+from linkside.kalman.starting import first_readings, with_first
 from linkside.recording.estimate import Estimate, result_of
 from linkside.recording.log import Log
 from linkside.robot import Robot
@@ -43,7 +47,7 @@ class ParticleEstimate(Estimate):
     Attributes
     ----------
     effective : (T,)
-        Effective number of particles 1/Σw², before particles are chosen anew.
+        Effective number of particles 1/Σw², before resampling.
     reseeded : (T,)
         Whether the cloud was spread anew from the Kalman filter beside it.
     log_likelihood : (T,)
@@ -96,10 +100,10 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
     resampling
         ``"systematic"``, ``"stratified"``, ``"residual"`` or ``"multinomial"``.
     threshold
-        Particles are chosen anew when fewer than this share of N is effective.
+        Particles are resampled when fewer than this share of N is effective.
     kernel
         Width of the normal density that then spreads copies, relative to the cloud (Liu and West 2001); mean and
-        covariance are kept. None leaves copies where they are, and chance in the mean.
+        covariance are kept. None leaves copies where they are, and Monte-Carlo error in the mean.
     outliers
         Noise that is not normal, by kind of channel: degrees of freedom of Student's density, or a `Mixture`, such as
         ``{"acceleration": 4.0}`` or ``{"acceleration": Mixture(share=0.02, scale=50)}``.
@@ -107,7 +111,10 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         Least and largest position by joint [rad]; particles beyond are impossible.
     initial : (k, n)
         Link positions at rest that particles start from in turn, each spread by ``noise.position`` [rad]: a belief with
-        several peaks, say. None: the posture in which the first motor positions hold the links.
+        several peaks, say. None: as ``start`` says.
+    start
+        ``"auto"``, the first samples of a recording decide, as of `ExtendedKalmanFilter`; ``"rest"``, the posture in
+        which the first motor positions hold the links. `step` starts at rest.
     collapse
         What to do with a cloud that does not explain the readings, as a Kalman filter that runs beside it does.
         ``"reseed"`` flags the row `Status.CONTRADICTED` and spreads the cloud anew from the Kalman filter's belief; a
@@ -147,6 +154,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         outliers: Mapping[str, float | Mixture] | None = None,
         limits: Mapping[str, tuple[float, float]] | None = None,
         initial: npt.ArrayLike | None = None,
+        start: Literal["auto", "rest"] = "auto",
         collapse: Literal["reseed", "flag", "raise"] = "reseed",
         quantiles: Sequence[float] = (),
         biases: Sequence[str] = ("motor", "acceleration", "rate"),
@@ -156,17 +164,26 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         torque: bool | None = None,
     ) -> None:
         super().__init__()
-        if collapse not in ("reseed", "flag", "raise"):
-            raise EstimatorError(f"collapse is {collapse!r}, expected 'reseed', 'flag' or 'raise'")
+        one_of("collapse", collapse, ("reseed", "flag", "raise"))
+        one_of("start", start, ("auto", "rest"))
         self.robot = robot
-        self._front = ExtendedKalmanFilter(robot, noise, biases=biases, damping=damping, rate=rate, q=q, torque=torque)
+        self._front = ExtendedKalmanFilter(
+            robot,
+            noise,
+            biases=biases,
+            damping=damping,
+            rate=rate,
+            q=q,
+            torque=torque,
+            start=start if initial is None else "rest",
+        )
         self.noise = self._front.noise
         self._outliers = _by_kind(outliers or {})
         self._settings = {
-            "particles": _whole("particles", particles),
-            "seed": _whole("seed", seed) % 2**64,
+            "particles": whole("particles", particles),
+            "seed": whole("seed", seed) % 2**64,
             "proposal": proposal,
-            "iterations": _whole("iterations", iterations),
+            "iterations": whole("iterations", iterations),
             "proposal_tail": proposal_tail,
             "resampling": resampling,
             "threshold": threshold,
@@ -179,7 +196,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         self._core(self._front.live_kinds, self.noise)  # settings are checked at once
 
     def run(self, log: Log, *, covariance: bool = False) -> ParticleEstimate:
-        """Estimate a recording; it starts from rest at its first sample.
+        """Estimate a recording; it starts as ``start`` says.
 
         Parameters
         ----------
@@ -215,9 +232,11 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         core: _core.ParticleFilter | None = None
         kinds: tuple[str, ...] = ()
         before: Log | None = None
+        first, pieces = with_first(pieces)
         for piece in pieces:
-            if core is None:
-                core, kinds = self._prepared(piece)
+            if core is None and first is not None:
+                core, kinds = self._prepared(piece, first)
+            assert core is not None  # there is a first piece
             try:
                 result = core.run(self._front.arrays(piece, kinds, before), False)
             except NumericalError as error:
@@ -234,13 +253,16 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         return self._core(self._front.live_kinds, self.noise)
 
     def _recorded(self, log: Log, run: Callable[..., Any], covariance: bool) -> ParticleEstimate:
-        core, kinds = self._prepared(log)
+        core, kinds = self._prepared(log, first_readings(log))
         (outcome,) = run(core, [self._front.arrays(log, kinds)], covariance)
         return self._estimate(log, kinds, result_of(log.source, outcome))
 
-    def _prepared(self, log: Log) -> tuple[_core.ParticleFilter, tuple[str, ...]]:
-        kinds = self._front.kinds(log)
-        return self._core(kinds, self.noise.for_log(log)), kinds
+    def _prepared(self, log: Log, first: Readings) -> tuple[_core.ParticleFilter, tuple[str, ...]]:
+        """A filter of the core that starts where the ``first`` samples say, and the kinds of its channels."""
+        kinds, noise = self._front.kinds(log), self.noise.for_log(log)
+        core = self._core(kinds, noise)
+        self._front.begin(core, first, kinds, noise)
+        return core, kinds
 
     def _core(self, kinds: tuple[str, ...], noise: Noise) -> _core.ParticleFilter:
         self._front.refuse_late("a particle filter")
@@ -256,7 +278,8 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
 
     def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> ParticleEstimate:
         channels = self._front.columns(log, kinds)
-        return ParticleEstimate(t=log.t, names=self.robot.names, channels=channels, **result)
+        found = named(result.pop("findings"), channels)
+        return ParticleEstimate(t=log.t, names=self.robot.names, channels=channels, findings=found, **result)
 
 
 class MarginalizedParticleFilter(ParticleFilter):
@@ -286,12 +309,6 @@ class MarginalizedParticleFilter(ParticleFilter):
     ) -> None:
         self._marginalised = "accelerations" if accelerations else "biases"  # what settings are checked for
         super().__init__(robot, noise, **settings)
-
-
-def _whole(name: str, value: Any) -> int:
-    if not isinstance(value, int | np.integer) or value < 0:
-        raise EstimatorError(f"{name} is {value!r}, expected a whole number of at least 0")
-    return int(value)
 
 
 def _by_kind(outliers: Mapping[str, float | Mixture]) -> dict[str, float | tuple[float, float]]:

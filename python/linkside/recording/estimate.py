@@ -17,6 +17,7 @@ import pyarrow.csv
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError, LinksideError, LogError
 from linkside.files.tables import numbers, open_table
+from linkside.findings import Finding
 
 from .times import counterparts
 from .writer import EstimateWriter
@@ -44,7 +45,9 @@ class Status(IntFlag):
     UNWRAPPED = 32
     """An encoder wrapped, and its jump was taken out."""
     CONTRADICTED = 64
-    """Readings contradict the model: the row and its standard deviations are not to be believed."""
+    """Readings contradict the model: the row and its standard deviations are not to be believed; see ``findings``."""
+    FAULTY = 128
+    """One channel contradicts the model and all other channels; see ``findings``."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -71,6 +74,10 @@ class Estimate:
         Standard deviations, where the method has a covariance [rad, m].
     covariance : (T, k, k), optional
         Covariance of the method's state. It is kept in memory only: files have the standard deviations.
+    nis : (T,), optional
+        Normalised innovation squared, where the method has innovations; its mean should be the number of readings used.
+    findings : tuple of Finding
+        Contradictions between readings and model, from the recording's start on; not in files.
     """
 
     t: FloatArray
@@ -85,6 +92,8 @@ class Estimate:
     q_std: FloatArray | None = None
     tool_std: FloatArray | None = None
     covariance: FloatArray | None = None
+    nis: FloatArray | None = None
+    findings: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:
         """Check shapes, once."""
@@ -95,7 +104,7 @@ class Estimate:
             array = getattr(self, name)
             if array is not None and array.shape != shape:
                 raise EstimatorError(f"{name} of an estimate has shape {array.shape}, expected {shape}")
-        for name in ("t", "status", "covariance"):
+        for name in ("t", "status", "covariance", "nis"):
             array = getattr(self, name)
             if array is not None and (len(array) != rows or array.ndim != (3 if name == "covariance" else 1)):
                 raise EstimatorError(f"{name} of an estimate has shape {array.shape} for {rows} rows")
@@ -213,7 +222,7 @@ class Estimate:
         return f"Estimate({len(self)} rows, {len(self.names)} joints, {groups}; status: {status or 'none'})"
 
     def _form(self) -> tuple[tuple[str, ...], list[str]]:
-        arrays = (f.name for f in fields(self) if f.name not in ("names", "channels"))
+        arrays = (f.name for f in fields(self) if f.name not in ("names", "channels", "findings"))
         there = [name for name in arrays if getattr(self, name) is not None]
         return self.names, there
 
@@ -263,12 +272,12 @@ class EstimateError:
 def _groups(names: tuple[str, ...]) -> dict[str, list[str]]:
     """Columns of a file by field of `Estimate`, in order."""
     groups = {s: [f"{s}_{joint}" for joint in names] for s in ("q", "dq", "ddq", "theta", "dtheta", "q_std")}
-    groups |= {"t": ["t"], "status": ["status"]}
+    groups |= {"t": ["t"], "status": ["status"], "nis": ["nis"]}
     groups |= {
         "tool_position": [f"tool_{axis}" for axis in "xyz"],
         "tool_std": [f"tool_std_{axis}" for axis in "xyz"],
     }
-    order = ("t", "q", "dq", "ddq", "theta", "dtheta", "tool_position", "q_std", "tool_std", "status")
+    order = ("t", "q", "dq", "ddq", "theta", "dtheta", "tool_position", "q_std", "tool_std", "nis", "status")
     return {group: groups[group] for group in order}
 
 
@@ -298,6 +307,8 @@ def _complete(arrays: dict[str, FloatArray], joints: int, source: str) -> dict[s
         raise LogError(f"{source}: column 'status' has a value that is no status")
     missing = {name: np.full((rows, joints), np.nan) for name in ("dq", "theta", "dtheta") if name not in arrays}
     flat = {"t": t, "status": status.reshape(-1).astype(np.uint8)}
+    if "nis" in arrays:
+        flat["nis"] = arrays.pop("nis").reshape(-1)
     return arrays | missing | flat
 
 

@@ -13,7 +13,8 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from linkside.errors import EstimatorError, OutputError
-from linkside.files.writing import check_writable, open_part, writing
+from linkside.files.parts import open_part
+from linkside.files.writing import check_writable, writing
 
 GROUP = 131_072
 """Rows a group of a Parquet file. A writer regroups what it is given, so that the file does not depend on it."""

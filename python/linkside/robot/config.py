@@ -158,14 +158,14 @@ class SensorConfig(FrameConfig):
     name: Name
     axes: Literal["x", "y", "z", "xy", "xz", "yz", "xyz"] = "xyz"
     noise_std: Positive
+    corner_frequency: Positive | None = None  # Hz; of the first-order filter inside the sensor, where it has one
+    delay: NonNegative = 0.0  # s; by how much a reading is later than its time stamp says
 
 
 class AccelerometerConfig(SensorConfig):
     """A sensor of specific force; columns `<name>_x` and so on."""
 
     noise_std: Positive = 0.05  # m/s²
-    corner_frequency: Positive | None = None  # Hz; of the first-order filter inside the sensor, where it has one
-    delay: NonNegative = 0.0  # s; by how much a reading is later than its time stamp says
     bias: Vector3 = (0.0, 0.0, 0.0)  # m/s², x y z; a log's reading is scale · specific force + bias
     scale: PositiveVector3 = (1.0, 1.0, 1.0)
 
@@ -202,7 +202,7 @@ class TolerancesConfig(_Section):
     of factors.
     """
 
-    stiffness: Positive = 0.3
+    stiffness: Positive = 0.2
     cubic_stiffness: Positive = 3e4  # 1/rad², times the stiffness
     damping: Positive = 1.0
     motor_inertia: Positive = 0.3
@@ -222,6 +222,11 @@ class TolerancesConfig(_Section):
     torque_noise: Positive = 3.0
     sensor_noise: Positive = 1.0
     jerk_noise: Positive = 1.0
+    link_friction: Positive = 0.5
+    torque_constant: Positive = 0.05
+    motor_friction: Positive = 0.5
+    calibrated: dict[Name, Positive] = {}  # of single parameters, by the names that `calibrate` gives them
+    rigid_frequency: Positive = 20.0  # Hz; on which a joint taken as rigid may ring after all
 
 
 class ColumnsConfig(_Section):

@@ -1,6 +1,7 @@
 """The robot: kinematics and inertias from a URDF or a Pinocchio model, drives and sensors from robot.yaml."""
 
 import os
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,9 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from linkside import _core
-from linkside.errors import ConfigError, EstimatorError
+from linkside.arguments import numbers
+from linkside.errors import ConfigError, EstimatorError, RobotWarning
 from linkside.files.yaml_source import Source
 
+from . import bodies
 from . import compile as tree
 from .config import (
     AccelerometerConfig,
@@ -45,6 +48,8 @@ class Robot:
         What was said about joints, sensors and tool.
     model : pinocchio.Model
         The tree of the listed joints alone, all others locked.
+    notes : tuple of str
+        What is doubtful about masses: a method that needs them warns of it.
 
     Attributes
     ----------
@@ -54,6 +59,7 @@ class Robot:
 
     config: RobotConfig
     model: Any
+    notes: tuple[str, ...] = ()
     core: _core.Robot = field(init=False)
 
     def __post_init__(self) -> None:
@@ -107,18 +113,24 @@ class Robot:
         source = _settings(joints, {"gravity": model.gravity.linear, **settings})
         config = source.validate(RobotConfig)
         tree.refuse_impossible_bodies(model)
-        return cls(config, tree.reduce(model, config, source))
+        reduced = tree.reduce(model, config, source)
+        notes = (*bodies.dropped_armature(model, config.joints), *bodies.impossible_moments(reduced))
+        return cls(config, reduced, notes)
 
     @classmethod
     def _from_urdf(cls, urdf: Urdf, config: RobotConfig, source: Source) -> "Robot":
         urdf.refuse_mimics([joint.name for joint in config.joints])
-        reduced = tree.reduce(urdf.model(), config, source)
-        urdf.refuse_impossible_bodies(tree.moving_links(reduced))
-        return cls(config, reduced)
+        model = urdf.model()
+        reduced = tree.reduce(model, config, source)
+        moving = tree.moving_links(reduced)
+        urdf.refuse_impossible_bodies(moving)
+        urdf.refuse_other(model)
+        notes = (*bodies.bare_links(reduced, urdf.bare, moving), *bodies.impossible_moments(reduced))
+        return cls(config, reduced, notes)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle what the robot was made of; it is compiled anew."""
-        return Robot, (self.config, self.model)
+        return Robot, (self.config, self.model, self.notes)
 
     def __repr__(self) -> str:
         """Name the joints, rigid ones in brackets, and the sensors."""
@@ -148,7 +160,40 @@ class Robot:
         )
         payload = self.config.payload.model_copy(update={"mass": mass * self.config.payload.mass})
         config = self.config.model_copy(update={"joints": joints, "payload": payload})
-        return Robot(config, tree.heavier(self.model, mass))
+        return Robot(config, tree.heavier(self.model, mass), self.notes)
+
+    def require_masses(self, purpose: str, *, elastic_only: bool = False) -> None:
+        """Insist on links with masses, for a method that needs them; warn of what is doubtful about them, once.
+
+        Parameters
+        ----------
+        purpose
+            The method, as messages call it.
+        elastic_only
+            Whether only elastic joints matter to it.
+
+        Raises
+        ------
+        ConfigError
+            A joint moves nothing that has a mass: names its link.
+        """
+        for drive in self.drives:
+            if drive.name in self._massless and (drive.elastic or not elastic_only):
+                raise ConfigError(
+                    f"link '{self._massless[drive.name]}', which joint '{drive.name}' moves, has no inertia and "
+                    f"carries nothing that has: {purpose} needs masses; add an <inertial> to the URDF"
+                )
+        for note in self._unsaid():
+            warnings.warn(f"{note} ({purpose} uses it)", RobotWarning, stacklevel=3)
+
+    @cached_property
+    def _massless(self) -> dict[str, str]:
+        return bodies.massless(self.model)
+
+    def _unsaid(self) -> tuple[str, ...]:
+        """Notes that no method warned of yet."""
+        said, _ = "_said" in self.__dict__, self.__dict__.setdefault("_said", True)
+        return () if said else self.notes
 
     @property
     def n(self) -> int:
@@ -260,6 +305,7 @@ class Robot:
         Ulrich, Sasiadek 2011, eqs. (10)–(16). Of a rigid joint `theta` and `dtheta` are not looked at; its motor
         accelerates as its link does.
         """
+        self.require_masses("forward dynamics")
         stacked = self._rows(self.core.forward_dynamics, q=q, dq=dq, theta=theta, dtheta=dtheta, tau=tau)
         return stacked[..., 0, :], stacked[..., 1, :]
 
@@ -292,7 +338,7 @@ class Robot:
 
         De Luca, Schröder, Thümmel 2007, eq. (10).
         """
-        rest = np.zeros_like(_numbers("q", q))
+        rest = np.zeros_like(numbers("q", q))
         derivatives = self._rows(self.core.specific_force_derivatives, q=q, dq=dq, ddq=rest)
         return derivatives[..., 2, :, :], self.specific_force(q, dq, rest)
 
@@ -308,7 +354,7 @@ class Robot:
 
     def _rows(self, kernel: Callable[..., Array], **arguments: ArrayLike) -> Array:
         """Call a kernel of (T, n) arrays on those, or on a single state (n,)."""
-        arrays = {name: _numbers(name, value) for name, value in arguments.items()}
+        arrays = {name: numbers(name, value) for name, value in arguments.items()}
         first, shape = next((name, array.shape) for name, array in arrays.items())
         if len(shape) not in (1, 2) or shape[-1] != self.n:
             raise EstimatorError(f"{first}: expected shape ({self.n},) or (T, {self.n}), got {shape}")
@@ -321,16 +367,6 @@ class Robot:
 
 def _settings(joints: Joints, settings: Mapping[str, Any]) -> Source:
     return Source({"joints": list(joints), **settings})
-
-
-def _numbers(name: str, value: ArrayLike) -> Array:
-    try:
-        array = np.asarray(value)
-        if array.dtype.kind not in "fiub":  # complex numbers, text and dates would be cast, at a loss
-            raise TypeError
-        return array.astype(np.float64, copy=False)
-    except (TypeError, ValueError):
-        raise EstimatorError(f"{name}: expected an array of numbers") from None
 
 
 def _constant(values: ArrayLike, dtype: type[Scalar]) -> NDArray[Scalar]:

@@ -14,6 +14,10 @@ import pinocchio as pin
 from linkside.errors import ConfigError
 from linkside.files.yaml_source import one_line, read_text, suggest
 
+from .urdf_built import compare
+from .urdf_text import numbers as _numbers
+from .urdf_text import parse, refuse_deep, refuse_twice
+
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
@@ -26,12 +30,15 @@ class Urdf:
     ----------
     name : str
         The file as messages call it.
+    bare : tuple of str
+        Links with a shape and no inertia.
     root
         Its `<robot>` element, without shapes: only the kinematics and the inertias matter.
     """
 
     name: str
     root: ET.Element
+    bare: tuple[str, ...] = ()
 
     @classmethod
     def read(cls, urdf: str | PathLike[str]) -> "Urdf":
@@ -39,14 +46,17 @@ class Urdf:
         is_text = isinstance(urdf, str) and urdf.lstrip().startswith("<")
         name = "URDF" if is_text else fspath(urdf)
         try:
-            root = ET.fromstring(str(urdf) if is_text else read_text(name))
+            root = parse(str(urdf) if is_text else read_text(name))
         except ET.ParseError as error:
             raise ConfigError(f"{name}:{error.position[0]}: not valid XML: {str(error).split(':')[0]}") from None
+        except ValueError as error:
+            raise ConfigError(f"{name}: {error}") from None
         try:
+            bare = tuple(link.get("name", "") for link in root.iter("link") if _has_shape(link))
             _check(root)
         except ValueError as error:
             raise ConfigError(f"{name}: {error}") from None
-        return cls(name, root)
+        return cls(name, root, bare)
 
     def model(self) -> Any:
         """Build the Pinocchio model, every joint on its own (mimic joints included)."""
@@ -54,6 +64,13 @@ class Urdf:
             return pin.buildModelFromXML(ET.tostring(self.root, encoding="unicode"))
         except (ValueError, RuntimeError) as error:
             raise ConfigError(f"{self.name}: {one_line(error)}") from None
+
+    def refuse_other(self, model: Any) -> None:
+        """Refuse a model that has not the masses, inertias and placements that were read, for every link."""
+        try:
+            compare(self.root, model)
+        except ValueError as error:
+            raise ConfigError(f"{self.name}: {error}") from None
 
     def refuse_mimics(self, joints: Collection[str]) -> None:
         """Refuse a joint that follows another, if either is to move; both locked do no harm."""
@@ -100,6 +117,7 @@ def _check(root: ET.Element) -> None:
     children = Counter(joint.find("child").get("link") for joint in joints)  # type: ignore[union-attr]
     if twice := [name for name, count in children.items() if count > 1]:
         raise ValueError(f"link '{twice[0]}' hangs on two joints")
+    refuse_deep(root)
     roots = [name for name in links if name not in children]
     if len(roots) != 1:
         raise ValueError(f"expected one link that hangs on no joint, got {' and '.join(roots) or 'none'}")
@@ -117,23 +135,53 @@ def _check_joint(joint: ET.Element, links: list[str]) -> None:
     name, kind = f"joint '{joint.get('name')}'", joint.get("type", "")
     if kind not in JOINT_TYPES:
         raise ValueError(f"{name}: expected a type out of {', '.join(JOINT_TYPES)}, got '{kind}'")
+    refuse_twice(joint, "parent", "child", "origin", "axis", "limit", "mimic", "dynamics", "safety_controller")
     for role in ("parent", "child"):
         end = joint.find(role)
         link = "" if end is None else end.get("link", "")
         if link not in links:
             raise ValueError(f"{name}: no {role} link '{link}'; {suggest(link, links)}")
-    if kind in ("revolute", "prismatic"):
-        _numbers(joint, "limit", "effort")
-        _numbers(joint, "limit", "velocity")
+    _check_limit(joint, kind)
+    for path, keys in (("dynamics", ("damping", "friction")), ("mimic", ("multiplier", "offset"))):
+        _check_optional(joint, path, keys)
+    _check_optional(joint, "safety_controller", ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"))
+    mimic = joint.find("mimic")
+    if mimic is not None and not mimic.get("joint"):
+        raise ValueError(f"{name}: expected <mimic joint=…>, got a mimic of no joint")
     _check_origin(joint, "origin")
-    if joint.find("axis") is not None and kind != "fixed" and not any(_numbers(joint, "axis", "xyz", 3)):
+    axis = joint.find("axis")
+    if axis is not None and "xyz" not in axis.attrib:
+        axis.set("xyz", "1 0 0")  # as the standard has it
+    if axis is not None and not any(_numbers(joint, "axis", "xyz", 3)) and kind != "fixed":
         raise ValueError(f"{name}: expected an axis of some length, got 0 0 0")
+
+
+def _check_limit(joint: ET.Element, kind: str) -> None:
+    needed = ("effort", "velocity") if kind in ("revolute", "prismatic") else ()
+    for key in needed:
+        _numbers(joint, "limit", key)
+    _check_optional(joint, "limit", ("lower", "upper", "effort", "velocity"))
+
+
+def _check_optional(element: ET.Element, path: str, keys: Collection[str]) -> None:
+    child = element.find(path)
+    for key in keys:
+        if child is not None and key in child.attrib:
+            _numbers(element, path, key)
+
+
+def _has_shape(link: ET.Element) -> bool:
+    """Whether a link has a shape and no inertia."""
+    return link.find("inertial") is None and (link.find("visual") is not None or link.find("collision") is not None)
 
 
 def _check_link(link: ET.Element) -> None:
     for shape in (*link.findall("visual"), *link.findall("collision")):
         link.remove(shape)  # urdfdom prints about materials and meshes that nothing here depends on
-    if link.find("inertial") is not None:
+    refuse_twice(link, "inertial")
+    inertial = link.find("inertial")
+    if inertial is not None:
+        refuse_twice(inertial, "mass", "inertia", "origin", owner=f"link '{link.get('name')}'")
         _mass_and_inertia(link)
         _check_origin(link, "inertial/origin")
 
@@ -149,18 +197,3 @@ def _mass_and_inertia(link: ET.Element) -> tuple[float, np.ndarray[Any, Any]]:
     [mass] = _numbers(link, "inertial/mass", "value")
     xx, xy, xz, yy, yz, zz = (_numbers(link, "inertial/inertia", key)[0] for key in MOMENTS)
     return mass, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-
-def _numbers(element: ET.Element, path: str, key: str, count: int = 1) -> list[float]:
-    """Read `count` finite numbers from an attribute of the child at `path`."""
-    child = element.find(path)
-    text = "" if child is None else child.get(key, "")
-    try:
-        values = [float(word) for word in text.split()]
-    except ValueError:
-        values = []
-    if len(values) != count or not all(map(math.isfinite, values)):
-        number = "a finite number" if count == 1 else f"{count} finite numbers"
-        owner = f"{element.tag} '{element.get('name')}'"
-        raise ValueError(f"{owner}: expected {number} in <{path} {key}=…>, got '{text}'")
-    return values

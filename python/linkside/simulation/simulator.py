@@ -15,13 +15,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from linkside import _core
+from linkside.arguments import one_of, sized, whole
 from linkside.arrays import FloatArray
 from linkside.channels import CHANNELS, joint_columns
 from linkside.control.controllers import Controller, State, law_of
 from linkside.errors import EstimatorError, OutputError
 from linkside.kalman.elastic_joint import ElasticJointFilter
-from linkside.kalman.filtering import sized
-from linkside.kalman.noise import sensor_noise
 from linkside.observers.acceleration import AccelerationObserver
 from linkside.recording.log import Log
 from linkside.robot import Robot
@@ -164,14 +163,15 @@ def simulate(
         The motion is no longer finite, or no adaptive step is short enough for the tolerance; names the time, and then
         the joint.
     """
+    robot.require_masses("a simulation")
     models = _models(sensors or {}, robot)
     start = {"q": q, "dq": dq, "theta": theta, "dtheta": dtheta, "tau": tau}
     settings = {
         "count": _count(duration, rate),
         "period": 1.0 / rate,
         **_stepping(integrator, substeps, rtol, atol),
-        "keep_every": _whole("keep_every", keep_every),
-        "seed": _whole("seed", seed, least=0),
+        "keep_every": whole("keep_every", keep_every, least=1),
+        "seed": whole("seed", seed),
         **{name: None if value is None else sized(name, value, robot.n).tolist() for name, value in start.items()},
     }
     channels = [dataclasses.asdict(channel) for kind in SIGNALS for channel in models[kind]]
@@ -182,9 +182,8 @@ def simulate(
 
 def _stepping(integrator: str, substeps: int, rtol: float | None, atol: float | None) -> dict[str, Any]:
     """Check how time is stepped, as the core takes it."""
-    if integrator not in ("rk4", "adaptive"):
-        raise EstimatorError(f"integrator is {integrator!r}, expected 'rk4' or 'adaptive'")
-    count = _whole("substeps", substeps)
+    one_of("integrator", integrator, ("rk4", "adaptive"))
+    count = whole("substeps", substeps, least=1)
     if integrator == "adaptive":
         if count > 1:
             raise EstimatorError(f"substeps is {count}, but the adaptive integrator takes its steps from rtol and atol")
@@ -224,15 +223,18 @@ def _models(sensors: Mapping[str, Sensor], robot: Robot) -> dict[str, list[Senso
     """One model a channel, by kind."""
     if unknown := set(sensors) - set(SIGNALS):
         raise EstimatorError(f"sensors: {min(unknown)!r} is not one of {', '.join(map(repr, SIGNALS))}")
-    accelerometers = [
-        Sensor(noise=s.noise_std, delay=s.delay, corner_frequency=s.corner_frequency or np.inf)
-        for s in robot.accelerometers
-        for _ in s.axes
-    ]
+    accelerometers, gyroscopes = (
+        [
+            Sensor(noise=s.noise_std, delay=s.delay, corner_frequency=s.corner_frequency or np.inf)
+            for s in sensors_of_a_kind
+            for _ in s.axes
+        ]
+        for sensors_of_a_kind in (robot.accelerometers, robot.gyroscopes)
+    )
     models = {signal: [Sensor()] * channel.width(robot) for signal, channel in SIGNALS.items()} | {
         "theta": [Sensor(resolution=robot.config.encoder.resolution)] * robot.n,
         "acceleration": accelerometers,
-        "rate": [Sensor(noise=noise) for noise in sensor_noise(robot.gyroscopes)],
+        "rate": gyroscopes,
     }
     return models | {kind: [model] * SIGNALS[kind].width(robot) for kind, model in sensors.items()}
 
@@ -247,7 +249,7 @@ def _told(feedback: Feedback, robot: Robot, period: float) -> Told:
                 f"feedback is {feedback!r}, expected 'truth', 'sensors', an ElasticJointFilter or AccelerationObserver"
             )
         return feedback == "truth"
-    core, kinds = feedback.fresh()
+    core, kinds = feedback.fresh(period)
     _same_robot(feedback.robot, robot, "names", "acceleration_channels", "gyroscope_channels")
     names = [kind for kind in SIGNALS for _ in range(SIGNALS[kind].width(robot))]
     wanted = {CHANNELS[kind].signal for kind in kinds}
@@ -266,9 +268,3 @@ def _count(duration: float, rate: float) -> int:
         if not 0 < value < np.inf:
             raise EstimatorError(f"{name} is {value!r}, expected a finite number greater than 0")
     return round(duration * rate) + 1
-
-
-def _whole(name: str, value: int, least: int = 1) -> int:
-    if not isinstance(value, int) or value < least:
-        raise EstimatorError(f"{name} is {value!r}, expected a whole number of at least {least}")
-    return value

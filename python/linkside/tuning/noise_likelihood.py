@@ -10,12 +10,13 @@ import numpy as np
 import numpy.typing as npt
 import scipy.optimize
 
+from linkside.arguments import per_joint
 from linkside.arrays import FloatArray
 from linkside.channels import CHANNELS, widths
 from linkside.errors import EstimatorError, LogError, NumericalError
 from linkside.kalman.filtering import KalmanEstimate
 from linkside.kalman.jerk_driven import ExtendedKalmanFilter
-from linkside.kalman.noise import Noise, jerk_scale, per_joint
+from linkside.kalman.noise import Noise, jerk_scale
 from linkside.recording.log import Log
 from linkside.recording.motion import LEAST_MOTION, moving
 from linkside.robot import Robot

@@ -15,7 +15,7 @@ import numpy as np
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError, LogError, NumericalError
 from linkside.kalman.jerk_driven import RauchTungStriebelSmoother
-from linkside.observability.findings import Sight
+from linkside.observability.result import Observability
 from linkside.observers.acceleration import AccelerationObserver
 from linkside.observers.tuning_file import DRIVE, START, ObserverTuning
 from linkside.recording.estimate import Estimate
@@ -203,7 +203,7 @@ class _Search:
         starts = [(key, d.name, START if key == "poles" else getattr(d, key)) for key in self.free for d in drives]
         self.entries = [(key, name, start) for key, name, start in starts if start]
         postures = np.ascontiguousarray(np.nan_to_num(np.concatenate([log.theta for log in self.logs]))[::50])
-        deviation = np.sqrt(np.median(Sight.of(self.robot, postures).joints ** 2, axis=0))
+        deviation = np.sqrt(np.median(Observability.of(self.robot, postures).joints ** 2, axis=0))
         self.acceleration_std = dict(zip(np.array(self.robot.names)[self.robot.elastic], deviation, strict=True))
         self.at_start = self.errors(self.tuning(np.zeros(len(self.entries))))
 

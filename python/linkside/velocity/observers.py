@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside import _core
+from linkside.arguments import one_of, per_joint
 from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError, NumericalError
 from linkside.recording.continuity import longest_dropout, refuse_dropouts, refuse_uneven
@@ -126,13 +127,13 @@ class ReducedOrderObserver:
         wrap: float | Sequence[float] | None = None,
         period: float | None = None,
     ) -> None:
-        if side not in ("motors", "links"):
-            raise EstimatorError(f"side is {side!r}, expected 'motors' or 'links'")
+        one_of("side", side, ("motors", "links"))
+        robot.require_masses("a velocity observer")
         refuse_unsupported(robot, "a velocity observer")
         self.robot = robot
         self.side = side
         self.gain = gain
-        self._wrap = _turns(robot) if wrap is None else _each(robot, "wrap", wrap)
+        self._wrap = _turns(robot) if wrap is None else per_joint("wrap", wrap, robot.n).tolist()
         rate = robot.config.rate_hz
         self._period = period if period is not None or rate is None else 1 / rate
         self._core = None if self._period is None else self._designed(self._period)
@@ -182,7 +183,7 @@ class ReducedOrderObserver:
             core = core or self._designed(piece.period)
             q, tau = self._arrays(piece, seen, first)
             try:
-                result = core.run(q, tau)
+                result: dict[str, Any] = core.run(q, tau)
             except (NumericalError, EstimatorError) as error:
                 raise type(error)(f"{piece.source}: {error}") from None
             seen, first = piece[-longest_dropout(piece) :], first + len(piece)
@@ -200,7 +201,9 @@ class ReducedOrderObserver:
         return _core.VelocityObserver(
             self.robot.core,
             period=period,
-            gains=[] if isinstance(self.gain, HybridGain | GainMap) else _each(self.robot, "gain", self.gain),
+            gains=[]
+            if isinstance(self.gain, HybridGain | GainMap)
+            else per_joint("gain", self.gain, self.robot.n).tolist(),
             levels=self.gain.settings() if isinstance(self.gain, HybridGain) else None,
             map=self.gain.settings() if isinstance(self.gain, GainMap) else None,
             spring=self._spring(),
@@ -258,24 +261,18 @@ class NicosiaTomeiObserver(ReducedOrderObserver):
     ) -> None:
         if isinstance(gain, GainMap):
             raise EstimatorError("a gain map has no spring beside it: expected a ReducedOrderObserver")
-        least = (gain.gains or (0.0,))[0] if isinstance(gain, HybridGain) else _each(robot, "gain", gain)
+        least = (gain.gains or (0.0,))[0] if isinstance(gain, HybridGain) else per_joint("gain", gain, robot.n).tolist()
         self._least_gain = np.asarray(least)
-        self._position_gain = None if position_gain is None else _each(robot, "position_gain", position_gain)
+        self._position_gain = (
+            None if position_gain is None else per_joint("position_gain", position_gain, robot.n).tolist()
+        )
         super().__init__(robot, gain, side=side, wrap=wrap, period=period)
 
     def _spring(self) -> list[float]:
         if self._position_gain is not None:
-            return self._position_gain
+            return list(self._position_gain)
         inertia = np.diag(rigid_inertia(self.robot, np.zeros(self.robot.n), self.side))
         return list((self._least_gain / 4) ** 2 * inertia)
-
-
-def _each(robot: Robot, name: str, value: float | Sequence[float] | FloatArray) -> list[float]:
-    """One number a joint."""
-    array = np.asarray(value, dtype=np.float64)
-    if array.ndim > 1 or array.size not in (1, robot.n):
-        raise EstimatorError(f"{name}: expected one number or {robot.n}, got an array of shape {array.shape}")
-    return [float(x) for x in np.broadcast_to(array.ravel(), robot.n)]
 
 
 def _turns(robot: Robot) -> list[float]:

@@ -1,6 +1,5 @@
 //! What can be wrong with what a user gives us. Below the boundary kernels do not fail.
 
-use crate::estimate::likelihood::Parameter;
 use thiserror::Error;
 
 /// A robot that cannot be computed with.
@@ -181,10 +180,10 @@ pub enum DesignError {
         needed: usize,
     },
     /// A parameter of a joint, a sensor or an axis that does not exist.
-    #[error("the robot has no {parameter:?}")]
+    #[error("the robot has no {parameter}")]
     NoParameter {
         /// The parameter.
-        parameter: Parameter,
+        parameter: String,
     },
     /// A motor on a link, where a constant coupling is expected.
     #[error(

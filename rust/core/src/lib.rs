@@ -12,11 +12,13 @@
 //! From bottom to top: [`scalar`] numbers, [`spatial`] algebra, the [`robot`], its [`dynamics`], what is
 //! [`estimate`]d with them, and [`control`]. The crate knows nothing of Python, allocates nothing in a step and does not panic there.
 
+mod check;
 pub mod control;
 pub mod dynamics;
 pub mod error;
 pub mod estimate;
 mod linear;
+mod random;
 pub mod robot;
 pub mod scalar;
 pub mod simd;

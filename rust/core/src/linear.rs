@@ -192,14 +192,6 @@ pub(crate) fn add_scaled(y: &mut [f64], factor: f64, x: &[f64]) {
     }
 }
 
-/// `y −= p·u + q·v`.
-#[inline(always)]
-pub(crate) fn subtract_pair(y: &mut [f64], p: f64, u: &[f64], q: f64, v: &[f64]) {
-    for ((y, u), v) in y.iter_mut().zip(u).zip(v) {
-        *y -= p * u + q * v;
-    }
-}
-
 /// L and D of A = L D Lᵀ over A's lower triangle and diagonal, row-major n × n. Without square roots, for any scalar.
 #[inline(always)]
 pub(crate) fn factorise<T: Scalar>(a: &mut [T], n: usize) {
@@ -236,6 +228,26 @@ pub(crate) fn root<T: Scalar>(a: &mut [T], n: usize) {
             a[i * n + j] = a[i * n + j] * pivot;
         }
         a[j * n + j] = pivot;
+    }
+}
+
+/// L of A = L Lᵀ over A's lower triangle, zero above the diagonal, for n rows of `stride`.
+///
+/// A may be singular: a pivot that is lost to rounding leaves a column of zeros.
+#[inline(always)]
+pub(crate) fn cholesky(a: &mut [f64], n: usize, stride: usize) {
+    for i in 0..n {
+        let (done, own) = a.split_at_mut(i * stride);
+        let own = &mut own[..stride];
+        for (j, row) in done.chunks_exact(stride).enumerate() {
+            let pivot = row[j];
+            let rest = own[j] - dot(&own[..j], &row[..j]);
+            own[j] = if pivot > 0.0 { rest / pivot } else { 0.0 };
+        }
+        let whole = own[i];
+        let pivot = whole - dot(&own[..i], &own[..i]);
+        own[i] = if pivot > whole * (n as f64) * f64::EPSILON { pivot.sqrt() } else { 0.0 };
+        own[i + 1..].fill(0.0);
     }
 }
 

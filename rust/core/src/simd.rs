@@ -25,6 +25,8 @@ pub enum Level {
 pub trait Kernel {
     /// What it returns.
     type Output;
+    /// Whether it works on [lanes](crate::scalar::Lanes), for which AVX-512 pays.
+    const LANES: bool = false;
     /// The work.
     fn run(self) -> Self::Output;
 }
@@ -68,10 +70,10 @@ fn detect() -> Level {
     Level::Baseline
 }
 
-/// Runs `kernel` with the instructions of [`level`], AVX2 at most.
+/// Runs `kernel` with the instructions of [`level`], AVX2 at most unless it works on lanes.
 #[inline]
 pub fn phase<K: Kernel>(kernel: K) -> K::Output {
-    dispatch(level(), kernel)
+    if K::LANES { dispatch_lanes(level(), kernel) } else { dispatch(level(), kernel) }
 }
 
 /// Runs `kernel` with the instructions of `level`, AVX2 at most, or of what the machine has of them.

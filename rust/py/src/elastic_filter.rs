@@ -3,12 +3,12 @@
 use crate::array::{Signal, rows, shaped, write_into};
 use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
-use crate::kalman::{Matrix, into_dict, named};
+use crate::kalman::{Inside, Matrix, inside, into_dict, named};
 use crate::robot::Robot;
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
-    Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterSettings, Inputs,
-    KalmanRecording, KalmanSample, Keep, Model,
+    Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterSettings, Gaussian,
+    Inputs, KalmanRecording, KalmanSample, Keep, Model,
 };
 use numpy::{PyArray1, PyReadonlyArray1, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -24,15 +24,39 @@ struct Noise {
     torque: Vec<f64>,
     disturbance_walk: Vec<f64>,
     reading: Vec<f64>,
+    torque_walk: Vec<f64>,
     bias_walk: Vec<f64>,
+    bias_time: Vec<f64>,
     initial: Vec<f64>,
     initial_bias: Vec<f64>,
 }
 
 impl From<Noise> for ElasticNoise {
     fn from(n: Noise) -> Self {
-        let Noise { link, motor, torque, disturbance_walk, reading, bias_walk, initial, initial_bias } = n;
-        Self { link, motor, torque, disturbance_walk, reading, bias_walk, initial, initial_bias }
+        let Noise {
+            link,
+            motor,
+            torque,
+            disturbance_walk,
+            torque_walk,
+            reading,
+            bias_walk,
+            bias_time,
+            initial,
+            initial_bias,
+        } = n;
+        Self {
+            link,
+            motor,
+            torque,
+            disturbance_walk,
+            torque_walk,
+            reading,
+            bias_walk,
+            bias_time,
+            initial,
+            initial_bias,
+        }
     }
 }
 
@@ -50,7 +74,7 @@ type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'py>);
 impl ElasticJointFilter {
     #[new]
     #[pyo3(signature = (
-        robot, *, kinds, disturbances, biased, first_order, held, noise, gate, iterations
+        robot, *, kinds, disturbances, biased, first_order, held, noise, gate, iterations, late=None
     ))]
     fn new(
         robot: &Robot,
@@ -62,6 +86,7 @@ impl ElasticJointFilter {
         noise: Noise,
         gate: Option<f64>,
         iterations: usize,
+        late: Option<Vec<Inside>>,
     ) -> PyResult<Self> {
         let settings = ElasticSettings {
             kinds: named(&kinds)?,
@@ -71,7 +96,7 @@ impl ElasticJointFilter {
             discretization: if first_order { Discretization::FirstOrder } else { Discretization::Exact },
         };
         let build = || {
-            let model = ElasticModel::new(Arc::clone(&robot.0), &settings, noise.into())?;
+            let model = ElasticModel::new(Arc::clone(&robot.0), &settings, noise.into())?.with_late(&inside(late))?;
             ExtendedKalmanFilter::new(model, FilterSettings { gate, iterations })
         };
         Ok(Self { filter: build().map_err(IntoPyErr::into_py_err)?, tool: robot.0.tool.is_some() })
@@ -83,8 +108,22 @@ impl ElasticJointFilter {
         self.filter.model().states()
     }
 
+    /// Number of states, but for those of late sensors.
+    #[getter]
+    fn own_states(&self) -> usize {
+        self.filter.model().own_states()
+    }
+
     fn reset(&mut self) {
         self.filter.reset();
+    }
+
+    /// From now on a first sample finds this mean and covariance of the state; nothing: the robot at rest.
+    #[pyo3(signature = (mean, covariance))]
+    fn set_start(&mut self, mean: Signal<'_>, covariance: Matrix<'_>) -> PyResult<()> {
+        let states = self.filter.model().states();
+        let start = Gaussian::new(mean.sized("mean", states)?, rows("covariance", &covariance, states)?);
+        start.and_then(|start| self.filter.set_start(Some(start))).map_err(IntoPyErr::into_py_err)
     }
 
     /// Takes one sample: one reading a channel, NaN where missing, and the motor torques; writes the state into `out`.

@@ -4,9 +4,11 @@ use crate::array::{Signal, rows, shaped, write_into};
 use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
 use crate::robot::Robot;
+use crate::tolerance::{Told, tolerances};
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
-    self, FilterOutput, FilterSettings, Inputs, JerkDriven, JerkModel, KalmanRecording, KalmanSample, Keep, Model,
+    self, Fault, FilterOutput, FilterSettings, Finding, Gaussian, Inputs, JerkDriven, JerkModel, KalmanRecording,
+    KalmanSample, Keep, Lateness, Model,
 };
 use linkside_core::estimate::measurement::Kind;
 use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
@@ -23,14 +25,15 @@ pub(crate) struct Noise {
     reading: Vec<f64>,
     torsion: f64,
     bias_walk: Vec<f64>,
+    bias_time: Vec<f64>,
     initial: Vec<f64>,
     initial_bias: Vec<f64>,
 }
 
 impl From<Noise> for kalman::Noise {
     fn from(n: Noise) -> Self {
-        let Noise { jerk, link_walk, reading, torsion, bias_walk, initial, initial_bias } = n;
-        Self { jerk, link_walk, reading, torsion, bias_walk, initial, initial_bias }
+        let Noise { jerk, link_walk, reading, torsion, bias_walk, bias_time, initial, initial_bias } = n;
+        Self { jerk, link_walk, reading, torsion, bias_walk, bias_time, initial, initial_bias }
     }
 }
 
@@ -99,6 +102,15 @@ impl Live {
     }
 }
 
+/// Time constant and delay inside a channel's sensor [s], and how many steps of time the delay can have.
+pub(crate) type Inside = Option<(f64, f64, usize)>;
+
+/// None inside any where there is no list.
+pub(crate) fn inside(late: Option<Vec<Inside>>) -> Vec<Option<Lateness>> {
+    let one = |(time_constant, delay, steps)| Lateness { time_constant, delay, steps };
+    late.unwrap_or_default().into_iter().map(|inside| inside.map(one)).collect()
+}
+
 /// Kinds of channels by name.
 pub(crate) fn named(kinds: &[String]) -> PyResult<Vec<Kind>> {
     let find = |name: &String| {
@@ -122,7 +134,7 @@ pub(crate) type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'
 #[pymethods]
 impl ExtendedKalmanFilter {
     #[new]
-    #[pyo3(signature = (robot, *, kinds, biased, noise, gate, iterations, damping))]
+    #[pyo3(signature = (robot, *, kinds, biased, noise, gate, iterations, damping, told, late=None))]
     fn new(
         robot: &Robot,
         kinds: Vec<String>,
@@ -131,11 +143,15 @@ impl ExtendedKalmanFilter {
         gate: Option<f64>,
         iterations: usize,
         damping: bool,
+        told: Vec<Told>,
+        late: Option<Vec<Inside>>,
     ) -> PyResult<Self> {
+        let told = tolerances(&told)?;
         let kinds = named(&kinds)?;
         let build = || {
             let model = JerkModel::new(Arc::clone(&robot.0), &kinds, &biased)?;
-            let model = JerkDriven::new(model, noise.into(), damping)?;
+            let model =
+                JerkDriven::new(model, noise.into(), damping)?.with_tolerances(told).with_late(&inside(late))?;
             kalman::ExtendedKalmanFilter::new(model, FilterSettings { gate, iterations })
         };
         let filter = build().map_err(IntoPyErr::into_py_err)?;
@@ -150,6 +166,12 @@ impl ExtendedKalmanFilter {
         self.filter.model().states()
     }
 
+    /// Number of states, but for those of late sensors.
+    #[getter]
+    fn own_states(&self) -> usize {
+        self.filter.model().own_states()
+    }
+
     /// A copy with the same belief.
     fn copy(&self) -> Self {
         self.clone()
@@ -157,6 +179,15 @@ impl ExtendedKalmanFilter {
 
     fn reset(&mut self) {
         self.filter.reset();
+        self.live.ddqref.clear();
+    }
+
+    /// From now on a first sample finds this mean and covariance of the state; nothing: the robot at rest.
+    #[pyo3(signature = (mean, covariance))]
+    fn set_start(&mut self, mean: Signal<'_>, covariance: Matrix<'_>) -> PyResult<()> {
+        let states = self.filter.model().states();
+        let start = Gaussian::new(mean.sized("mean", states)?, rows("covariance", &covariance, states)?);
+        start.and_then(|start| self.filter.set_start(Some(start))).map_err(IntoPyErr::into_py_err)
     }
 
     /// Takes one sample, and writes the state's mean into `out`; what is not given is missing.
@@ -194,7 +225,20 @@ impl ExtendedKalmanFilter {
     #[getter]
     fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, numpy::PyArrayDyn<f64>>> {
         let states = self.filter.model().states();
-        shaped(py, self.filter.belief().covariance.dense().collect(), vec![states, states])
+        shaped(py, self.filter.covariance().dense().collect(), vec![states, states])
+    }
+
+    /// Errors of the parameters by the readings so far, in the measure of their tolerances, and the standard deviations
+    /// of these.
+    #[getter]
+    fn parameters(&self) -> (Vec<f64>, Vec<f64>) {
+        self.filter.parameters()
+    }
+
+    /// Contradictions between readings and model since the start.
+    #[getter]
+    fn findings(&self) -> Vec<Found> {
+        findings(self.filter.findings())
     }
 
     /// Goes on from the live state with the rows of a log, or of a piece of one.
@@ -274,7 +318,28 @@ pub(crate) fn into_dict<'py>(
     }
     out.set_item("used", PyArray1::from_vec(py, o.used))?;
     out.set_item("status", PyArray1::from_vec(py, o.status))?;
+    out.set_item("findings", findings(&o.findings))?;
     Ok(out)
+}
+
+/// A finding: channel, first and last sample, size, the same in standard deviations, and what the readings look like.
+pub(crate) type Found = (Option<usize>, u64, u64, f64, f64, &'static str);
+
+pub(crate) fn findings(all: &[Finding]) -> Vec<Found> {
+    let one = |f: &Finding| (f.channel, f.since, f.until, f.size, f.deviations, word(f.fault));
+    all.iter().map(one).collect()
+}
+
+fn word(fault: Fault) -> &'static str {
+    match fault {
+        Fault::Stuck => "stuck",
+        Fault::Saturated => "saturated",
+        Fault::Dead => "dead",
+        Fault::Wrap => "wrap",
+        Fault::Step => "step",
+        Fault::Flipped => "flipped",
+        Fault::Unknown => "unknown",
+    }
 }
 
 /// Smoother that takes a recording's stretches from the last to the first.

@@ -11,6 +11,7 @@ mod observer;
 mod particle;
 mod robot;
 mod simulate;
+mod tolerance;
 mod velocity;
 
 use pyo3::prelude::*;

@@ -6,7 +6,7 @@ use crate::gil::Release;
 use crate::kalman::Noise;
 use crate::robot::Robot;
 use linkside_core::estimate::likelihood::{self, Evidence, LikelihoodRecording, LikelihoodSettings, Parameter};
-use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
+use numpy::{IntoPyArray, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -83,20 +83,19 @@ pub(crate) struct Likelihood(likelihood::Likelihood);
 #[pymethods]
 impl Likelihood {
     #[new]
-    #[pyo3(signature = (robot, signals, *, noise, biased, torque, held, fixed, huber))]
+    #[pyo3(signature = (robot, signals, *, noise, biased, torque, fixed, huber))]
     fn new(
         robot: &Robot,
         signals: Signals<'_>,
         noise: Noise,
         biased: Vec<bool>,
         torque: bool,
-        held: bool,
         fixed: Vec<(Name, f64)>,
         huber: f64,
     ) -> PyResult<Self> {
         let recording = signals.recording(robot.0.len(), robot.0.acceleration_channels(), torque)?;
         let fixed: PyResult<Vec<_>> = fixed.iter().map(|(name, value)| Ok((parameter(name)?, *value))).collect();
-        let settings = LikelihoodSettings { noise: noise.into(), biased, torque, held, fixed: fixed?, huber };
+        let settings = LikelihoodSettings { noise: noise.into(), biased, torque, fixed: fixed?, huber };
         likelihood::Likelihood::new(robot.0.clone(), settings, recording).map(Self).map_err(IntoPyErr::into_py_err)
     }
 
@@ -126,6 +125,7 @@ fn into_dict(py: Python<'_>, e: Evidence, count: usize, channels: usize) -> PyRe
     out.set_item("gradient", shaped(py, e.gradient, vec![p])?)?;
     out.set_item("information", shaped(py, e.information, vec![p, p])?)?;
     let kept = if e.innovations.is_empty() { 0 } else { count };
+    out.set_item("densities", e.densities.into_pyarray(py))?;
     out.set_item("scores", shaped(py, e.scores, vec![kept, p])?)?;
     out.set_item("innovations", shaped(py, e.innovations, vec![kept, channels])?)?;
     Ok(out)

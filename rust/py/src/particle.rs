@@ -1,12 +1,12 @@
 //! Particle filters on the acceleration-driven model.
 
-use crate::array::{Signal, shaped, write_into};
+use crate::array::{Signal, rows, shaped, write_into};
 use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
-use crate::kalman::{Arrays, Live, Noise, into_dict, named, recording};
+use crate::kalman::{Arrays, Live, Matrix, Noise, into_dict, named, recording};
 use crate::robot::Robot;
 use linkside_core::error::{DesignError, RunError};
-use linkside_core::estimate::kalman::{JerkDriven, JerkModel, KalmanRecording, KalmanSample, Keep, Model};
+use linkside_core::estimate::kalman::{Gaussian, JerkDriven, JerkModel, KalmanRecording, KalmanSample, Keep, Model};
 use linkside_core::estimate::particle::{
     self, Collapse, Density, Marginalised, ParticleOutput, ParticleSettings, Proposal, Resampling,
 };
@@ -136,6 +136,19 @@ impl ParticleFilter {
     #[getter]
     fn states(&self) -> usize {
         self.filter.model().states()
+    }
+
+    /// Number of states, under the name that all filters have for it.
+    #[getter]
+    fn own_states(&self) -> usize {
+        self.states()
+    }
+
+    /// From now on a first sample finds this mean, and the variances of this covariance.
+    fn set_start(&mut self, mean: Signal<'_>, covariance: Matrix<'_>) -> PyResult<()> {
+        let states = self.states();
+        let start = Gaussian::new(mean.sized("mean", states)?, rows("covariance", &covariance, states)?);
+        start.and_then(|start| self.filter.set_start(Some(start))).map_err(IntoPyErr::into_py_err)
     }
 
     fn reset(&mut self) {

@@ -124,10 +124,38 @@ def _with(log: Kind, arrays: dict[str, FloatArray]) -> Kind:
 
 def inspect(log: Recording, robot: Robot) -> tuple[Finding, ...]:
     """Everything that the checks find about a recording, what they refuse included; nothing is raised or warned of."""
-    inspector = Inspector(robot, log.source, collect=True)
-    inspector(log)
+    return tuple(found for _, results in _results(log, robot) for found in results)
+
+
+def verdicts(log: Kind, robot: Robot) -> tuple[list[tuple[str, str]], Finding | None]:
+    """Each check with its verdict in words, and the first finding that refuses the recording."""
+    rows: list[tuple[str, str]] = []
+    refused: Finding | None = None
+    for name, results in _results(log, robot):
+        rows += [(name, f"{found.verdict}: {found}") for found in results] or [(name, "good")]
+        refused = refused or next((found for found in results if found.verdict == "refused"), None)
+    return rows, refused
+
+
+def _results(log: Kind, robot: Robot) -> Iterator[tuple[str, list[Finding]]]:
+    """Findings of each check, of all of them whatever those before said."""
+    (column,) = log.columns("t")
     known = [found for found in log.findings if found.verdict == "mended"]
-    return (*known, *inspector.findings)
+    unit = clock.unit(log.period, robot.config.rate_hz, column)
+    if unit is not None and unit.size is not None:
+        known.append(unit)
+        log = replace(log, t=unit.size * log.t, period=unit.size * log.period)  # type: ignore[type-var]
+    view = View(log, robot)
+    sound = not list(channels.sentinels(view))
+    wraps = list(positions.wraps(view)) if sound else []
+    arrays: dict[str, FloatArray] = {}
+    for found, signal, joint, offset in wraps:
+        known.append(found)
+        arrays.setdefault(signal, getattr(log, signal).copy())[:, joint] += offset
+    yield "unit of time, wraps", known
+    view = replace(view, log=_with(log, arrays))
+    for name, check in CHECKS.items():
+        yield name, list(check(view)) if sound or name == "sentinels" else []
 
 
 def able(robot: object) -> TypeGuard[Robot]:

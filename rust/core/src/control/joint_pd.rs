@@ -1,6 +1,7 @@
 //! Proportional and derivative control of each motor.
 
 use super::{Controller, Reference, Refused, State};
+use crate::check::{expect_finite, expect_length};
 use crate::error::DesignError;
 
 /// τ = τ₀ + K_p (θ_ref − θ) + K_d (θ̇_ref − θ̇), joint by joint: the yardstick of everything cleverer.
@@ -25,12 +26,8 @@ impl JointPd {
     ) -> Result<Self, DesignError> {
         let expected = reference.width();
         for (what, values) in [("kp", &proportional), ("kd", &derivative), ("tau", &constant)] {
-            if values.len() != expected {
-                return Err(DesignError::Length { what, found: values.len(), expected });
-            }
-            if let Some(&value) = values.iter().find(|value| !value.is_finite()) {
-                return Err(DesignError::Range { what, value, expected: "a finite number" });
-            }
+            expect_length(what, values.len(), expected)?;
+            expect_finite(what, values)?;
         }
         Ok(Self { reference, proportional, derivative, constant })
     }

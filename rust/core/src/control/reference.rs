@@ -1,5 +1,6 @@
 //! Where a controller is to go.
 
+use crate::check::expect_finite;
 use crate::error::DesignError;
 
 /// A path in time: straight between knots, at rest before the first and after the last.
@@ -22,9 +23,8 @@ impl Reference {
         if found != expected || times.is_empty() {
             return Err(DesignError::Length { what, found, expected: expected.max(width) });
         }
-        if let Some(value) = times.iter().chain(&values).copied().find(|value| !value.is_finite()) {
-            return Err(DesignError::Range { what, value, expected: "finite numbers" });
-        }
+        expect_finite(what, &times)?;
+        expect_finite(what, &values)?;
         if let Some(pair) = times.windows(2).find(|pair| pair[0] >= pair[1]) {
             return Err(DesignError::Range { what: "time of a knot", value: pair[1], expected: "more than before" });
         }

@@ -1,6 +1,7 @@
 //! Direct adaptive control of the tool by the transposed Jacobian.
 
 use super::{Controller, Reference, Refused, State};
+use crate::check::{expect, expect_each, expect_length};
 use crate::dynamics::Kinematics;
 use crate::error::DesignError;
 use crate::robot::Robot;
@@ -26,22 +27,14 @@ pub struct AdaptiveGains {
 
 impl AdaptiveGains {
     fn check(&self) -> Result<(), DesignError> {
-        let refuse = |what, value, expected| Err(DesignError::Range { what, value, expected });
         let [adaptation, leakage] = [[self.position, self.velocity].concat(), self.leakage.to_vec()];
         for (what, values) in [("adaptation gain", adaptation), ("leakage", leakage)] {
-            if let Some(&value) = values.iter().find(|value| !(**value >= 0.0 && value.is_finite())) {
-                return refuse(what, value, "a finite number of at least 0");
-            }
+            expect_each(what, &values, |v| v >= 0.0 && v.is_finite(), "a finite number of at least 0")?;
         }
         for (what, value) in [("bandwidth", self.bandwidth), ("damping_ratio", self.damping_ratio)] {
-            if !(value > 0.0 && value.is_finite()) {
-                return refuse(what, value, "a finite number greater than 0");
-            }
+            expect(value > 0.0 && value.is_finite(), what, value, "a finite number greater than 0")?;
         }
-        if !self.joint_damping.is_finite() {
-            return refuse("joint_damping", self.joint_damping, "a finite number");
-        }
-        Ok(())
+        expect(self.joint_damping.is_finite(), "joint_damping", self.joint_damping, "a finite number")
     }
 }
 
@@ -90,20 +83,11 @@ impl SimpleAdaptive {
         period: f64,
     ) -> Result<Self, DesignError> {
         gains.check()?;
-        let (found, expected) = (reference.width(), coordinates.len());
-        if found != expected {
-            return Err(DesignError::Length { what: "command", found, expected });
+        expect_length("command", reference.width(), coordinates.len())?;
+        for &axis in &coordinates {
+            expect(axis <= 2, "axis", axis as f64, "0, 1 or 2")?;
         }
-        if let Some(&axis) = coordinates.iter().find(|&&axis| axis > 2) {
-            return Err(DesignError::Range { what: "axis", value: axis as f64, expected: "0, 1 or 2" });
-        }
-        if robot.tool.is_none() {
-            return Err(DesignError::Range {
-                what: "number of tools",
-                value: 0.0,
-                expected: "1: control is of the tool",
-            });
-        }
+        expect(robot.tool.is_some(), "number of tools", 0.0, "1: control is of the tool")?;
         let (w, z) = (gains.bandwidth, gains.damping_ratio);
         let decay = gains.leakage.map(|leak| {
             let left = (-leak * period).exp();

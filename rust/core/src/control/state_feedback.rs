@@ -1,6 +1,7 @@
 //! Linear feedback of the whole state.
 
 use super::{Controller, Reference, Refused, State};
+use crate::check::{expect_finite, expect_length};
 use crate::error::DesignError;
 
 /// τ = τ_d + K_P (x_d − x) with x = (θ, q, θ̇, q̇): eq. (13) of De Luca, Schröder and Thümmel (2007).
@@ -20,13 +21,8 @@ impl StateFeedback {
     pub fn new(reference: Reference, gains: Vec<f64>) -> Result<Self, DesignError> {
         let (what, width) = ("gains", reference.width());
         let n = width / 5;
-        let (found, expected) = (gains.len(), 4 * n * n);
-        if found != expected {
-            return Err(DesignError::Length { what, found, expected });
-        }
-        if let Some(&value) = gains.iter().find(|value| !value.is_finite()) {
-            return Err(DesignError::Range { what, value, expected: "finite numbers" });
-        }
+        expect_length(what, gains.len(), 4 * n * n)?;
+        expect_finite(what, &gains)?;
         Ok(Self { reference, gains, desired: vec![0.0; width], error: vec![0.0; 4 * n] })
     }
 }

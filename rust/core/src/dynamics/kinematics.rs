@@ -2,6 +2,7 @@
 
 use crate::robot::{JointKind, Tree};
 use crate::scalar::Scalar;
+use crate::simd::{self, Kernel};
 use crate::spatial::{Inertia, Mat3, Motion, Sym3, Vec3};
 
 /// One body's state.
@@ -41,12 +42,9 @@ impl<T: Scalar> Kinematics<T> {
     }
 
     /// Positions, velocities and accelerations at once; each of length n, in the order of the log.
-    #[inline(always)]
+    #[inline]
     pub fn set(&mut self, tree: &Tree, q: &[T], dq: &[T], ddq: &[T]) {
-        self.set_position(tree, q);
-        self.set_velocity(tree, dq);
-        self.set_acceleration(tree, dq, ddq);
-        self.set_axis_acceleration(tree);
+        simd::phase(Set { kinematics: self, tree, q, dq, ddq });
     }
 
     /// As [`set`](Self::set), without what only derivatives in q need.
@@ -142,5 +140,26 @@ impl<T: Scalar> Kinematics<T> {
         second += Sym3::outer(&offset, origin);
         second += Sym3::outer(origin, &first);
         Inertia { mass: T::constant(local.mass), first, second }
+    }
+}
+
+/// [`Kinematics::set`], to be compiled for each instruction set.
+struct Set<'a, T> {
+    kinematics: &'a mut Kinematics<T>,
+    tree: &'a Tree,
+    q: &'a [T],
+    dq: &'a [T],
+    ddq: &'a [T],
+}
+
+impl<T: Scalar> Kernel for Set<'_, T> {
+    type Output = ();
+    const LANES: bool = T::LANES;
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { kinematics, tree, q, dq, ddq } = self;
+        kinematics.set_motion(tree, q, dq, ddq);
+        kinematics.set_axis_acceleration(tree);
     }
 }

@@ -3,6 +3,7 @@
 use super::Kinematics;
 use crate::robot::Tree;
 use crate::scalar::Scalar;
+use crate::simd::{self, Kernel};
 use crate::spatial::{Coriolis, Force, Inertia};
 
 /// A body together with all that it carries.
@@ -94,7 +95,7 @@ impl<T: Scalar> Loads<T> {
     /// τ with its derivatives ∂τ/∂q, ∂τ/∂q̇ and ∂τ/∂q̈ = M, the last three n × n, at the cost of about three τ.
     ///
     /// Singh, Russell and Wensing (2022), with all quantities in the base frame.
-    #[inline(always)]
+    #[inline]
     pub fn inverse_dynamics_derivatives_into(
         &mut self,
         tree: &Tree,
@@ -104,37 +105,7 @@ impl<T: Scalar> Loads<T> {
         by_dq: &mut [T],
         mass: &mut [T],
     ) {
-        let n = tree.len();
-        for matrix in [&mut *by_q, &mut *by_dq, &mut *mass] {
-            matrix.fill(T::default());
-        }
-        self.gather_start(tree, k);
-        for j in (0..n).rev() {
-            let Composite { inertia, coriolis, force } = self.composites[j];
-            let state = &k.bodies[j];
-            let momentum = inertia.apply(&state.axis);
-            let turning = coriolis.apply_transposed(&state.axis);
-            let twice = |f: Force<T>| f + f;
-            let outer_q = state.axis.cross_force(&force)
-                + inertia.apply(&state.axis_acceleration)
-                + twice(coriolis.apply(&state.axis_rate));
-            let outer_dq = twice(inertia.apply(&state.axis_rate) + coriolis.apply(&state.axis));
-            let b = tree.bodies[j].joint;
-            tau[b] = state.axis.dot(&force);
-            for i in tree.path(j) {
-                let a = tree.bodies[i].joint;
-                let carrier = &k.bodies[i];
-                let (by_rate, by_axis) = (carrier.axis_rate.angular.dot(&turning), carrier.axis.angular.dot(&turning));
-                by_q[b * n + a] = carrier.axis_acceleration.dot(&momentum) + by_rate + by_rate;
-                by_q[a * n + b] = carrier.axis.dot(&outer_q);
-                let half = carrier.axis_rate.dot(&momentum) + by_axis;
-                by_dq[b * n + a] = half + half;
-                by_dq[a * n + b] = carrier.axis.dot(&outer_dq);
-                mass[a * n + b] = carrier.axis.dot(&momentum);
-                mass[b * n + a] = mass[a * n + b];
-            }
-            self.gather(tree, j);
-        }
+        simd::phase(Derivatives { loads: self, tree, k, tau, by_q, by_dq, mass });
     }
 
     /// Each body's own moments.
@@ -157,6 +128,58 @@ impl<T: Scalar> Loads<T> {
             self.composites[p].inertia += inertia;
             self.composites[p].coriolis += coriolis;
             self.composites[p].force += force;
+        }
+    }
+}
+
+/// [`Loads::inverse_dynamics_derivatives_into`], to be compiled for each instruction set.
+struct Derivatives<'a, T> {
+    loads: &'a mut Loads<T>,
+    tree: &'a Tree,
+    k: &'a Kinematics<T>,
+    tau: &'a mut [T],
+    by_q: &'a mut [T],
+    by_dq: &'a mut [T],
+    mass: &'a mut [T],
+}
+
+impl<T: Scalar> Kernel for Derivatives<'_, T> {
+    type Output = ();
+    const LANES: bool = T::LANES;
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { loads, tree, k, tau, by_q, by_dq, mass } = self;
+        let n = tree.len();
+        for matrix in [&mut *by_q, &mut *by_dq, &mut *mass] {
+            matrix.fill(T::default());
+        }
+        loads.gather_start(tree, k);
+        for j in (0..n).rev() {
+            let Composite { inertia, coriolis, force } = loads.composites[j];
+            let state = &k.bodies[j];
+            let momentum = inertia.apply(&state.axis);
+            let turning = coriolis.apply_transposed(&state.axis);
+            let twice = |f: Force<T>| f + f;
+            let outer_q = state.axis.cross_force(&force)
+                + inertia.apply(&state.axis_acceleration)
+                + twice(coriolis.apply(&state.axis_rate));
+            let outer_dq = twice(inertia.apply(&state.axis_rate) + coriolis.apply(&state.axis));
+            let b = tree.bodies[j].joint;
+            tau[b] = state.axis.dot(&force);
+            for i in tree.path(j) {
+                let a = tree.bodies[i].joint;
+                let carrier = &k.bodies[i];
+                let (by_rate, by_axis) = (carrier.axis_rate.angular.dot(&turning), carrier.axis.angular.dot(&turning));
+                by_q[b * n + a] = carrier.axis_acceleration.dot(&momentum) + by_rate + by_rate;
+                by_q[a * n + b] = carrier.axis.dot(&outer_q);
+                let half = carrier.axis_rate.dot(&momentum) + by_axis;
+                by_dq[b * n + a] = half + half;
+                by_dq[a * n + b] = carrier.axis.dot(&outer_dq);
+                mass[a * n + b] = carrier.axis.dot(&momentum);
+                mass[b * n + a] = mass[a * n + b];
+            }
+            loads.gather(tree, j);
         }
     }
 }

@@ -1,13 +1,15 @@
 //! What white jerk does to position, velocity and acceleration over a step of time.
 
+use crate::scalar::Scalar;
+
 /// Covariance of (q, q̇, q̈) after `dt` [s] of white jerk with a density of one: ∫ (s²/2, s, 1)(s²/2, s, 1)ᵀ ds over the step.
 ///
 /// Exact for every step: two steps, one after the other, are the long step, so a density holds at any rate.
 #[inline(always)]
-pub(crate) fn covariance(dt: f64) -> [[f64; 3]; 3] {
+pub(crate) fn covariance<T: Scalar>(dt: T) -> [[T; 3]; 3] {
     let (second, third) = (dt * dt, dt * dt * dt);
-    let (q_dq, q_ddq, dq_ddq) = (second * second / 8.0, third / 6.0, second / 2.0);
-    [[second * third / 20.0, q_dq, q_ddq], [q_dq, third / 3.0, dq_ddq], [q_ddq, dq_ddq, dt]]
+    let (q_dq, q_ddq, dq_ddq) = (second * second * (1.0 / 8.0), third * (1.0 / 6.0), second * 0.5);
+    [[second * third * (1.0 / 20.0), q_dq, q_ddq], [q_dq, third * (1.0 / 3.0), dq_ddq], [q_ddq, dq_ddq, dt]]
 }
 
 /// The factor L with L Lᵀ = `density`² [`covariance`] + `dt` diag(walks², 0), for draws: L times three independent standard

@@ -19,4 +19,6 @@ impl Status {
     pub const UNWRAPPED: u8 = 32;
     /// Readings contradict the model: the row, and its standard deviations, are not to be believed.
     pub const CONTRADICTED: u8 = 64;
+    /// One channel contradicts the model and all others.
+    pub const FAULTY: u8 = 128;
 }

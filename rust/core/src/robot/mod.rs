@@ -8,6 +8,7 @@ pub use drive::{Drive, MotorFriction, SoftWindup};
 pub use rotor::Rotor;
 pub use tree::{Body, BodySpec, Frame, JointKind, Tree};
 
+use crate::check::{expect_of, expect_parts};
 use crate::error::RobotError;
 use crate::scalar::Scalar;
 use crate::spatial::Vec3;
@@ -35,9 +36,9 @@ impl Sensor {
 
     fn check(&self, owner: &str) -> Result<(), RobotError> {
         let (std, owner) = (self.noise_std, || owner.to_string());
-        expect(std > 0.0 && std.is_finite(), "noise_std", owner, std, "greater than 0")?;
+        expect_of(std > 0.0 && std.is_finite(), "noise_std", owner, std, "greater than 0")?;
         let bad = self.axes.iter().find(|&&axis| axis > 2);
-        expect(bad.is_none(), "axis", owner, bad.map_or(0.0, |&axis| axis as f64), "0, 1 or 2")
+        expect_of(bad.is_none(), "axis", owner, bad.map_or(0.0, |&axis| axis as f64), "0, 1 or 2")
     }
 }
 
@@ -74,15 +75,15 @@ impl Robot {
         tool: Option<Frame>,
     ) -> Result<Self, RobotError> {
         let n = tree.len();
-        expect_length("drives", drives.len(), n)?;
-        expect_length("coupling", coupling.len(), n * n)?;
+        expect_parts("drives", drives.len(), n)?;
+        expect_parts("coupling", coupling.len(), n * n)?;
         for (joint, drive) in drives.iter().enumerate() {
             drive.check(&format!("joint {joint}"))?;
         }
         for (i, &value) in coupling.iter().enumerate() {
             let owner = || format!("motor {} to link {}", i % n, i / n);
-            expect(i % n > i / n || value == 0.0, "coupling", owner, value, "0 on and below the diagonal")?;
-            expect(value.is_finite(), "coupling", owner, value, "a finite number")?;
+            expect_of(i % n > i / n || value == 0.0, "coupling", owner, value, "0 on and below the diagonal")?;
+            expect_of(value.is_finite(), "coupling", owner, value, "a finite number")?;
         }
         for (kind, sensors) in [("accelerometer", &accelerometers), ("gyroscope", &gyroscopes)] {
             for (i, sensor) in sensors.iter().enumerate() {
@@ -111,19 +112,4 @@ impl Robot {
     pub fn gyroscope_channels(&self) -> usize {
         self.gyroscopes.iter().map(|s| s.axes.len()).sum()
     }
-}
-
-fn expect_length(what: &'static str, found: usize, expected: usize) -> Result<(), RobotError> {
-    if found == expected { Ok(()) } else { Err(RobotError::Length { what, found, expected }) }
-}
-
-/// Refuses `value` unless `ok`.
-pub(crate) fn expect(
-    ok: bool,
-    what: &'static str,
-    owner: impl FnOnce() -> String,
-    value: f64,
-    expected: &'static str,
-) -> Result<(), RobotError> {
-    if ok { Ok(()) } else { Err(RobotError::Range { what, owner: owner(), value, expected }) }
 }

@@ -1,6 +1,7 @@
 //! Motors that sit on links.
 
-use super::{Robot, expect};
+use super::Robot;
+use crate::check::expect_of;
 use crate::error::RobotError;
 use crate::spatial::Vec3;
 
@@ -32,14 +33,14 @@ impl Robot {
         for (i, rotor) in rotors.iter().enumerate() {
             let owner = || format!("rotor {i}");
             let Rotor { motor, body, axis, ratio } = rotor;
-            expect(*motor < n, "motor", owner, *motor as f64, "a joint of the robot")?;
-            expect(*body < n, "body", owner, *body as f64, "a body of the robot")?;
-            expect((axis.norm() - 1.0).abs() < 1e-9, "length of the axis", owner, axis.norm(), "1")?;
-            expect(ratio.is_finite() && *ratio != 0.0, "ratio", owner, *ratio, "a number other than 0")?;
+            expect_of(*motor < n, "motor", owner, *motor as f64, "a joint of the robot")?;
+            expect_of(*body < n, "body", owner, *body as f64, "a body of the robot")?;
+            expect_of((axis.norm() - 1.0).abs() < 1e-9, "length of the axis", owner, axis.norm(), "1")?;
+            expect_of(ratio.is_finite() && *ratio != 0.0, "ratio", owner, *ratio, "a number other than 0")?;
             let free = rotors[..i].iter().all(|other| other.motor != *motor);
-            expect(free, "motor", owner, *motor as f64, "a motor of its own")?;
+            expect_of(free, "motor", owner, *motor as f64, "a motor of its own")?;
             let coupling = (0..n).map(|k| self.coupling[k * n + motor]).find(|&s| s != 0.0).unwrap_or(0.0);
-            expect(coupling == 0.0, "constant coupling of the motor", owner, coupling, "0: a rotor brings its own")?;
+            expect_of(coupling == 0.0, "constant coupling of the motor", owner, coupling, "0: a rotor brings its own")?;
         }
         self.rotors = rotors;
         Ok(self)

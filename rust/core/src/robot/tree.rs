@@ -1,6 +1,7 @@
 //! The kinematic tree, compiled: bodies in topological order, every joint along or about its own z axis.
 
-use super::{Drive, Rotor, expect};
+use super::{Drive, Rotor};
+use crate::check::expect_of;
 use crate::error::RobotError;
 use crate::spatial::{Inertia, Mat3, Sym3, Vec3};
 
@@ -76,7 +77,7 @@ impl Tree {
             return Err(RobotError::NoBodies);
         }
         let sum: f64 = gravity.0.iter().sum();
-        expect(sum.is_finite(), "gravity", || "the robot".into(), sum, "finite numbers")?;
+        expect_of(sum.is_finite(), "gravity", || "the robot".into(), sum, "finite numbers")?;
         for joint in 0..specs.len() {
             let count = specs.iter().filter(|s| s.joint == joint).count();
             if count != 1 {
@@ -165,13 +166,13 @@ fn compile(body: usize, spec: &BodySpec, carrier: &Mat3<f64>) -> Result<Body, Ro
     if (length - 1.0).abs() > 1e-9 || length.is_nan() {
         return Err(RobotError::Axis { body, length });
     }
-    expect(spec.mass >= 0.0 && spec.mass.is_finite(), "mass", owner, spec.mass, "at least 0")?;
+    expect_of(spec.mass >= 0.0 && spec.mass.is_finite(), "mass", owner, spec.mass, "at least 0")?;
     let matrices = [("rotation", &spec.rotation), ("inertia", &spec.inertia)];
     let vectors = [("translation", &spec.translation), ("centre of mass", &spec.com)];
     let columns = matrices.iter().flat_map(|(what, m)| m.0.iter().map(move |c| (*what, c)));
     for (what, vector) in columns.chain(vectors) {
         let sum: f64 = vector.0.iter().sum();
-        expect(sum.is_finite(), what, owner, sum, "finite numbers")?;
+        expect_of(sum.is_finite(), what, owner, sum, "finite numbers")?;
     }
     let z_to_axis = Mat3::z_to(&spec.axis);
     let align = z_to_axis.transpose();

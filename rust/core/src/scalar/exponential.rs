@@ -41,6 +41,12 @@ pub(super) fn tanh(x: f64) -> f64 {
     e / (e + 2.0)
 }
 
+/// e^x − 1, to within 2 ulp also near zero; −1 below −708.
+pub(crate) fn exp_m1(x: f64) -> f64 {
+    let (power, rest) = reduced(x.clamp(LEAST, LARGEST));
+    power * rest + (power - 1.0)
+}
+
 /// 2ⁿ and e^r − 1 with x = n ln 2 + r.
 #[inline(always)]
 fn reduced(x: f64) -> (f64, f64) {
@@ -65,6 +71,7 @@ mod tests {
         while x < 700.0 {
             for y in [x, -x] {
                 assert!((exp(y) / y.exp() - 1.0).abs() < 5e-16, "exp {y}");
+                assert!((exp_m1(y) / y.exp_m1() - 1.0).abs() < 5e-16, "exp_m1 {y}");
                 assert!((tanh(y) / y.tanh() - 1.0).abs() < 5e-16, "tanh {y}: {} {}", tanh(y), y.tanh());
             }
             x *= 1.000_37;

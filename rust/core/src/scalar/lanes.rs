@@ -37,6 +37,8 @@ impl<const L: usize> Default for Lanes<L> {
 }
 
 impl<const L: usize> Scalar for Lanes<L> {
+    const LANES: bool = true;
+
     #[inline(always)]
     fn constant(value: f64) -> Self {
         Self([value; L])

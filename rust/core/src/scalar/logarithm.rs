@@ -15,6 +15,7 @@ const SERIES: [f64; 7] = [
 ];
 const ONE: u64 = 1.0_f64.to_bits();
 const HALF_ROOT: u64 = (0.5 * SQRT_2).to_bits();
+const TWO_POW_54: f64 = 18_014_398_509_481_984.0;
 const MANTISSA: u64 = (1 << 52) - 1;
 
 /// ln x for a positive, finite, normal x, to within 1 ulp or so.
@@ -34,6 +35,22 @@ pub(crate) fn ln(x: f64) -> f64 {
     k * LN_2[0] - ((half - (s * (half + z * sum) + k * LN_2[1])) - f)
 }
 
+/// ln x of any number: −∞ of zero, NaN of what is negative or not a number.
+#[inline(always)]
+pub(crate) fn log(x: f64) -> f64 {
+    if (f64::MIN_POSITIVE..f64::INFINITY).contains(&x) {
+        ln(x)
+    } else if x == f64::INFINITY {
+        x
+    } else if x > 0.0 {
+        ln(x * TWO_POW_54) - 54.0 * (LN_2[0] + LN_2[1])
+    } else if x == 0.0 {
+        f64::NEG_INFINITY
+    } else {
+        f64::NAN
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -46,6 +63,10 @@ mod tests {
             assert!(error <= 4e-16 * x.ln().abs().max(1e-3), "{x}: {error}");
             x *= 1.013;
         }
+        for x in [5e-324, 1e-310, 0.0, f64::INFINITY] {
+            assert!(log(x) == x.ln() || (log(x) / x.ln() - 1.0).abs() < 4e-16, "{x}");
+        }
+        assert!(log(-1.0).is_nan() && log(f64::NAN).is_nan());
         assert_eq!(ln(1.0), 0.0);
         assert!((ln(1.0 + 1e-9) / (1.0_f64 + 1e-9).ln() - 1.0).abs() < 1e-15);
     }

@@ -9,8 +9,9 @@ mod series;
 mod trig;
 
 pub use dual::Dual;
+pub(crate) use exponential::exp_m1;
 pub use lanes::Lanes;
-pub(crate) use logarithm::ln;
+pub(crate) use logarithm::{ln, log};
 pub use series::Series;
 
 use core::fmt::Debug;
@@ -38,6 +39,9 @@ pub trait Scalar:
     + AddAssign
     + SubAssign
 {
+    /// Whether it is several numbers side by side.
+    const LANES: bool = false;
+
     /// A constant.
     fn constant(value: f64) -> Self;
 

@@ -2,6 +2,7 @@
 
 use super::plant::Plant;
 use super::rosenbrock::Rosenbrock;
+use crate::check::expect;
 use crate::error::{DesignError, SimulationError};
 use crate::robot::Robot;
 use crate::simd;
@@ -32,15 +33,8 @@ impl Tolerance {
     /// A number out of its range.
     pub(super) fn check(&self) -> Result<(), DesignError> {
         let Self { rtol, atol } = *self;
-        if !(1e-13..1.0).contains(&rtol) {
-            let (what, expected) = ("rtol", "at least 1e-13 and less than 1");
-            return Err(DesignError::Range { what, value: rtol, expected });
-        }
-        if !(atol > 0.0 && atol.is_finite()) {
-            let (what, expected) = ("atol", "a finite number greater than 0");
-            return Err(DesignError::Range { what, value: atol, expected });
-        }
-        Ok(())
+        expect((1e-13..1.0).contains(&rtol), "rtol", rtol, "at least 1e-13 and less than 1")?;
+        expect(atol > 0.0 && atol.is_finite(), "atol", atol, "a finite number greater than 0")
     }
 }
 

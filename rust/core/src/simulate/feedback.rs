@@ -1,6 +1,7 @@
 //! How a controller comes to know the robot's state.
 
 use super::sensors::Motion;
+use crate::check::expect_length;
 use crate::control::State;
 use crate::dynamics::ElasticLayout;
 use crate::error::DesignError;
@@ -81,10 +82,8 @@ impl FilterFeedback {
     /// Not as many as the filter has channels.
     pub fn new(filter: ExtendedKalmanFilter<ElasticModel>, channels: Vec<usize>) -> Result<Self, DesignError> {
         use crate::estimate::kalman::Model;
-        let (found, expected) = (channels.len(), filter.model().channels());
-        if found != expected {
-            return Err(DesignError::Length { what: "channels of the filter", found, expected });
-        }
+        let found = channels.len();
+        expect_length("channels of the filter", found, filter.model().channels())?;
         let layout = ElasticLayout::new(filter.model().robot(), false)?;
         Ok(Self { filter, layout, readings: vec![0.0; found], channels })
     }
@@ -124,9 +123,7 @@ impl ObserverFeedback {
             ("joints of the observer", observer.joints(), robot.len()),
             ("accelerations of the observer", observer.channels(), robot.acceleration_channels()),
         ] {
-            if found != expected {
-                return Err(DesignError::Length { what, found, expected });
-            }
+            expect_length(what, found, expected)?;
         }
         Ok(Self { observer })
     }

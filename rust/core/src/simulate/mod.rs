@@ -5,7 +5,6 @@ mod feedback;
 mod integrator;
 mod lu;
 mod plant;
-mod random;
 mod recording;
 mod rosenbrock;
 mod run;

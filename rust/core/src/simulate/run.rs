@@ -7,6 +7,7 @@ use super::plant::Plant;
 use super::recording::Recording;
 use super::sensors::{Motion, Suite};
 use super::start::Start;
+use crate::check::expect;
 use crate::control::{Controller, State};
 use crate::error::{DesignError, SimulationError};
 use crate::robot::Robot;
@@ -36,15 +37,11 @@ pub struct Plan {
 
 impl Plan {
     fn check(&self) -> Result<(), DesignError> {
-        let (what, expected) = ("period", "a finite number greater than 0");
-        if !(self.period > 0.0 && self.period.is_finite()) {
-            return Err(DesignError::Range { what, value: self.period, expected });
-        }
+        let positive = self.period > 0.0 && self.period.is_finite();
+        expect(positive, "period", self.period, "a finite number greater than 0")?;
         let substeps = if let Stepping::Fixed(substeps) = self.stepping { substeps } else { 1 };
         for (what, value) in [("samples", self.count), ("substeps", substeps), ("keep_every", self.keep_every)] {
-            if value == 0 {
-                return Err(DesignError::Range { what, value: 0.0, expected: "at least 1" });
-            }
+            expect(value > 0, what, 0.0, "at least 1")?;
         }
         Ok(())
     }

@@ -1,10 +1,12 @@
 //! What sensors make of the truth.
 
 use super::plant::Plant;
-use super::random::Random;
+use crate::check::{expect, expect_length};
 use crate::error::DesignError;
 use crate::estimate::measurement::{Channel, Elastic, Kind, Values, read_all};
+use crate::random::{Purpose, Stream};
 use crate::robot::Robot;
+use crate::scalar::exp_m1;
 use core::f64::consts::TAU;
 
 /// One channel: low-pass, then delay, bias, noise, steps, and a reading every so many samples.
@@ -28,22 +30,12 @@ impl SensorModel {
     /// # Errors
     /// A number out of its range.
     pub(super) fn check(&self) -> Result<(), DesignError> {
-        let refuse = |what, value, expected| Err(DesignError::Range { what, value, expected });
         for (what, value) in [("noise", self.noise), ("resolution", self.resolution), ("delay", self.delay)] {
-            if !(value >= 0.0 && value.is_finite()) {
-                return refuse(what, value, "a finite number of at least 0");
-            }
+            expect(value >= 0.0 && value.is_finite(), what, value, "a finite number of at least 0")?;
         }
-        if !self.bias.is_finite() {
-            return refuse("bias", self.bias, "a finite number");
-        }
-        if self.corner_frequency.is_nan() || self.corner_frequency <= 0.0 {
-            return refuse("corner_frequency", self.corner_frequency, "greater than 0");
-        }
-        if self.every == 0 {
-            return refuse("every", 0.0, "at least 1");
-        }
-        Ok(())
+        expect(self.bias.is_finite(), "bias", self.bias, "a finite number")?;
+        expect(self.corner_frequency > 0.0, "corner_frequency", self.corner_frequency, "greater than 0")?;
+        expect(self.every > 0, "every", 0.0, "at least 1")
     }
 }
 
@@ -63,12 +55,12 @@ struct Reader {
 impl Reader {
     fn new(model: SensorModel, period: f64) -> Self {
         let lag = model.delay / period;
-        let share = -(-TAU * model.corner_frequency * period).exp_m1();
+        let share = -exp_m1(-TAU * model.corner_frequency * period);
         Self { model, share, low_pass: 0.0, past: vec![0.0; lag.ceil() as usize + 1], lag }
     }
 
     #[inline(always)]
-    fn read(&mut self, truth: f64, random: Random, stream: u64, sample: usize) -> f64 {
+    fn read(&mut self, truth: f64, random: Stream, channel: u32, sample: usize) -> f64 {
         if sample == 0 {
             (self.low_pass, self.past) = (truth, core::mem::take(&mut self.past));
             self.past.fill(truth);
@@ -84,7 +76,7 @@ impl Reader {
         let (near, far) = (back(whole), back(whole + 1));
         let SensorModel { noise, bias, resolution, .. } = self.model;
         let value = near + (self.lag - whole as f64) * (far - near) + bias;
-        let noisy = if noise == 0.0 { value } else { value + noise * random.normal(stream, sample as u64) };
+        let noisy = if noise == 0.0 { value } else { value + noise * random.normal(channel) };
         if resolution == 0.0 { noisy } else { (noisy / resolution).round() * resolution }
     }
 }
@@ -94,7 +86,7 @@ impl Reader {
 pub struct Suite {
     channels: Vec<Channel>,
     readers: Vec<Reader>,
-    random: Random,
+    seed: u64,
     truth: Vec<f64>,
     /// The last readings, of all kinds in the order of [`Kind::ALL`].
     pub readings: Vec<f64>,
@@ -108,15 +100,13 @@ impl Suite {
     pub fn new(robot: &Robot, models: &[SensorModel], period: f64, seed: u64) -> Result<Self, DesignError> {
         let channels = Kind::all_channels(&Kind::ALL, robot);
         let expected = channels.len();
-        if models.len() != expected {
-            return Err(DesignError::Length { what: "sensors", found: models.len(), expected });
-        }
+        expect_length("sensors", models.len(), expected)?;
         for model in models {
             model.check()?;
         }
         let readers = models.iter().map(|&model| Reader::new(model, period)).collect();
         let [truth, readings] = core::array::from_fn(|_| vec![0.0; expected]);
-        Ok(Self { channels, readers, random: Random { seed }, truth, readings })
+        Ok(Self { channels, readers, seed, truth, readings })
     }
 
     /// Reads everything in `state` of `plant`: its dynamics with the accelerations there, and the kinematics with them.
@@ -124,9 +114,9 @@ impl Suite {
     pub(super) fn read(&mut self, robot: &Robot, plant: &Plant, state: &[f64], sample: usize) {
         let view = Elastic { layout: &plant.layout, dynamics: &plant.dynamics, state };
         read_all(robot, &self.channels, &view, &mut Values(&mut self.truth));
-        let (random, truth) = (self.random, &self.truth);
-        for (stream, (reader, reading)) in self.readers.iter_mut().zip(&mut self.readings).enumerate() {
-            *reading = reader.read(truth[stream], random, stream as u64, sample);
+        let (random, truth) = (Stream::new(self.seed, sample as u32, Purpose::Sensors), &self.truth);
+        for (channel, (reader, reading)) in self.readers.iter_mut().zip(&mut self.readings).enumerate() {
+            *reading = reader.read(truth[channel], random, channel as u32, sample);
         }
     }
 }

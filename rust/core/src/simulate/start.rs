@@ -1,5 +1,6 @@
 //! Where a run begins.
 
+use crate::check::{expect_finite, expect_length};
 use crate::control::State;
 use crate::dynamics::{Kinematics, Loads};
 use crate::error::DesignError;
@@ -30,12 +31,8 @@ impl Start {
         let given = [("q", &self.q), ("dq", &self.dq), ("theta", &self.theta), ("dtheta", &self.dtheta)];
         for (what, values) in given.into_iter().chain([("tau", &self.tau)]) {
             let Some(values) = values else { continue };
-            if values.len() != n {
-                return Err(DesignError::Length { what, found: values.len(), expected: n });
-            }
-            if let Some(&value) = values.iter().find(|value| !value.is_finite()) {
-                return Err(DesignError::Range { what, value, expected: "finite numbers" });
-            }
+            expect_length(what, values.len(), n)?;
+            expect_finite(what, values)?;
         }
         let q = self.q.unwrap_or_else(|| vec![0.0; n]);
         let dq = self.dq.unwrap_or_else(|| vec![0.0; n]);

@@ -1,20 +1,61 @@
-//! The acceleration-driven model as a filter runs it.
+//! The acceleration-driven model as a filter runs it: its channels, and what they say of the motors.
 
-use super::gaussian::{Gaussian, Symmetric};
 use super::jerk::{JerkModel, Noise};
-use super::model::{Linearised, Model};
+use super::jerk_process::JerkProcess;
+use super::model::{Linearised, Measurement, Paired, Report};
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample};
 use super::slope::Slope;
+use super::uncertain::Tolerance;
 use crate::error::DesignError;
 use crate::estimate::measurement::{Channel, Evaluation};
-use crate::estimate::observer::link_position_at_rest;
 use crate::robot::Robot;
 use crate::scalar::Dual;
 
 /// The acceleration-driven model with its noise, as a filter runs it.
+pub type JerkDriven = Paired<JerkProcess, JerkMeasurement>;
+
+impl JerkDriven {
+    /// `model` with `noise`; `damping` says whether the damping torque D(θ̇ − q̇), which the paper drops, is predicted.
+    ///
+    /// # Errors
+    /// Noise that does not fit the model.
+    pub fn new(model: JerkModel, noise: Noise, damping: bool) -> Result<Self, DesignError> {
+        model.check(&noise)?;
+        let measurement = JerkMeasurement::new(model.clone(), noise.clone(), damping);
+        Ok(Self::of(JerkProcess { model, noise }, measurement))
+    }
+
+    /// The model of a robot of which some numbers are known to a tolerance only.
+    pub fn with_tolerances(mut self, tolerances: Vec<Tolerance>) -> Self {
+        self.measurement.tolerances = tolerances;
+        self
+    }
+
+    /// Number of accelerometer channels.
+    pub fn acceleration_channels(&self) -> usize {
+        self.process.model.acceleration_channels()
+    }
+
+    /// The model without its noise.
+    pub(crate) fn jerk_model(&self) -> &JerkModel {
+        &self.process.model
+    }
+
+    /// The noise.
+    pub(crate) fn noise(&self) -> &Noise {
+        &self.process.noise
+    }
+
+    /// Motor velocities for the damping torque, and jerk, of the sample last predicted to.
+    pub(crate) fn inputs(&self) -> (&[f64], &[f64]) {
+        (&self.measurement.dtheta, &self.measurement.jerk)
+    }
+}
+
+/// The channels of the acceleration-driven model.
 #[derive(Clone, Debug)]
-pub struct JerkDriven {
+pub struct JerkMeasurement {
     model: JerkModel,
     noise: Noise,
     /// Whether the damping torque D(θ̇ − q̇) is predicted.
@@ -29,17 +70,13 @@ pub struct JerkDriven {
     slope: Slope,
     jerk: Vec<f64>,
     dt: f64,
+    tolerances: Vec<Tolerance>,
 }
 
-impl JerkDriven {
-    /// `model` with `noise`; `damping` says whether the damping torque D(θ̇ − q̇), which the paper drops, is predicted.
-    ///
-    /// # Errors
-    /// Noise that does not fit the model.
-    pub fn new(model: JerkModel, noise: Noise, damping: bool) -> Result<Self, DesignError> {
-        model.check(&noise)?;
+impl JerkMeasurement {
+    fn new(model: JerkModel, noise: Noise, damping: bool) -> Self {
         let (n, m) = (model.joints(), model.channels());
-        Ok(Self {
+        Self {
             evaluation: Evaluation::new(&model.robot, m),
             motors: model.channels.contains(&Channel::MotorVelocity(0)).then(|| Motors::new(&model.robot)),
             reference: vec![0.0; 3 * n],
@@ -47,54 +84,15 @@ impl JerkDriven {
             slope: Slope::new(n),
             jerk: vec![0.0; n],
             dt: 0.0,
+            tolerances: Vec::new(),
             model,
             noise,
             damping,
-        })
-    }
-
-    /// Number of accelerometer channels.
-    pub fn acceleration_channels(&self) -> usize {
-        self.model.acceleration_channels()
-    }
-
-    /// The model without its noise.
-    pub(crate) fn jerk_model(&self) -> &JerkModel {
-        &self.model
-    }
-
-    /// The noise.
-    pub(crate) fn noise(&self) -> &Noise {
-        &self.noise
-    }
-
-    /// Motor velocities for the damping torque, and jerk, of the sample last predicted to.
-    pub(crate) fn inputs(&self) -> (&[f64], &[f64]) {
-        (&self.dtheta, &self.jerk)
-    }
-
-    #[inline(always)]
-    fn take(&mut self, sample: &KalmanSample<'_>) {
-        self.dt = sample.dt;
-        self.jerk.copy_from_slice(sample.inputs.jerk);
-        if self.damping {
-            self.dtheta.copy_from_slice(sample.inputs.dtheta);
-            self.slope.push(sample.dt, &sample.readings[..self.jerk.len()]);
-            self.slope.fill(&mut self.dtheta);
         }
     }
 }
 
-impl Model for JerkDriven {
-    fn robot(&self) -> &Robot {
-        &self.model.robot
-    }
-
-    #[inline(always)]
-    fn states(&self) -> usize {
-        self.model.states()
-    }
-
+impl Measurement for JerkMeasurement {
     #[inline(always)]
     fn dense(&self) -> usize {
         self.reference.len()
@@ -110,22 +108,47 @@ impl Model for JerkDriven {
         recording.expect(self.model.channels(), self.model.joints(), &needed)
     }
 
-    fn start(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) -> Result<(), DesignError> {
-        let theta = &sample.readings[..self.model.joints()];
-        if let Some(joint) = theta.iter().position(|x| x.is_nan()) {
-            return Err(DesignError::NoStart { joint });
+    #[inline(always)]
+    fn take(&mut self, sample: &KalmanSample<'_>, first: bool) {
+        if first {
+            self.slope.reset();
         }
-        let q = link_position_at_rest(&self.model.robot, theta)?;
-        *belief = self.model.initial(&q, &self.noise);
-        self.slope.reset();
-        self.take(sample);
-        Ok(())
+        self.dt = sample.dt;
+        self.jerk.copy_from_slice(sample.inputs.jerk);
+        if self.damping {
+            self.dtheta.copy_from_slice(sample.inputs.dtheta);
+            self.slope.push(sample.dt, &sample.readings[..self.jerk.len()]);
+            self.slope.fill(&mut self.dtheta);
+        }
+    }
+
+    fn channels(&self) -> &[Channel] {
+        &self.model.channels
+    }
+
+    fn tolerances(&self) -> &[Tolerance] {
+        &self.tolerances
     }
 
     #[inline(always)]
-    fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
-        self.model.predict(belief, &self.noise, sample.dt, sample.inputs.jerk);
-        self.take(sample);
+    fn signatures(&mut self, stride: usize, out: &mut [f64]) {
+        let Self { model, evaluation, reference, dtheta, tolerances, .. } = self;
+        let (n, channels) = (model.joints(), &model.channels);
+        evaluation.motion.signatures(&model.robot, channels, tolerances, &reference[n..2 * n], dtheta, stride, out);
+        if let Some(motors) = &mut self.motors {
+            motors.signatures(model, tolerances, dtheta, stride, out);
+        }
+    }
+
+    #[inline(always)]
+    fn evaluate(&mut self, state: &[f64]) -> &[f64] {
+        let Self { model, evaluation, dtheta, jerk, motors, .. } = self;
+        evaluation.predict(&model.robot, &model.channels, state, dtheta);
+        if let Some(motors) = motors {
+            motors.evaluate(&model.robot, state, dtheta, jerk);
+            motors.write_values(&model.channels, evaluation);
+        }
+        &self.evaluation.prediction
     }
 
     #[inline(always)]
@@ -135,7 +158,8 @@ impl Model for JerkDriven {
         evaluation.evaluate(&model.robot, &model.channels, reference, dtheta);
         if let Some(motors) = motors {
             motors.evaluate(&model.robot, reference, dtheta, jerk);
-            motors.write(&model.channels, evaluation);
+            motors.write_values(&model.channels, evaluation);
+            motors.write_rows(&model.channels, evaluation);
         }
     }
 
@@ -161,7 +185,9 @@ impl Model for JerkDriven {
             _ => own,
         }
     }
+}
 
+impl Report for JerkMeasurement {
     fn memory(&self) -> usize {
         let n = self.model.joints();
         n * (3 * n + 5)
@@ -175,11 +201,6 @@ impl Model for JerkDriven {
         memory.extend_from_slice(&self.evaluation.prediction[..n]);
         memory.extend_from_slice(&self.reference);
         memory.extend_from_slice(&self.jerk);
-    }
-
-    #[inline(always)]
-    fn retreat(&mut self, _: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric) {
-        self.model.retreat(lambda, big, dt);
     }
 
     /// The first n channels are the motors': their positions by the linearisation, their velocities by its rate.
@@ -209,6 +230,8 @@ struct Motors {
     channels: Vec<Channel>,
     evaluation: Evaluation<Dual<1>>,
     state: Vec<Dual<1>>,
+    /// Scratch of the signatures.
+    rates: Vec<Dual<1>>,
 }
 
 impl Motors {
@@ -218,6 +241,7 @@ impl Motors {
             channels: (0..n).map(Channel::Motor).collect(),
             evaluation: Evaluation::new(robot, n),
             state: vec![Dual::default(); 3 * n],
+            rates: Vec::new(),
         }
     }
 
@@ -231,13 +255,43 @@ impl Motors {
         self.evaluation.evaluate(robot, &self.channels, &self.state, dtheta);
     }
 
-    /// θ̇ = H ẋ and ∂θ̇/∂x = Ḣ + H ∂ẋ/∂x into the rows of the motor velocities.
+    /// Rates of the motor positions' signatures into the rows of the motor velocities.
     #[inline(always)]
-    fn write(&self, channels: &[Channel], out: &mut Evaluation<f64>) {
+    fn signatures(
+        &mut self,
+        model: &JerkModel,
+        tolerances: &[Tolerance],
+        dtheta: &[f64],
+        stride: usize,
+        out: &mut [f64],
+    ) {
         let n = self.channels.len();
+        let Self { channels, evaluation, state, rates } = self;
+        rates.resize(n * stride, Dual::default());
+        evaluation.motion.signatures(&model.robot, channels, tolerances, &state[n..2 * n], dtheta, stride, rates);
+        for (out, channel) in out.chunks_exact_mut(stride).zip(&model.channels) {
+            let Channel::MotorVelocity(j) = *channel else { continue };
+            for (out, rate) in out.iter_mut().zip(&rates[j * stride..]) {
+                *out = rate.gradient[0];
+            }
+        }
+    }
+
+    /// θ̇ = H ẋ into the motor velocities.
+    #[inline(always)]
+    fn write_values(&self, channels: &[Channel], out: &mut Evaluation<f64>) {
         for (i, channel) in channels.iter().enumerate() {
             let Channel::MotorVelocity(j) = *channel else { continue };
             out.prediction[i] = self.evaluation.prediction[j].gradient[0];
+        }
+    }
+
+    /// ∂θ̇/∂x = Ḣ + H ∂ẋ/∂x into their rows.
+    #[inline(always)]
+    fn write_rows(&self, channels: &[Channel], out: &mut Evaluation<f64>) {
+        let n = self.channels.len();
+        for (i, channel) in channels.iter().enumerate() {
+            let Channel::MotorVelocity(j) = *channel else { continue };
             let row = &self.evaluation.jacobian[j * 3 * n..][..3 * n];
             for (k, out) in out.jacobian[i * 3 * n..][..3 * n].iter_mut().enumerate() {
                 *out = row[k].gradient[0] + if k < n { 0.0 } else { row[k - n].value };

@@ -1,13 +1,15 @@
-//! The elastic-joint model: links and motors moved by motor torques, everything that is recorded as a measurement.
+//! The elastic-joint model's process: links and motors moved by motor torques.
 
+use super::drift::Biases;
+use super::elastic_measurement::ElasticMeasurement;
 use super::gaussian::{Gaussian, Symmetric};
-use super::model::{Linearised, Model};
-use super::output::FilterOutput;
-use super::recording::{KalmanRecording, KalmanSample, check_deviations, check_readings, expect_length};
+use super::model::{Paired, Process};
+use super::recording::{KalmanRecording, KalmanSample};
 use super::transition::Transition;
+use crate::check::{check_deviations, check_readings, check_times, expect_length};
 use crate::dynamics::ElasticLayout;
 use crate::error::DesignError;
-use crate::estimate::measurement::{Chained, Channel, Elastic, Kind, read_all};
+use crate::estimate::measurement::Kind;
 use crate::estimate::observer::link_position_at_rest;
 use crate::robot::Robot;
 use std::sync::Arc;
@@ -25,8 +27,12 @@ pub struct ElasticNoise {
     pub disturbance_walk: Vec<f64>,
     /// One reading's noise (channels) [the channel's unit].
     pub reading: Vec<f64>,
+    /// By how much a motor torque whose reading is missing may wander from the last one in one second (n) [N m/√s].
+    pub torque_walk: Vec<f64>,
     /// By how much each channel's bias wanders in one second (channels) [unit/√s].
     pub bias_walk: Vec<f64>,
+    /// Over which time each channel's bias forgets (channels) [s], infinite for a random walk.
+    pub bias_time: Vec<f64>,
     /// Initial position, velocity (of links and of motors) and disturbance torque of each joint (3n).
     pub initial: Vec<f64>,
     /// Initial bias (channels).
@@ -62,19 +68,7 @@ pub struct ElasticSettings {
 /// (Ulrich and Sasiadek 2011, with every sensor that a log can have).
 ///
 /// θ and θ̇ are those of the elastic joints: the motor of a rigid one moves as its link.
-#[derive(Clone, Debug)]
-pub struct ElasticModel {
-    robot: Arc<Robot>,
-    channels: Vec<Channel>,
-    biases: Vec<Option<usize>>,
-    states: usize,
-    noise: ElasticNoise,
-    transition: Transition,
-    prediction: Vec<f64>,
-    jacobian: Vec<f64>,
-    tau: Vec<f64>,
-    held: bool,
-}
+pub type ElasticModel = Paired<ElasticProcess, ElasticMeasurement>;
 
 impl ElasticModel {
     /// `robot` with `noise`.
@@ -85,31 +79,103 @@ impl ElasticModel {
         let channels = Kind::all_channels(&settings.kinds, &robot);
         expect_length("biased", settings.biased.len(), channels.len())?;
         let layout = ElasticLayout::new(&robot, settings.disturbances)?;
-        let (n, m, d) = (robot.len(), channels.len(), layout.dense);
-        check(&noise, n, m)?;
-        let mut states = d;
+        check(&noise, robot.len(), channels.len())?;
+        let mut states = layout.dense;
         let mut number = |&biased: &bool| {
             states += usize::from(biased);
             biased.then(|| states - 1)
         };
-        let biases = settings.biased.iter().map(&mut number).collect();
-        Ok(Self {
-            transition: Transition::new(&robot, layout, settings.discretization, states),
-            prediction: vec![0.0; m],
-            jacobian: vec![0.0; m * d],
+        let biases: Vec<_> = settings.biased.iter().map(&mut number).collect();
+        let (reading, sources) = (noise.reading.clone(), sources(&robot, &layout, &noise));
+        let n = robot.len();
+        let process = ElasticProcess {
+            transition: Transition::new(&robot, layout.clone(), settings.discretization, states, sources),
             tau: vec![0.0; n],
+            age: vec![0.0; n],
+            before: vec![0.0; n],
+            after: vec![0.0; n],
+            outage: vec![(0.0, 0.0); n],
             held: settings.held,
-            robot,
-            channels,
-            biases,
+            robot: Arc::clone(&robot),
+            biases: biases.clone(),
             states,
             noise,
-        })
+        };
+        Ok(Self::of(process, ElasticMeasurement::new(robot, layout, channels, biases, reading)))
+    }
+}
+
+/// Links and motors between samples.
+#[derive(Clone, Debug)]
+pub struct ElasticProcess {
+    robot: Arc<Robot>,
+    biases: Vec<Option<usize>>,
+    states: usize,
+    noise: ElasticNoise,
+    transition: Transition,
+    /// The latest torques that were read.
+    tau: Vec<f64>,
+    /// How long ago that was (n) [s].
+    age: Vec<f64>,
+    /// Torques at the beginning and at the end of a step.
+    before: Vec<f64>,
+    after: Vec<f64>,
+    /// Mean and variance of each disturbance before its torque's readings were missing.
+    outage: Vec<(f64, f64)>,
+    held: bool,
+}
+
+impl ElasticProcess {
+    fn drift(&self) -> Biases<'_> {
+        Biases { states: &self.biases, walk: &self.noise.bias_walk, time: &self.noise.bias_time }
     }
 
-    /// What is measured, in the order of the readings.
-    pub fn channel_list(&self) -> &[Channel] {
-        &self.channels
+    /// Readies the step of `dt` to motor torques `read`, NaN where missing.
+    ///
+    /// A torque that nobody reads is held, and the true one wanders from it: with the motor's disturbance, until the reading is
+    /// back and the disturbance is again what it was before. Without disturbances the wandering is noise of the torque that
+    /// is constant over each step, of a variance that gives velocity the right one.
+    #[inline(always)]
+    fn expect_torques(&mut self, belief: &Gaussian, read: &[f64], dt: f64) {
+        let Self { noise, age, transition, outage, .. } = self;
+        transition.replaced.clear();
+        for (j, age) in age.iter_mut().enumerate() {
+            let gone = read[j].is_nan();
+            let wander = if gone || *age > 0.0 { noise.torque_walk[j] } else { 0.0 };
+            transition.torque[j] = noise.torque[j] * noise.torque[j];
+            if let Some(first) = transition.layout.disturbance {
+                let (state, walk) = (first + j, noise.disturbance_walk[j]);
+                transition.noise.set_density(state, walk.hypot(wander));
+                if gone && *age == 0.0 {
+                    outage[j] = (belief.mean[state], belief.covariance.at(state, state));
+                } else if !gone && *age > 0.0 {
+                    transition.replaced.push((state, outage[j].1 + walk * walk * (*age + dt)));
+                }
+            } else {
+                let grown = (*age + dt) * (*age + dt) * (*age + dt) - *age * *age * *age;
+                transition.torque[j] += wander * wander * grown / (3.0 * dt * dt);
+            }
+            *age = if gone { *age + dt } else { 0.0 };
+        }
+    }
+
+    /// The torques between the sample before and one of which `read` is read.
+    #[inline(always)]
+    fn take_torques(&mut self, read: &[f64]) {
+        for (j, read) in read.iter().enumerate() {
+            let back = self.transition.layout.disturbance.is_some_and(|first| self.is_replaced(first + j));
+            self.before[j] = self.tau[j];
+            // At the end of an outage it is the disturbance that has what the held torque lacks.
+            self.after[j] = if back || read.is_nan() { self.tau[j] } else { *read };
+            if !read.is_nan() {
+                self.tau[j] = *read;
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn is_replaced(&self, state: usize) -> bool {
+        self.transition.replaced.iter().any(|(replaced, _)| *replaced == state)
     }
 
     fn initial(&self, q: &[f64], theta: &[f64]) -> Gaussian {
@@ -137,30 +203,9 @@ impl ElasticModel {
         belief.mean.copy_from_slice(&mean);
         belief
     }
-
-    #[inline(always)]
-    fn add_process_noise(&mut self, p: &mut Symmetric, dt: f64) {
-        let (layout, noise, n) = (&self.transition.layout, &self.noise, self.robot.len());
-        let mut add = |i: usize, density: f64| p.data[i * p.stride + i] += density * density * dt;
-        for j in 0..n {
-            add(n + j, noise.link[j]);
-            if self.robot.drives[j].elastic {
-                add(layout.dtheta[j], noise.motor[j]);
-            }
-            if let Some(first) = layout.disturbance {
-                add(first + j, noise.disturbance_walk[j]);
-            }
-        }
-        for (bias, walk) in self.biases.iter().zip(&noise.bias_walk) {
-            if let Some(b) = *bias {
-                add(b, *walk);
-            }
-        }
-        self.transition.add_torque_noise(&self.robot, p, &noise.torque, dt);
-    }
 }
 
-impl Model for ElasticModel {
+impl Process for ElasticProcess {
     fn robot(&self) -> &Robot {
         &self.robot
     }
@@ -170,18 +215,12 @@ impl Model for ElasticModel {
         self.states
     }
 
-    #[inline(always)]
-    fn dense(&self) -> usize {
-        self.transition.layout.dense
-    }
-
-    #[inline(always)]
-    fn biases(&self) -> &[Option<usize>] {
-        &self.biases
+    fn widen(&mut self, states: usize) {
+        self.transition.widen(states);
     }
 
     fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError> {
-        recording.expect(self.channels.len(), self.robot.len(), &[("tau", recording.inputs.tau)])
+        recording.expect(self.biases.len(), self.robot.len(), &[("tau", recording.inputs.tau)])
     }
 
     fn start(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) -> Result<(), DesignError> {
@@ -191,72 +230,59 @@ impl Model for ElasticModel {
         }
         let q = link_position_at_rest(&self.robot, theta)?;
         *belief = self.initial(&q, theta);
-        self.tau.copy_from_slice(sample.inputs.tau);
-        self.transition.start(&self.robot, &belief.mean, &self.tau);
+        self.resume(sample, belief);
         Ok(())
+    }
+
+    fn resume(&mut self, sample: &KalmanSample<'_>, belief: &Gaussian) {
+        self.tau.copy_from_slice(sample.inputs.tau);
+        self.age.fill(0.0);
+        self.transition.start(&self.robot, &belief.mean, &self.tau);
     }
 
     #[inline(always)]
     fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
-        let after = sample.inputs.tau;
-        let before = if self.held { after } else { &self.tau };
-        self.transition.advance(&self.robot, belief, (before, after), sample.dt);
-        self.add_process_noise(&mut belief.covariance, sample.dt);
-        self.tau.copy_from_slice(after);
+        self.expect_torques(belief, sample.inputs.tau, sample.dt);
+        self.take_torques(sample.inputs.tau);
+        let before = if self.held { &self.after } else { &self.before };
+        self.transition.advance(&self.robot, belief, (before, &self.after), sample.dt);
+        let first = self.transition.layout.disturbance.unwrap_or(0);
+        for &(state, _) in &self.transition.replaced {
+            belief.mean[state] = self.outage[state - first].0;
+        }
+        self.drift().predict(belief, sample.dt);
     }
 
     #[inline(always)]
-    fn linearise(&mut self, reference: &[f64]) {
-        let Self { robot, channels, transition, tau, prediction, jacobian, .. } = self;
-        let Transition { dynamics, layout, .. } = transition;
-        dynamics.accelerate(robot, layout, reference, tau);
-        dynamics.differentiate(robot, layout, reference);
-        jacobian.fill(0.0);
-        let view = Elastic { layout, dynamics, state: reference };
-        let (joints, dense, ddq_by) = (robot.len(), layout.dense, &dynamics.ddq_by);
-        read_all(robot, channels, &view, &mut Chained { prediction, rows: jacobian, joints, dense, ddq_by });
-    }
-
-    #[inline(always)]
-    fn linearised(&self) -> Linearised<'_> {
-        Linearised { prediction: &self.prediction, jacobian: &self.jacobian }
-    }
-
-    #[inline(always)]
-    fn variance(&self, channel: usize) -> f64 {
-        self.noise.reading[channel] * self.noise.reading[channel]
+    fn carry(&mut self, columns: &mut [f64], stride: usize, dt: f64) {
+        self.transition.carry(columns, stride);
+        self.drift().carry(columns, stride, dt);
     }
 
     fn memory(&self) -> usize {
-        self.transition.layout.dense.pow(2) + self.robot.len()
+        2 * self.transition.layout.dense.pow(2)
     }
 
-    /// The transition to this sample, and the torques at it.
+    /// The transition to this sample with its noise.
     #[inline(always)]
     fn remember(&self, memory: &mut Vec<f64>) {
         self.transition.remember(memory);
-        memory.extend_from_slice(&self.tau);
     }
 
     #[inline(always)]
-    fn retreat(&mut self, memory: &[f64], _: f64, lambda: &mut [f64], big: &mut Symmetric) {
-        let size = memory.len() - self.robot.len();
-        self.transition.retreat(&memory[..size], lambda, big);
+    fn noise_rows(&mut self, memory: &[f64], dt: f64, rows: &mut [f64], stride: usize) {
+        let rest = self.drift().noise_rows(rows, stride, dt);
+        self.transition.noise_rows(memory, rest, stride);
+    }
+
+    fn bridged(&self) -> bool {
+        self.age.iter().any(|&age| age > 0.0)
     }
 
     #[inline(always)]
-    fn report(&mut self, memory: &[f64], state: &[f64], i: usize, out: &mut FilterOutput) {
-        let n = self.robot.len();
-        let Transition { layout, dynamics, .. } = &mut self.transition;
-        dynamics.accelerate(&self.robot, layout, &state[..layout.dense], &memory[memory.len() - n..]);
-        let row = i * n..(i + 1) * n;
-        out.q[row.clone()].copy_from_slice(&state[..n]);
-        out.dq[row.clone()].copy_from_slice(&state[n..2 * n]);
-        out.ddq[row].copy_from_slice(&dynamics.ddq);
-        for j in 0..n {
-            out.theta[i * n + j] = state[layout.theta[j]];
-            out.dtheta[i * n + j] = state[layout.dtheta[j]];
-        }
+    fn retreat(&mut self, memory: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric) {
+        self.drift().retreat(lambda, big, dt);
+        self.transition.retreat(memory, lambda, big);
     }
 }
 
@@ -268,11 +294,25 @@ fn check(noise: &ElasticNoise, n: usize, m: usize) -> Result<(), DesignError> {
         ("motor", &noise.motor, n),
         ("torque", &noise.torque, n),
         ("disturbance_walk", &noise.disturbance_walk, n),
+        ("torque_walk", &noise.torque_walk, n),
         ("reading", &noise.reading, m),
         ("bias_walk", &noise.bias_walk, m),
         ("initial", &noise.initial, 3 * n),
         ("initial_bias", &noise.initial_bias, m),
     ];
     lengths.iter().try_for_each(|(what, values, expected)| check_deviations(what, values, *expected))?;
+    check_times(&noise.bias_time, m)?;
     check_readings(&noise.reading)
+}
+
+/// The states that white noise drives, and its densities.
+fn sources(robot: &Robot, layout: &ElasticLayout, noise: &ElasticNoise) -> Vec<(usize, f64)> {
+    let n = robot.len();
+    let links = (0..n).map(|j| (n + j, noise.link[j]));
+    let motors = (0..n).filter(|&j| robot.drives[j].elastic).map(|j| (layout.dtheta[j], noise.motor[j]));
+    let disturbances = layout
+        .disturbance
+        .into_iter()
+        .flat_map(|first| noise.disturbance_walk.iter().enumerate().map(move |(j, walk)| (first + j, *walk)));
+    links.chain(motors).chain(disturbances).collect()
 }

@@ -1,12 +1,17 @@
 //! The extended Kalman filter: one step, and whole recordings.
 
+use super::consider::Consider;
 use super::correction::Correction;
-use super::gaussian::Gaussian;
+use super::gaussian::{Gaussian, Symmetric};
+use super::monitor::{Finding, Monitor};
 use super::output::{FilterOutput, Keep, Tool};
-use super::phases::{Linearise, Phases, Predict, Report, Update};
+use super::phases::{Judge, Linearise, Phases, Predict, Report, Update};
 use super::recording::{KalmanRecording, KalmanSample};
 use super::smoother::{History, Smoother};
+use crate::check::{expect, expect_length};
 use crate::error::{DesignError, RunError};
+use crate::estimate::Status;
+use crate::linear;
 use rayon::prelude::*;
 
 /// What a filter does beyond the textbook.
@@ -21,8 +26,6 @@ pub struct FilterSettings {
 /// How a sample's readings fitted what was predicted.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Fit {
-    /// Normalised innovation squared.
-    pub(crate) nis: f64,
     /// Readings used.
     pub(crate) used: u32,
     /// Logarithm of their probability density.
@@ -40,11 +43,15 @@ pub struct ExtendedKalmanFilter<M> {
     pub(super) belief: Gaussian,
     prior: Gaussian,
     pub(super) correction: Correction,
+    pub(super) consider: Option<Consider>,
+    monitor: Option<Monitor>,
     pub(super) tool: Tool,
     memory: Vec<f64>,
     /// Samples taken, for messages.
     taken: usize,
     started: bool,
+    /// The belief at the first sample; none: at rest.
+    start: Option<Gaussian>,
 }
 
 impl<M: Phases> ExtendedKalmanFilter<M> {
@@ -53,34 +60,58 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
     /// # Errors
     /// A gate or a number of iterations out of range.
     pub fn new(model: M, settings: FilterSettings) -> Result<Self, DesignError> {
-        if let Some(value) = settings.gate.filter(|g| g.is_nan() || *g <= 0.0) {
-            return Err(DesignError::Range {
-                what: "gate",
-                value,
-                expected: "a positive number of standard deviations",
-            });
-        }
-        if settings.iterations == 0 {
-            return Err(DesignError::Range { what: "iterations", value: 0.0, expected: "at least 1" });
-        }
+        let gate = settings.gate.unwrap_or(f64::INFINITY);
+        expect(gate > 0.0, "gate", gate, "a positive number of standard deviations")?;
+        expect(settings.iterations > 0, "iterations", 0.0, "at least 1")?;
         let belief = Gaussian::independent(&vec![0.0; model.states()]);
         Ok(Self {
             prior: belief.clone(),
             correction: Correction::new(&model, belief.covariance.stride),
+            consider: Consider::new(&model),
+            monitor: Some(Monitor::new(&model)),
             tool: Tool::new(model.robot()),
             memory: Vec::with_capacity(model.memory()),
             taken: 0,
             started: false,
+            start: None,
             belief,
             model,
             settings,
         })
     }
 
-    /// Forgets the state: the next sample starts anew, from rest.
+    /// From now on a first sample finds this belief; none: the robot at rest.
+    ///
+    /// # Errors
+    /// A belief of another number of states.
+    pub fn set_start(&mut self, start: Option<Gaussian>) -> Result<(), DesignError> {
+        if let Some(start) = &start {
+            expect_length("start", start.mean.len(), self.model.own_states())?;
+        }
+        self.start = start;
+        Ok(())
+    }
+
+    /// Forgets the state: the next sample starts anew.
     pub fn reset(&mut self) {
         self.taken = 0;
         self.started = false;
+        if let Some(consider) = &mut self.consider {
+            consider.reset();
+        }
+        if let Some(monitor) = &mut self.monitor {
+            monitor.reset();
+        }
+    }
+
+    /// Whether innovations are judged as they come; they are unless this says no.
+    pub fn watch(&mut self, watch: bool) {
+        self.monitor = watch.then(|| Monitor::new(&self.model));
+    }
+
+    /// Contradictions between readings and model since the start.
+    pub fn findings(&self) -> &[Finding] {
+        self.monitor.as_ref().map_or(&[], |monitor| &monitor.findings)
     }
 
     /// The model.
@@ -95,14 +126,34 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
 
     /// Goes on from another belief.
     pub(crate) fn restart(&mut self, belief: &Gaussian) {
+        self.reset();
         self.belief.copy_from(belief);
         self.started = true;
     }
 
     /// How the last sample's readings fitted.
     pub(crate) fn fit(&self) -> Fit {
-        let Correction { nis, used, log_likelihood, .. } = self.correction;
-        Fit { nis, used, log_likelihood }
+        let Correction { used, log_likelihood, .. } = self.correction;
+        Fit { used, log_likelihood }
+    }
+
+    /// Covariance of the state after the last sample, with what the parameters' tolerances add to it.
+    pub fn covariance(&self) -> Symmetric {
+        let mut covariance = self.belief.covariance.clone();
+        if let Some(mut consider) = self.consider.clone() {
+            let states = self.belief.mean.len();
+            consider.sum_up(states);
+            for (row, more) in covariance.data.chunks_exact_mut(covariance.stride).zip(consider.total.chunks(states)) {
+                linear::add_scaled(row, 1.0, more);
+            }
+        }
+        covariance
+    }
+
+    /// What the readings so far say of the parameters: their errors, in the measure of their tolerances, and the
+    /// standard deviations of these.
+    pub fn parameters(&self) -> (Vec<f64>, Vec<f64>) {
+        self.consider.as_ref().map(Consider::parameters).unwrap_or_default()
     }
 
     /// See [`Status`](crate::estimate::Status).
@@ -124,8 +175,17 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
     fn advance(&mut self, sample: &KalmanSample<'_>) -> Result<(), DesignError> {
         if self.started {
             M::predict_phase(Predict { model: &mut self.model, sample, belief: &mut self.belief });
+            if let Some(consider) = &mut self.consider {
+                self.model.carry(&mut consider.columns, consider.stride, sample.dt);
+            }
         } else {
-            self.model.start(sample, &mut self.belief)?;
+            match &self.start {
+                Some(start) => {
+                    self.belief = start.clone();
+                    self.model.resume(sample, &mut self.belief);
+                }
+                None => self.model.start(sample, &mut self.belief)?,
+            }
             self.started = true;
         }
         Ok(())
@@ -143,6 +203,11 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
             self.linearise();
             self.belief.copy_from(&self.prior);
             self.update(sample.readings, None);
+        }
+        let Self { model, correction, consider, monitor, .. } = self;
+        M::judge_phase(Judge { model, correction, consider: consider.as_mut(), monitor: monitor.as_mut(), sample });
+        if self.model.bridged() {
+            self.correction.status |= Status::BRIDGED;
         }
     }
 
@@ -199,14 +264,14 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
             let sample = recording.sample(i, &self.model);
             self.advance(&sample)?;
             if let Some(history) = &mut history {
-                history.push_prediction(sample.dt, &self.belief);
+                history.push_prediction(sample.dt, &self.belief, self.consider.as_ref());
             }
             if keep.innovations {
                 self.report_innovations(i, &sample, &mut out);
             }
             self.correct(&sample);
             if let Some(history) = &mut history {
-                history.push_update(&self.model, &self.correction);
+                history.push_update(&self.model, &self.correction, self.consider.as_ref());
             }
             if !(self.correction.log_likelihood.is_finite() && self.belief.mean.iter().all(|x| x.is_finite())) {
                 return Err(RunError::NotFinite { sample: self.taken });
@@ -217,6 +282,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
             }
             out.write_fit(i, &self.correction);
         }
+        out.findings.extend_from_slice(self.findings());
         Ok(out)
     }
 
@@ -231,7 +297,12 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         let Self { model, belief: Gaussian { mean, covariance }, memory, tool, .. } = self;
         memory.clear();
         model.remember(memory);
+        let rows = if whole { mean.len() } else { model.robot().len() };
+        let more = self.consider.as_mut().map(|consider| {
+            consider.sum_up(rows);
+            (&consider.total[..rows * rows], rows)
+        });
         let (covariance, stride) = (&covariance.data, covariance.stride);
-        M::report_phase(Report { model, memory, mean, covariance, stride, tool, i, out, whole });
+        M::report_phase(Report { model, memory, mean, covariance, stride, more, tool, i, out, whole });
     }
 }

@@ -1,6 +1,11 @@
 //! A Gaussian belief.
 
+use crate::check::expect_length;
+use crate::error::DesignError;
 use crate::linear;
+
+/// A reading whose innovation has this many times the variance of its noise leaves no digits for differences.
+pub(super) const SHARP: f64 = 1e6;
 
 /// A row of a measurement matrix: dense over the first states, and one of the bias states.
 #[derive(Clone, Copy, Debug)]
@@ -65,6 +70,27 @@ impl Symmetric {
         linear::subtract_outer(&mut self.data, self.n, self.stride, a, b);
     }
 
+    /// `self ← (1 − k hᵀ) self (1 − k hᵀ)ᵀ + r k kᵀ` with the gain k = self h/s, s = hᵀ self h + r, for padded `row` h, where
+    /// `projection` is self h.
+    ///
+    /// Joseph's form as the product that it is: where s is 10⁶ times r and more, as after a long time without readings, the
+    /// differences of [`subtract_outer`](Self::subtract_outer) would leave few digits or none. At three times its cost.
+    #[inline(always)]
+    pub(crate) fn condition(&mut self, row: &[f64], projection: &[f64], s: f64, r: f64) {
+        let Self { n, stride, data } = self;
+        for (own, x) in data.chunks_exact_mut(*stride).zip(projection) {
+            linear::add_scaled(own, -x / s, projection);
+            let left = linear::dot(own, row);
+            linear::add_scaled(own, (r * x / s - left) / s, projection);
+        }
+        for i in 0..*n {
+            for j in i + 1..*n {
+                let mean = 0.5 * (data[i * *stride + j] + data[j * *stride + i]);
+                (data[i * *stride + j], data[j * *stride + i]) = (mean, mean);
+            }
+        }
+    }
+
     /// The matrix without its padding, row-major.
     pub fn dense(&self) -> impl Iterator<Item = f64> + '_ {
         self.data.chunks_exact(self.stride).flat_map(|row| row[..self.n].iter().copied())
@@ -102,6 +128,23 @@ impl Gaussian {
             covariance.data[i * covariance.stride + i] = s * s;
         }
         Self { mean: vec![0.0; std.len()], covariance }
+    }
+
+    /// With this mean (n) and covariance (n × n, row-major).
+    ///
+    /// # Errors
+    /// Lengths that do not belong together.
+    pub fn new(mean: &[f64], covariance: &[f64]) -> Result<Self, DesignError> {
+        let n = mean.len();
+        expect_length("covariance", covariance.len(), n * n)?;
+        let mut belief = Self::independent(&vec![0.0; n]);
+        belief.mean.copy_from_slice(mean);
+        for i in 0..n {
+            for j in i..n {
+                belief.covariance.put(i, j, covariance[i * n + j]);
+            }
+        }
+        Ok(belief)
     }
 
     /// Takes over another belief of the same size, without allocating.

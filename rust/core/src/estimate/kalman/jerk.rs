@@ -1,10 +1,13 @@
 //! The acceleration-driven model: links moved by jerk, motor and sensors as measurements, readings with slow biases.
 
+use super::drift::Biases;
 use super::gaussian::{Gaussian, Symmetric};
-use super::recording::{check_deviations, check_readings, expect_length};
+use crate::check::{check_deviations, check_readings, check_times, expect_length};
 use crate::error::DesignError;
+use crate::estimate::bias::{BiasStep, bias_step};
 use crate::estimate::jerk_noise;
 use crate::estimate::measurement::{Channel, Kind};
+use crate::linear;
 use crate::robot::Robot;
 use std::sync::Arc;
 
@@ -32,10 +35,21 @@ pub struct Noise {
     pub torsion: f64,
     /// By how much each channel's bias wanders in one second (channels) [unit/√s].
     pub bias_walk: Vec<f64>,
+    /// Over which time each channel's bias forgets (channels) [s], infinite for a random walk; its own standard deviation
+    /// tends to `bias_walk` √(time/2).
+    pub bias_time: Vec<f64>,
     /// Initial position, velocity and acceleration of each joint (3n) [rad, rad/s, rad/s²].
     pub initial: Vec<f64>,
     /// Initial bias (channels).
     pub initial_bias: Vec<f64>,
+}
+
+impl Noise {
+    /// How a channel's bias moves over `dt` [s].
+    #[inline(always)]
+    pub(crate) fn bias_step(&self, channel: usize, dt: f64) -> BiasStep<f64> {
+        bias_step(self.bias_walk[channel], self.bias_time[channel], dt)
+    }
 }
 
 impl JerkModel {
@@ -91,6 +105,11 @@ impl JerkModel {
         belief
     }
 
+    /// What the biases do in time.
+    pub(super) fn drift<'a>(&'a self, noise: &'a Noise) -> Biases<'a> {
+        Biases { states: &self.biases, walk: &noise.bias_walk, time: &noise.bias_time }
+    }
+
     /// Time update over `dt` [s] under a constant `jerk` (n): x ← F x + G u, P ← F P Fᵀ + Q.
     ///
     /// F is three blocks wide, so the product is a few row and column sums in place of two dense products. Process
@@ -117,6 +136,7 @@ impl JerkModel {
         }
         self.add_process_noise(p, noise, dt);
         p.mirror();
+        self.drift(noise).predict(belief, dt);
     }
 
     #[inline(always)]
@@ -133,16 +153,37 @@ impl JerkModel {
         for (i, walk) in noise.link_walk.iter().enumerate() {
             p.data[i * stride + i] += walk * walk * dt;
         }
-        for (bias, walk) in self.biases.iter().zip(&noise.bias_walk) {
-            if let Some(b) = *bias {
-                p.data[b * stride + b] += walk * walk * dt;
+    }
+
+    /// Rows Gᵀ with G Gᵀ = Q, what [`predict`](Self::predict) adds to P over `dt`, one a state; `rows` are zero.
+    #[inline(always)]
+    pub(super) fn noise_rows(&self, rows: &mut [f64], stride: usize, noise: &Noise, dt: f64) {
+        let (n, white_jerk) = (self.joints(), jerk_noise::covariance(dt));
+        let rest = self.drift(noise).noise_rows(rows, stride, dt);
+        for (j, rows) in rest.chunks_exact_mut(3 * stride).take(n).enumerate() {
+            let density = noise.jerk[j] * noise.jerk[j];
+            // From the acceleration up, which all else follows.
+            let mut block = [0.0; 9];
+            for a in 0..3 {
+                for b in 0..3 {
+                    block[a * 3 + b] = density * white_jerk[2 - a][2 - b];
+                }
+            }
+            block[4] += noise.link_walk[n + j] * noise.link_walk[n + j] * dt;
+            block[8] += noise.link_walk[j] * noise.link_walk[j] * dt;
+            linear::cholesky(&mut block, 3, 3);
+            for (c, row) in rows.chunks_exact_mut(stride).enumerate() {
+                for a in c..3 {
+                    row[(2 - a) * n + j] = block[a * 3 + c];
+                }
             }
         }
     }
 
     /// The adjoint of [`predict`](Self::predict): λ ← Fᵀ λ, Λ ← Fᵀ Λ F.
     #[inline(always)]
-    pub(crate) fn retreat(&self, lambda: &mut [f64], big: &mut Symmetric, dt: f64) {
+    pub(crate) fn retreat(&self, lambda: &mut [f64], big: &mut Symmetric, noise: &Noise, dt: f64) {
+        self.drift(noise).retreat(lambda, big, dt);
         let n = self.joints();
         let half = 0.5 * dt * dt;
         for j in 0..n {
@@ -171,7 +212,7 @@ impl JerkModel {
     /// without noise.
     pub(crate) fn check(&self, noise: &Noise) -> Result<(), DesignError> {
         let (n, m) = (self.joints(), self.channels());
-        let Noise { jerk, link_walk, reading, torsion, bias_walk, initial, initial_bias } = noise;
+        let Noise { jerk, link_walk, reading, torsion, bias_walk, bias_time, initial, initial_bias } = noise;
         let lengths = [
             ("jerk", jerk, n),
             ("link_walk", link_walk, 2 * n),
@@ -182,6 +223,7 @@ impl JerkModel {
             ("torsion", &vec![*torsion], 1),
         ];
         lengths.iter().try_for_each(|(what, values, expected)| check_deviations(what, values, *expected))?;
+        check_times(bias_time, m)?;
         check_readings(reading)
     }
 }

@@ -1,15 +1,128 @@
-//! What a Kalman filter asks of a model.
+//! What a Kalman filter asks of a model: a process, and the channels that measure it, each a part of its own.
 
 use super::gaussian::{Gaussian, Symmetric};
+use super::late::{Late, Lateness};
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample};
+use super::uncertain::Tolerance;
+use crate::check::{expect, expect_length};
 use crate::error::DesignError;
+use crate::estimate::measurement::Channel;
 use crate::robot::Robot;
 
-/// A process and the channels that measure it.
+/// How the state moves: f, Q, and the adjoint that a smoother needs.
 ///
-/// The state begins with the link positions (n). Channels depend on its first [`dense`](Self::dense) entries, and each
-/// may have one further state that is its bias. Filter and smoother see nothing else of a model.
+/// The state begins with the link positions (n).
+pub trait Process: Clone + Send + Sync {
+    /// The robot.
+    fn robot(&self) -> &Robot;
+
+    /// Number of states.
+    fn states(&self) -> usize;
+
+    /// Makes room for beliefs of `states`, of which those that are not its own stay as they are.
+    fn widen(&mut self, _states: usize) {}
+
+    /// Whether a recording has the signals that drive the process, in arrays that fit.
+    ///
+    /// # Errors
+    /// Wrong lengths.
+    fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError>;
+
+    /// The belief at a recording's first sample, at rest.
+    ///
+    /// # Errors
+    /// A first sample without a motor position that it needs, or no static equilibrium.
+    fn start(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) -> Result<(), DesignError>;
+
+    /// Takes over a first sample at which the belief is known.
+    fn resume(&mut self, _sample: &KalmanSample<'_>, _belief: &Gaussian) {}
+
+    /// Whether a signal that drives the process was missing at the sample last predicted to, and was bridged.
+    fn bridged(&self) -> bool {
+        false
+    }
+
+    /// Time update from the sample before: x ← f(x), P ← F P Fᵀ + Q.
+    fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian);
+
+    /// Columns (states × `stride`) through the step last predicted: Σ ← F Σ.
+    fn carry(&mut self, columns: &mut [f64], stride: usize, dt: f64);
+
+    /// The adjoint of [`carry`](Self::carry): Λ ← Fᵀ Λ; of a process on which parameters count.
+    fn carry_back(&mut self, _memory: &[f64], _columns: &mut [f64], _stride: usize, _dt: f64) {}
+
+    /// How many numbers [`remember`](Self::remember) writes.
+    fn memory(&self) -> usize;
+
+    /// What [`retreat`](Self::retreat) needs of this sample.
+    fn remember(&self, memory: &mut Vec<f64>);
+
+    /// Writes rows Gᵀ with G Gᵀ = Q of [`predict`](Self::predict), at most one a state, `stride` apart, into `rows`, which
+    /// are zero.
+    fn noise_rows(&mut self, memory: &[f64], dt: f64, rows: &mut [f64], stride: usize);
+
+    /// The adjoint of [`predict`](Self::predict) without its noise: λ ← Fᵀ λ, Λ ← Fᵀ Λ F.
+    fn retreat(&mut self, memory: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric);
+}
+
+/// What is read in a state: h, its derivatives, and the variances of the noise.
+///
+/// Channels depend on the state's first [`dense`](Self::dense) entries, and each may have one further state that is its
+/// bias.
+pub trait Measurement: Clone + Send + Sync {
+    /// Number of leading states on which channels may depend by more than a bias.
+    fn dense(&self) -> usize;
+
+    /// The state that is each channel's bias (channels).
+    fn biases(&self) -> &[Option<usize>];
+
+    /// Whether a recording has the signals that channels depend on beside the state, in arrays that fit.
+    ///
+    /// # Errors
+    /// Wrong lengths.
+    fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError>;
+
+    /// Takes over those signals of a sample, of a recording's `first` or of a later one.
+    fn take(&mut self, sample: &KalmanSample<'_>, first: bool);
+
+    /// h alone, without bias (channels), at a state's first [`dense`](Self::dense) entries.
+    fn evaluate(&mut self, state: &[f64]) -> &[f64];
+
+    /// h and its derivatives.
+    fn linearise(&mut self, reference: &[f64]);
+
+    /// What [`linearise`](Self::linearise) found.
+    fn linearised(&self) -> Linearised<'_>;
+
+    /// Variance of a channel's noise, where the channels were linearised.
+    fn variance(&self, channel: usize) -> f64;
+
+    /// What the channels are.
+    fn channels(&self) -> &[Channel];
+
+    /// Numbers of the robot that are known to a tolerance only, and count in covariances; none unless asked for.
+    fn tolerances(&self) -> &[Tolerance] {
+        &[]
+    }
+
+    /// ∂h/∂p where the channels were linearised (channels × `stride`).
+    fn signatures(&mut self, _stride: usize, _out: &mut [f64]) {}
+}
+
+/// What an estimate says of links and motors.
+pub trait Report {
+    /// How many numbers [`remember`](Self::remember) writes.
+    fn memory(&self) -> usize;
+
+    /// What [`report`](Self::report) needs of this sample.
+    fn remember(&self, memory: &mut Vec<f64>);
+
+    /// Writes links and motors at `state` into row `i`.
+    fn report(&mut self, memory: &[f64], state: &[f64], i: usize, out: &mut FilterOutput);
+}
+
+/// A process and the channels that measure it, as filter and smoother see them.
 pub trait Model: Clone + Send + Sync {
     /// The robot.
     fn robot(&self) -> &Robot;
@@ -17,10 +130,13 @@ pub trait Model: Clone + Send + Sync {
     /// Number of states.
     fn states(&self) -> usize;
 
-    /// Number of leading states on which channels may depend by more than a bias.
+    /// Number of states, but for those of late sensors, which follow them.
+    fn own_states(&self) -> usize;
+
+    /// See [`Measurement::dense`].
     fn dense(&self) -> usize;
 
-    /// The state that is each channel's bias (channels).
+    /// See [`Measurement::biases`].
     fn biases(&self) -> &[Option<usize>];
 
     /// Number of channels.
@@ -34,24 +150,31 @@ pub trait Model: Clone + Send + Sync {
     /// Wrong lengths.
     fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError>;
 
-    /// The belief at a recording's first sample, at rest.
+    /// See [`Process::start`].
     ///
     /// # Errors
-    /// A first sample without a motor position that it needs, or no static equilibrium.
+    /// As there.
     fn start(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) -> Result<(), DesignError>;
 
-    /// Time update from the sample before: x ← f(x), P ← F P Fᵀ + Q.
+    /// Takes over a first sample at which the belief is known.
+    fn resume(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian);
+
+    /// See [`Process::predict`].
     fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian);
 
-    /// Predicts the channels of the sample last predicted to, and their derivatives, at a state's first
-    /// [`dense`](Self::dense) entries.
+    /// Predicts the channels of the sample last predicted to, and their derivatives; see [`Measurement::linearise`].
     fn linearise(&mut self, reference: &[f64]);
 
     /// What [`linearise`](Self::linearise) found.
     fn linearised(&self) -> Linearised<'_>;
 
-    /// Variance of a channel's noise, where the model was linearised.
+    /// See [`Measurement::variance`].
     fn variance(&self, channel: usize) -> f64;
+
+    /// Whether what drives the model was missing at the sample last predicted to, and was bridged.
+    fn bridged(&self) -> bool {
+        false
+    }
 
     /// How many numbers [`remember`](Self::remember) writes.
     fn memory(&self) -> usize;
@@ -59,11 +182,253 @@ pub trait Model: Clone + Send + Sync {
     /// What [`report`](Self::report) and [`retreat`](Self::retreat) need of this sample.
     fn remember(&self, memory: &mut Vec<f64>);
 
-    /// The adjoint of [`predict`](Self::predict): λ ← Fᵀ λ, Λ ← Fᵀ Λ F.
+    /// See [`Process::noise_rows`].
+    fn noise_rows(&mut self, memory: &[f64], dt: f64, rows: &mut [f64], stride: usize);
+
+    /// The adjoint of what late sensors do at the end of a step: λ ← Tᵀ λ, Λ ← Tᵀ Λ T.
+    fn retreat_sensors(&mut self, memory: &[f64], lambda: &mut [f64], big: &mut Symmetric);
+
+    /// See [`Process::retreat`]; after [`retreat_sensors`](Self::retreat_sensors).
     fn retreat(&mut self, memory: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric);
 
-    /// Writes links and motors at `state` into row `i`.
+    /// See [`Measurement::channels`].
+    fn channel_kinds(&self) -> &[Channel];
+
+    /// See [`Measurement::tolerances`].
+    fn tolerances(&self) -> &[Tolerance];
+
+    /// Whether a channel may say something of the parameters. A motor's reading says it only by way of how smoothly
+    /// links are taken to move, which is a guess.
+    fn teaches(&self, channel: usize) -> bool {
+        !matches!(self.channel_kinds()[channel], Channel::Motor(_) | Channel::MotorVelocity(_))
+    }
+
+    /// Columns (states × `stride`, one a tolerance) through the step last predicted: Σ ← F Σ + ∂f/∂p.
+    fn carry(&mut self, columns: &mut [f64], stride: usize, dt: f64);
+
+    /// The same without what parameters do: Σ ← F Σ.
+    fn carry_noise_free(&mut self, columns: &mut [f64], stride: usize, dt: f64);
+
+    /// The adjoint of what F does in [`carry`](Self::carry): Λ ← Fᵀ Λ.
+    fn carry_back(&mut self, memory: &[f64], columns: &mut [f64], stride: usize, dt: f64);
+
+    /// See [`Measurement::signatures`].
+    fn signatures(&mut self, stride: usize, out: &mut [f64]);
+
+    /// See [`Report::report`].
     fn report(&mut self, memory: &[f64], state: &[f64], i: usize, out: &mut FilterOutput);
+}
+
+/// A model put together of its two parts, whose states are the same.
+#[derive(Clone, Debug)]
+pub struct Paired<P, M> {
+    /// f and Q.
+    pub(crate) process: P,
+    /// h and R.
+    pub(crate) measurement: M,
+    /// Channels whose sensors have a filter or a delay inside.
+    late: Option<Box<Late>>,
+    /// Scratch: ∂h/∂p of the late channels.
+    driven: Vec<f64>,
+}
+
+impl<P: Process, M: Measurement> Paired<P, M> {
+    /// A process and the measurement of its state.
+    pub fn of(process: P, measurement: M) -> Self {
+        Self { process, measurement, late: None, driven: Vec::new() }
+    }
+
+    /// With what is `inside` the sensor of each channel, as states behind the model's own; an empty list is nothing.
+    ///
+    /// # Errors
+    /// Not one a channel, a time that is negative or not finite.
+    pub fn with_late(mut self, inside: &[Option<Lateness>]) -> Result<Self, DesignError> {
+        let own = self.measurement.biases();
+        expect_length("late", inside.len(), if inside.is_empty() { 0 } else { own.len() })?;
+        for Lateness { time_constant, delay, .. } in inside.iter().flatten() {
+            for (what, value) in [("the time constant of a sensor", *time_constant), ("the delay of a sensor", *delay)]
+            {
+                expect(value.is_finite() && value >= 0.0, what, value, "a finite number of at least 0")?;
+            }
+        }
+        self.late = inside
+            .iter()
+            .any(Option::is_some)
+            .then(|| Box::new(Late::new(inside, own, self.process.states(), self.measurement.dense())));
+        if let Some(late) = &self.late {
+            self.process.widen(late.states());
+        }
+        Ok(self)
+    }
+
+    /// Takes over a first sample, and what the late sensors' states are at `belief`.
+    fn begin(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
+        self.measurement.take(sample, true);
+        if let Some(late) = &mut self.late {
+            self.measurement.linearise(&belief.mean[..self.measurement.dense()]);
+            late.start(belief, self.measurement.linearised());
+        }
+    }
+
+    /// The channels.
+    pub fn measurement_mut(&mut self) -> &mut M {
+        &mut self.measurement
+    }
+}
+
+impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
+    fn robot(&self) -> &Robot {
+        self.process.robot()
+    }
+
+    #[inline(always)]
+    fn states(&self) -> usize {
+        self.late.as_ref().map_or(self.process.states(), |late| late.states())
+    }
+
+    fn own_states(&self) -> usize {
+        self.process.states()
+    }
+
+    #[inline(always)]
+    fn dense(&self) -> usize {
+        self.measurement.dense()
+    }
+
+    #[inline(always)]
+    fn biases(&self) -> &[Option<usize>] {
+        self.late.as_ref().map_or(self.measurement.biases(), |late| late.biases())
+    }
+
+    fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError> {
+        self.measurement.check(recording)?;
+        self.process.check(recording)
+    }
+
+    fn start(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) -> Result<(), DesignError> {
+        self.process.start(sample, belief)?;
+        self.begin(sample, belief);
+        Ok(())
+    }
+
+    fn resume(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
+        self.process.resume(sample, belief);
+        self.begin(sample, belief);
+    }
+
+    fn bridged(&self) -> bool {
+        self.process.bridged()
+    }
+
+    #[inline(always)]
+    fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
+        self.process.predict(sample, belief);
+        self.measurement.take(sample, false);
+        if let Some(late) = &mut self.late {
+            self.measurement.linearise(&belief.mean[..self.measurement.dense()]);
+            late.advance(belief, self.measurement.linearised(), sample.dt);
+        }
+    }
+
+    #[inline(always)]
+    fn linearise(&mut self, reference: &[f64]) {
+        self.measurement.linearise(reference);
+        if let Some(late) = &mut self.late {
+            late.mask(self.measurement.linearised());
+        }
+    }
+
+    #[inline(always)]
+    fn linearised(&self) -> Linearised<'_> {
+        self.late.as_ref().map_or(self.measurement.linearised(), |late| late.masked())
+    }
+
+    #[inline(always)]
+    fn variance(&self, channel: usize) -> f64 {
+        self.measurement.variance(channel)
+    }
+
+    fn memory(&self) -> usize {
+        let late = self.late.as_ref().map_or(0, |late| late.memory());
+        late + self.process.memory() + self.measurement.memory()
+    }
+
+    #[inline(always)]
+    fn remember(&self, memory: &mut Vec<f64>) {
+        self.process.remember(memory);
+        self.measurement.remember(memory);
+        if let Some(late) = &self.late {
+            late.remember(memory);
+        }
+    }
+
+    #[inline(always)]
+    fn noise_rows(&mut self, memory: &[f64], dt: f64, rows: &mut [f64], stride: usize) {
+        let own = self.process.memory();
+        self.process.noise_rows(&memory[..own], dt, rows, stride);
+    }
+
+    #[inline(always)]
+    fn retreat_sensors(&mut self, memory: &[f64], lambda: &mut [f64], big: &mut Symmetric) {
+        if let Some(late) = &self.late {
+            late.retreat(&memory[self.process.memory() + self.measurement.memory()..], lambda, big);
+        }
+    }
+
+    #[inline(always)]
+    fn retreat(&mut self, memory: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric) {
+        let own = self.process.memory();
+        self.process.retreat(&memory[..own], dt, lambda, big);
+    }
+
+    fn channel_kinds(&self) -> &[Channel] {
+        self.measurement.channels()
+    }
+
+    fn tolerances(&self) -> &[Tolerance] {
+        self.measurement.tolerances()
+    }
+
+    #[inline(always)]
+    fn carry(&mut self, columns: &mut [f64], stride: usize, dt: f64) {
+        self.process.carry(columns, stride, dt);
+        if let Some(late) = &mut self.late {
+            self.driven.resize(self.measurement.channels().len() * stride, 0.0);
+            self.measurement.signatures(stride, &mut self.driven);
+            late.carry(columns, stride, Some(&self.driven));
+        }
+    }
+
+    #[inline(always)]
+    fn carry_noise_free(&mut self, columns: &mut [f64], stride: usize, dt: f64) {
+        self.process.carry(columns, stride, dt);
+        if let Some(late) = &mut self.late {
+            late.carry(columns, stride, None);
+        }
+    }
+
+    #[inline(always)]
+    fn carry_back(&mut self, memory: &[f64], columns: &mut [f64], stride: usize, dt: f64) {
+        let own = self.process.memory();
+        if let Some(late) = &self.late {
+            late.carry_back(&memory[own + self.measurement.memory()..], columns, stride);
+        }
+        self.process.carry_back(&memory[..own], columns, stride, dt);
+    }
+
+    #[inline(always)]
+    fn signatures(&mut self, stride: usize, out: &mut [f64]) {
+        self.measurement.signatures(stride, out);
+        if let Some(late) = &self.late {
+            late.mask_signatures(stride, out);
+        }
+    }
+
+    #[inline(always)]
+    fn report(&mut self, memory: &[f64], state: &[f64], i: usize, out: &mut FilterOutput) {
+        let own = self.process.memory();
+        self.measurement.report(&memory[own..own + self.measurement.memory()], state, i, out);
+    }
 }
 
 /// Channels at one state.

@@ -2,6 +2,7 @@
 
 use super::correction::Correction;
 use super::model::Model;
+use super::monitor::Finding;
 use crate::dynamics::Kinematics;
 use crate::robot::Robot;
 use crate::simd::{self, Kernel};
@@ -46,6 +47,8 @@ pub struct FilterOutput {
     pub state: Vec<f64>,
     /// Its covariance (states × states), when kept.
     pub covariance: Vec<f64>,
+    /// Contradictions found since the recording's start.
+    pub findings: Vec<Finding>,
     /// Reading less prediction (channels), when kept.
     pub innovation: Vec<f64>,
     /// Its standard deviation (channels), when kept.
@@ -75,6 +78,7 @@ impl FilterOutput {
             log_likelihood: rows(1),
             state: rows(states),
             covariance: rows(states * states),
+            findings: Vec::new(),
             innovation: rows(innovations),
             innovation_std: rows(innovations),
         }
@@ -128,6 +132,12 @@ impl FilterOutput {
         }
     }
 
+    /// Adds to the covariance of sample `i`.
+    #[inline(always)]
+    pub(super) fn add_covariance(&mut self, i: usize, more: &[f64]) {
+        crate::linear::add_scaled(&mut self.covariance[i * more.len()..][..more.len()], 1.0, more);
+    }
+
     /// This stretch and the one after it.
     pub(super) fn followed_by(mut self, mut later: Self) -> Self {
         for (mine, others) in self.fields().into_iter().zip(later.fields()) {
@@ -135,6 +145,7 @@ impl FilterOutput {
         }
         self.status.append(&mut later.status);
         self.used.append(&mut later.used);
+        self.findings = later.findings;
         self
     }
 

@@ -1,10 +1,12 @@
 //! What is compiled for each instruction set: the phases of a sample.
 
+use super::consider::Consider;
 use super::correction::Correction;
 use super::driven::JerkDriven;
 use super::elastic::ElasticModel;
 use super::gaussian::Gaussian;
 use super::model::Model;
+use super::monitor::Monitor;
 use super::output::{FilterOutput, Tool};
 use super::recording::KalmanSample;
 use super::smoother::{Back, Retreat};
@@ -20,6 +22,8 @@ pub trait Phases: Model {
     fn linearise_phase(phase: Linearise<'_, Self>);
     #[doc(hidden)]
     fn update_phase(phase: Update<'_, Self>);
+    #[doc(hidden)]
+    fn judge_phase(phase: Judge<'_, '_, Self>);
     #[doc(hidden)]
     fn report_phase(phase: Report<'_, Self>);
     #[doc(hidden)]
@@ -42,6 +46,10 @@ macro_rules! phases {
             }
 
             fn update_phase(phase: Update<'_, Self>) {
+                simd::phase(phase);
+            }
+
+            fn judge_phase(phase: Judge<'_, '_, Self>) {
                 simd::phase(phase);
             }
 
@@ -111,6 +119,33 @@ impl<M: Model> Kernel for Update<'_, M> {
     }
 }
 
+/// What the update says of parameters and of channels.
+pub(crate) struct Judge<'a, 'b, M> {
+    pub(super) model: &'a mut M,
+    pub(super) correction: &'a mut Correction,
+    pub(super) consider: Option<&'a mut Consider>,
+    pub(super) monitor: Option<&'a mut Monitor>,
+    pub(super) sample: &'a KalmanSample<'b>,
+}
+
+impl<M: Model> Kernel for Judge<'_, '_, M> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { model, correction, mut consider, monitor, sample } = self;
+        if let Some(consider) = &mut consider {
+            let states = model.states();
+            consider.update(model, correction, states);
+            correction.nis = consider.nis();
+        }
+        if let Some(monitor) = monitor {
+            let consider = consider.as_deref();
+            correction.status |= monitor.judge(model, sample.dt, correction, sample.readings, consider);
+        }
+    }
+}
+
 /// Row `i` of the output, with the whole state where asked for.
 pub(super) struct Report<'a, M> {
     pub(super) model: &'a mut M,
@@ -119,6 +154,8 @@ pub(super) struct Report<'a, M> {
     /// Rows of `stride` numbers.
     pub(super) covariance: &'a [f64],
     pub(super) stride: usize,
+    /// What parameters add to the covariance of the first states, and of how many.
+    pub(super) more: Option<(&'a [f64], usize)>,
     pub(super) tool: &'a mut Tool,
     pub(super) i: usize,
     pub(super) out: &'a mut FilterOutput,
@@ -130,11 +167,15 @@ impl<M: Model> Kernel for Report<'_, M> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { model, memory, mean, covariance, stride, tool, i, out, whole } = self;
+        let Self { model, memory, mean, covariance, stride, more, tool, i, out, whole } = self;
         model.report(memory, mean, i, out);
-        out.write_links(i, model.robot(), mean, |r, c| covariance[r * stride + c], tool);
+        let total = |r: usize, c: usize| covariance[r * stride + c] + more.map_or(0.0, |(more, n)| more[r * n + c]);
+        out.write_links(i, model.robot(), mean, total, tool);
         if whole {
             out.write_state(i, mean, covariance, stride);
+            if let Some((more, _)) = more {
+                out.add_covariance(i, more);
+            }
         }
     }
 }

@@ -1,6 +1,7 @@
 //! What a filter is given: one sample, or a whole recording.
 
 use super::model::Model;
+use crate::check::expect_length;
 use crate::error::DesignError;
 
 /// One sample; NaN where a reading is missing.
@@ -76,28 +77,5 @@ impl<'a> KalmanRecording<'a> {
         let count = self.dt.len();
         expect_length("readings", self.readings.len(), count * channels)?;
         needed.iter().try_for_each(|(what, values)| expect_length(what, values.len(), count * joints))
-    }
-}
-
-pub(super) fn expect_length(what: &'static str, found: usize, expected: usize) -> Result<(), DesignError> {
-    if found == expected { Ok(()) } else { Err(DesignError::Length { what, found, expected }) }
-}
-
-/// # Errors
-/// Another number of standard deviations than `expected`, or one that is negative or not finite.
-pub(super) fn check_deviations(what: &'static str, values: &[f64], expected: usize) -> Result<(), DesignError> {
-    expect_length(what, values.len(), expected)?;
-    match values.iter().find(|v| !(v.is_finite() && **v >= 0.0)) {
-        Some(&value) => Err(DesignError::Range { what, value, expected: "a standard deviation of at least 0" }),
-        None => Ok(()),
-    }
-}
-
-/// # Errors
-/// A reading without noise.
-pub(super) fn check_readings(values: &[f64]) -> Result<(), DesignError> {
-    match values.iter().find(|v| **v == 0.0) {
-        Some(&value) => Err(DesignError::Range { what: "reading", value, expected: "greater than 0" }),
-        None => Ok(()),
     }
 }

@@ -1,12 +1,16 @@
 //! The smoother: what later readings say of earlier states.
 //!
-//! Bierman's (1973) form of the Rauch–Tung–Striebel smoother, on the filter's own scalar updates: an adjoint state λ
-//! with covariance Λ runs backwards through the same rows and gains, and the smoothed state is x⁻ − P⁻λ with
-//! covariance P⁻ − P⁻ΛP⁻. No predicted covariance is inverted, badly scaled as they are (10⁻¹² to 1).
+//! The mean is Bierman's (1973) form of the Rauch–Tung–Striebel smoother, on the filter's own scalar updates: an adjoint
+//! state λ runs backwards through the same rows and gains, and the smoothed state is x⁻ − P⁻λ. The covariance is that of
+//! Fraser and Potter's (1969) two filters, (P⁻¹ + Λ)⁻¹ with the [`Information`] Λ of this and later readings: the adjoint's own,
+//! P⁻ − P⁻Λ̂P⁻, is the difference of two numbers that agree in all digits after a long time without readings.
 
+use super::consider::Consider;
+use super::consider_back::{ConsiderBack, ConsiderHistory};
 use super::correction::Correction;
 use super::filter::ExtendedKalmanFilter;
-use super::gaussian::{Gaussian, Innovation, Symmetric};
+use super::gaussian::{Gaussian, Innovation};
+use super::information::Information;
 use super::model::Model;
 use super::output::{FilterOutput, Keep};
 use super::phases::{Phases, Report};
@@ -18,8 +22,7 @@ use crate::simd::Kernel;
 /// What the filter knew at each sample of a stretch.
 #[derive(Clone, Debug)]
 pub(super) struct History {
-    /// Rows of the predicted covariance that are kept: those that channels depend on, or all.
-    kept: usize,
+    states: usize,
     stride: usize,
     dt: Vec<f64>,
     means: Vec<f64>,
@@ -27,31 +30,35 @@ pub(super) struct History {
     jacobians: Vec<f64>,
     gains: Vec<f64>,
     innovations: Vec<Innovation>,
+    /// Variance of each reading's own noise.
+    variances: Vec<f64>,
     /// What the model remembers.
     memories: Vec<f64>,
+    consider: ConsiderHistory,
 }
 
 impl History {
-    fn with_capacity(count: usize, model: &impl Model, stride: usize, whole: bool) -> Self {
+    fn with_capacity(count: usize, model: &impl Model, stride: usize) -> Self {
         let (d, m, states) = (model.dense(), model.channels(), model.states());
-        let kept = if whole { states } else { d };
         Self {
-            kept,
+            states,
             stride,
             dt: Vec::with_capacity(count),
             means: Vec::with_capacity(count * states),
-            covariances: Vec::with_capacity(count * kept * stride),
+            covariances: Vec::with_capacity(count * states * stride),
             jacobians: Vec::with_capacity(count * m * d),
             gains: Vec::with_capacity(count * m * stride),
             innovations: Vec::with_capacity(count * m),
+            variances: Vec::with_capacity(count * m),
             memories: Vec::with_capacity(count * model.memory()),
+            consider: ConsiderHistory::default(),
         }
     }
 
-    /// Kept rows of the predicted covariance at sample `i`.
+    /// The predicted covariance at sample `i`.
     #[inline(always)]
     fn covariance(&self, i: usize) -> &[f64] {
-        &self.covariances[i * self.kept * self.stride..][..self.kept * self.stride]
+        &self.covariances[i * self.states * self.stride..][..self.states * self.stride]
     }
 
     /// What the model remembered of sample `i`.
@@ -68,16 +75,23 @@ impl History {
         &self.gains[i * size..][..size]
     }
 
-    pub(super) fn push_prediction(&mut self, dt: f64, belief: &Gaussian) {
+    pub(super) fn push_prediction(&mut self, dt: f64, belief: &Gaussian, consider: Option<&Consider>) {
+        if let Some(consider) = consider {
+            self.consider.push_prediction(consider);
+        }
         self.dt.push(dt);
         self.means.extend_from_slice(&belief.mean);
-        self.covariances.extend_from_slice(&belief.covariance.data[..self.kept * self.stride]);
+        self.covariances.extend_from_slice(&belief.covariance.data[..self.states * self.stride]);
     }
 
-    pub(super) fn push_update(&mut self, model: &impl Model, correction: &Correction) {
+    pub(super) fn push_update(&mut self, model: &impl Model, correction: &Correction, consider: Option<&Consider>) {
+        if let Some(consider) = consider {
+            self.consider.push_update(consider);
+        }
         self.jacobians.extend_from_slice(model.linearised().jacobian);
         self.gains.extend_from_slice(&correction.gains);
         self.innovations.extend_from_slice(&correction.innovations);
+        self.variances.extend((0..model.channels()).map(|c| model.variance(c)));
         model.remember(&mut self.memories);
     }
 }
@@ -89,16 +103,14 @@ impl History {
 #[derive(Clone, Debug)]
 pub struct Smoother<M> {
     filter: ExtendedKalmanFilter<M>,
-    /// λ and Λ.
     lambda: Vec<f64>,
-    big: Symmetric,
-    /// One padded row for each reading: of H, and y.
+    information: Information,
+    /// One padded row for each reading: h, and −h/2r.
     rows: Vec<f64>,
-    outer: Vec<f64>,
-    /// Rows of P⁻Λ.
-    product: Vec<f64>,
+    halves: Vec<f64>,
     mean: Vec<f64>,
     smoothed: Vec<f64>,
+    consider: Option<ConsiderBack>,
 }
 
 /// Past sample `i`'s readings, and the smoothed estimate there.
@@ -132,8 +144,15 @@ impl<M: Phases> Kernel for Retreat<'_, M> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { smoother: Smoother { filter, lambda, big, .. }, history, i } = self;
-        filter.model.retreat(history.memory(i), history.dt[i], lambda, big);
+        let Self { smoother: Smoother { filter, lambda, information, consider, .. }, history, i } = self;
+        let (memory, dt, stride) = (history.memory(i), history.dt[i], information.matrix.stride);
+        if let Some(consider) = consider {
+            consider.retreat(&mut filter.model, memory, dt);
+        }
+        filter.model.retreat_sensors(memory, lambda, &mut information.matrix);
+        filter.model.noise_rows(memory, dt, &mut information.noise, stride);
+        information.blur();
+        filter.model.retreat(memory, dt, lambda, &mut information.matrix);
     }
 }
 
@@ -146,16 +165,16 @@ impl<M: Phases> Smoother<M> {
         let mut filter = filter.clone();
         filter.reset();
         let states = filter.model.states();
-        let big = Symmetric::zeros(states);
-        let (m, stride) = (filter.model.channels(), big.stride);
+        let information = Information::none(states);
+        let (m, stride) = (filter.model.channels(), information.matrix.stride);
         Self {
             lambda: vec![0.0; stride],
             rows: vec![0.0; m * stride],
-            outer: vec![0.0; m * stride],
-            product: vec![0.0; states * stride],
+            halves: vec![0.0; m * stride],
             mean: vec![0.0; states],
             smoothed: vec![0.0; states * stride],
-            big,
+            information,
+            consider: filter.consider.as_ref().map(|consider| ConsiderBack::new(consider, states)),
             filter,
         }
     }
@@ -187,16 +206,19 @@ impl<M: Phases> Smoother<M> {
 
     /// Samples whose history fits into the memory set aside.
     pub fn stretch(&self) -> usize {
-        let (states, stride) = (self.big.n, self.big.stride);
+        let (states, stride) = (self.mean.len(), self.lambda.len());
         let model = &self.filter.model;
-        let numbers = states * (stride + 1) + model.channels() * (model.dense() + stride + 2) + model.memory() + 1;
+        let numbers = states * (stride + 1) + model.channels() * (model.dense() + stride + 3) + model.memory() + 1;
         (STRETCH / (8 * numbers)).max(1)
     }
 
     /// Forgets what later stretches said: the next one is a recording's last.
     pub fn finish(&mut self) {
         self.lambda.fill(0.0);
-        self.big.data.fill(0.0);
+        self.information.clear();
+        if let Some(consider) = &mut self.consider {
+            consider.finish();
+        }
     }
 
     /// Smooths a stretch of a recording, the last stretch first; `start` is the filter as it was before the stretch.
@@ -212,8 +234,11 @@ impl<M: Phases> Smoother<M> {
         let mut filter = start.clone();
         let count = recording.dt.len();
         filter.model.check(&recording)?;
-        let mut history = History::with_capacity(count, &filter.model, self.big.stride, keep.covariance);
+        let mut history = History::with_capacity(count, &filter.model, self.lambda.len());
         let mut out = filter.run_with(recording, keep, Some(&mut history))?;
+        if let (Some(back), Some(consider)) = (&mut self.consider, &filter.consider) {
+            back.learn(consider);
+        }
         let history = &history;
         for i in (0..count).rev() {
             M::back_phase(Back { smoother: &mut *self, history, i, whole: keep.covariance });
@@ -223,77 +248,71 @@ impl<M: Phases> Smoother<M> {
         Ok(out)
     }
 
-    /// λ and Λ from after sample `i`'s readings to before them, the last reading first.
+    /// λ and Λ from after sample `i`'s readings to before them.
     ///
-    /// For a row h with gain k and innovation ν of variance s: λ ← (1 − k h)ᵀ λ − hᵀν/s and
-    /// Λ ← (1 − k h)ᵀ Λ (1 − k h) + hᵀh/s, which is Λ − hᵀy − yᵀh for y = Λk − (kᵀΛk + 1/s) hᵀ/2. As in the filter, Λ is
-    /// touched once, and until then each Λk is corrected by the readings after it.
+    /// For a row h of noise r, with gain k and innovation ν of variance s: λ ← (1 − k h)ᵀ λ − hᵀν/s, the last reading first,
+    /// and Λ ← Λ + hᵀh/r.
     #[inline(always)]
     fn back(&mut self, history: &History, i: usize) {
         let m = self.load_rows(history, i);
-        let (stride, gains) = (self.big.stride, history.gains(i));
-        linear::product(gains, stride, &self.big.data, stride, &mut self.outer);
+        let (stride, gains) = (self.lambda.len(), history.gains(i));
         for a in (0..m).rev() {
             let Innovation { value, variance } = history.innovations[i * m + a];
-            let (early, later) = self.outer.split_at_mut((a + 1) * stride);
-            let own = &mut early[a * stride..];
-            if variance.is_infinite() {
-                own.fill(0.0);
-                continue;
+            if variance.is_finite() {
+                let pull = linear::dot(&gains[a * stride..][..stride], &self.lambda) + value / variance;
+                linear::add_scaled(&mut self.lambda, -pull, &self.rows[a * stride..][..stride]);
             }
-            let gain = &gains[a * stride..][..stride];
-            let rows = self.rows[(a + 1) * stride..].chunks_exact(stride);
-            for (row, y) in rows.zip(later.chunks_exact(stride)) {
-                linear::subtract_pair(own, linear::dot(y, gain), row, linear::dot(row, gain), y);
-            }
-            let row = &self.rows[a * stride..][..stride];
-            linear::add_scaled(own, -0.5 * (linear::dot(gain, own) + 1.0 / variance), row);
-            let pull = linear::dot(gain, &self.lambda) + value / variance;
-            linear::add_scaled(&mut self.lambda, -pull, row);
         }
-        self.big.subtract_outer(&self.rows, &self.outer);
+        self.information.learn(&self.rows, &self.halves);
+        if let Some(consider) = &mut self.consider {
+            consider.back(&history.consider, i, &history.innovations[i * m..][..m], &self.rows, gains);
+        }
     }
 
-    /// Whole rows of H at sample `i`, zero where a reading was not used; returns how many.
+    /// Whole rows of H at sample `i`, and each over −2r; zero where a reading was not used. Returns how many.
     #[inline(always)]
     fn load_rows(&mut self, history: &History, i: usize) -> usize {
-        let model = &self.filter.model;
-        let (m, d) = (model.channels(), model.dense());
-        for (c, row) in self.rows.chunks_exact_mut(self.big.stride).enumerate() {
+        let Self { filter: ExtendedKalmanFilter { model, .. }, rows, halves, lambda, .. } = self;
+        let (m, d, stride) = (model.channels(), model.dense(), lambda.len());
+        for (c, (row, half)) in rows.chunks_exact_mut(stride).zip(halves.chunks_exact_mut(stride)).enumerate() {
             row.fill(0.0);
-            if history.innovations[i * m + c].variance.is_finite() {
-                row[..d].copy_from_slice(&history.jacobians[(i * m + c) * d..][..d]);
+            let at = i * m + c;
+            if history.innovations[at].variance.is_finite() {
+                row[..d].copy_from_slice(&history.jacobians[at * d..][..d]);
                 if let Some(b) = model.biases()[c] {
                     row[b] = 1.0;
                 }
+            }
+            let factor = -0.5 / history.variances[at];
+            for (half, h) in half.iter_mut().zip(row.iter()) {
+                *half = factor * h;
             }
         }
         m
     }
 
-    /// The smoothed mean and covariance: of q, q̇, q̈ and of q, or of the whole state.
+    /// The smoothed mean, and the covariance of q or of the whole state.
     #[inline(always)]
     fn smooth(&mut self, history: &History, i: usize, whole: bool) {
-        let Symmetric { n: states, stride, ref data } = self.big;
+        let (states, stride) = (self.mean.len(), self.lambda.len());
         let predicted = history.covariance(i);
         for (r, row) in predicted.chunks_exact(stride).enumerate() {
             self.mean[r] = history.means[i * states + r] - linear::dot(row, &self.lambda);
         }
         let rows = if whole { states } else { self.filter.model.robot().len() };
-        linear::product(&predicted[..rows * stride], stride, data, stride, &mut self.product);
-        for r in 0..rows {
-            for c in r..rows {
-                let taken = linear::dot(&predicted[c * stride..][..stride], &self.product[r * stride..][..stride]);
-                self.smoothed[r * stride + c] = predicted[r * stride + c] - taken;
-                self.smoothed[c * stride + r] = self.smoothed[r * stride + c];
+        self.information.smooth(predicted, rows, &mut self.smoothed);
+        if let Some(consider) = &mut self.consider {
+            consider.sum_up(&history.consider, i, &predicted[..rows * stride], rows);
+            for r in 0..rows {
+                linear::add_scaled(&mut self.smoothed[r * stride..][..rows], 1.0, &consider.total[r * rows..][..rows]);
             }
         }
     }
 
     fn report(&mut self, history: &History, i: usize, out: &mut FilterOutput, whole: bool) {
-        let Self { filter, mean, smoothed: covariance, big: Symmetric { stride, .. }, .. } = self;
+        let Self { filter, mean, smoothed: covariance, lambda, .. } = self;
         let ExtendedKalmanFilter { model, tool, .. } = filter;
-        let (memory, stride) = (history.memory(i), *stride);
-        M::report_phase(Report { model, memory, mean, covariance, stride, tool, i, out, whole });
+        let (memory, stride) = (history.memory(i), lambda.len());
+        M::report_phase(Report { model, memory, mean, covariance, stride, more: None, tool, i, out, whole });
     }
 }

@@ -2,6 +2,7 @@
 
 use super::elastic::Discretization;
 use super::gaussian::{Gaussian, Symmetric};
+use super::step_noise::StepNoise;
 use crate::dynamics::{ElasticDynamics, ElasticLayout};
 use crate::linear;
 use crate::robot::Robot;
@@ -11,7 +12,7 @@ const ANGLE: f64 = 0.5;
 /// Terms of the exponential's series; at [`ANGLE`] they leave less than 2e-6 of a mode's turn.
 const TERMS: usize = 6;
 /// At most so many doublings of a substep.
-const MOST: f64 = 12.0;
+const MOST: u32 = 12;
 
 /// Scratch of a step of time.
 #[derive(Clone, Debug)]
@@ -19,6 +20,11 @@ pub(super) struct Transition {
     pub(super) layout: ElasticLayout,
     pub(super) dynamics: ElasticDynamics,
     discretization: Discretization,
+    pub(super) noise: StepNoise,
+    /// Variance of each torque over a step (n).
+    pub(super) torque: Vec<f64>,
+    /// States that are others after the next step, independent of all, of these variances.
+    pub(super) replaced: Vec<(usize, f64)>,
     /// Upper bound of the fastest mode [rad/s], where the model was last linearised.
     fastest: f64,
     /// Numbers between rows of the matrices.
@@ -33,19 +39,30 @@ pub(super) struct Transition {
     start: Vec<f64>,
     probe: Vec<f64>,
     tau: Vec<f64>,
+    carried: Vec<f64>,
 }
 
 /// Motor torques (n) at the beginning and at the end of a step; in between they change linearly.
 pub(super) type Torques<'a> = (&'a [f64], &'a [f64]);
 
 impl Transition {
-    pub(super) fn new(robot: &Robot, layout: ElasticLayout, discretization: Discretization, states: usize) -> Self {
+    /// `sources` are the states that white noise drives, and its densities.
+    pub(super) fn new(
+        robot: &Robot,
+        layout: ElasticLayout,
+        discretization: Discretization,
+        states: usize,
+        sources: Vec<(usize, f64)>,
+    ) -> Self {
         let d = layout.dense;
         let stride = d.next_multiple_of(linear::LANES);
         let matrix = || vec![0.0; d * stride];
         Self {
             dynamics: ElasticDynamics::new(robot, &layout),
             discretization,
+            noise: StepNoise::new(d, sources, robot.len()),
+            torque: vec![0.0; robot.len()],
+            replaced: Vec::with_capacity(robot.len()),
             fastest: 0.0,
             stride,
             phi: matrix(),
@@ -56,8 +73,14 @@ impl Transition {
             start: vec![0.0; d],
             probe: vec![0.0; d],
             tau: vec![0.0; robot.len()],
+            carried: Vec::new(),
             layout,
         }
+    }
+
+    /// Makes room for beliefs of `states`.
+    pub(super) fn widen(&mut self, states: usize) {
+        self.wide = vec![0.0; self.layout.dense * states.next_multiple_of(linear::LANES)];
     }
 
     /// Learns how fast the robot is at `x`.
@@ -67,7 +90,7 @@ impl Transition {
         self.linearise(robot);
     }
 
-    /// Moves `belief` by `dt` [s], without process noise.
+    /// Moves `belief` by `dt` [s], its noise included.
     #[inline(always)]
     pub(super) fn advance(&mut self, robot: &Robot, belief: &mut Gaussian, torques: Torques<'_>, dt: f64) {
         let d = self.layout.dense;
@@ -77,24 +100,34 @@ impl Transition {
             self.interpolate(torques, 0.0);
             self.linearise(robot);
         }
-        let doublings = (dt * self.fastest / ANGLE).log2().ceil().clamp(0.0, MOST) as u32;
+        let short = |k: &u32| f64::from(1_u32 << k) * ANGLE < dt * self.fastest;
+        let doublings = (0..MOST).take_while(short).count() as u32;
         let (substeps, length) = (1_u32 << doublings, 1.0 / f64::from(1_u32 << doublings));
         for i in 0..substeps {
             self.integrate(robot, &mut belief.mean[..d], torques, f64::from(i) * length, length, dt * length);
         }
         match self.discretization {
-            Discretization::FirstOrder => self.expand(dt, 1),
+            Discretization::FirstOrder => self.expand(robot, dt, 1),
             Discretization::Exact => {
                 for ((probe, a), b) in self.probe.iter_mut().zip(&self.start).zip(&belief.mean) {
                     *probe = 0.5 * (a + b);
                 }
                 self.interpolate(torques, 0.5);
                 self.linearise(robot);
-                self.expand(dt * length, TERMS);
+                self.expand(robot, dt * length, TERMS);
                 self.square(doublings);
             }
         }
+        self.noise.add_torques(&self.torque);
+        for &(state, variance) in &self.replaced {
+            self.noise.replace(state, variance);
+            self.phi[state * self.stride..][..d].fill(0.0);
+        }
         self.congruence(&mut belief.covariance, false);
+        let (p, q) = (&mut belief.covariance, self.noise.covariance());
+        for (row, noise) in p.data.chunks_exact_mut(p.stride).zip(q.data.chunks_exact(q.stride)) {
+            linear::add_scaled(&mut row[..d], 1.0, noise);
+        }
     }
 
     /// The torques after a `part` of the step.
@@ -148,29 +181,37 @@ impl Transition {
         }
     }
 
-    /// Φ = Σ (A h)ᵏ/k!, k up to `terms`.
+    /// Φ = Σ (A h)ᵏ/k!, k up to `terms`, and what noise does meanwhile.
     #[inline(always)]
-    fn expand(&mut self, h: f64, terms: usize) {
-        let Self { layout: ElasticLayout { dense: d, .. }, stride, phi, term, product, .. } = self;
+    fn expand(&mut self, robot: &Robot, h: f64, terms: usize) {
+        let Self { layout, dynamics, noise, stride, phi, term, product, .. } = self;
+        let d = &layout.dense;
+        noise.clear();
         for matrix in [&mut *phi, &mut *term] {
             matrix.fill(0.0);
             for i in 0..*d {
                 matrix[i * *stride + i] = 1.0;
             }
         }
+        noise.term(0, term);
         for k in 1..=terms {
-            apply(&self.layout, &self.dynamics, term, *stride, product);
+            apply(layout, dynamics, term, *stride, product);
             for (term, value) in term.iter_mut().zip(product.iter()) {
                 *term = value * (h / k as f64);
             }
             linear::add_scaled(phi, 1.0, term);
+            noise.term(k, term);
         }
+        noise.substep(h, |j, rate| torque_rate(robot, layout, dynamics, j, rate));
     }
 
     /// Φ ← Φ², `doublings` times.
     #[inline(always)]
     fn square(&mut self, doublings: u32) {
+        let d = self.layout.dense;
         for _ in 0..doublings {
+            transpose(&self.phi, d, self.stride, &mut self.term);
+            self.noise.double(&self.phi, &self.term, &mut self.product, &mut self.wide[..d * self.stride]);
             linear::product(&self.phi, self.stride, &self.phi, self.stride, &mut self.product);
             self.phi.copy_from_slice(&self.product);
         }
@@ -192,12 +233,43 @@ impl Transition {
         p.mirror();
     }
 
-    /// Φ row by row, without padding.
+    /// Φ and Q, row by row without padding.
     #[inline(always)]
     pub(super) fn remember(&self, memory: &mut Vec<f64>) {
-        for row in self.phi.chunks_exact(self.stride) {
-            memory.extend_from_slice(&row[..self.layout.dense]);
+        for matrix in [&self.phi, &self.noise.covariance().data] {
+            for row in matrix.chunks_exact(self.stride) {
+                memory.extend_from_slice(&row[..self.layout.dense]);
+            }
         }
+    }
+
+    /// Rows of the root of Q that [`remember`](Self::remember) wrote.
+    #[inline(always)]
+    pub(super) fn noise_rows(&mut self, memory: &[f64], rows: &mut [f64], width: usize) {
+        let (d, stride) = (self.layout.dense, self.stride);
+        for (row, values) in self.term.chunks_exact_mut(stride).zip(memory[d * d..].chunks_exact(d)) {
+            row[..d].copy_from_slice(values);
+        }
+        linear::cholesky(&mut self.term, d, stride);
+        for (i, row) in self.term.chunks_exact(stride).enumerate() {
+            for (c, value) in row[..=i].iter().enumerate() {
+                rows[c * width + i] = *value;
+            }
+        }
+    }
+
+    /// Columns (states × `stride`) through the step: Σ ← Φ Σ.
+    #[inline(always)]
+    pub(super) fn carry(&mut self, columns: &mut [f64], stride: usize) {
+        let (d, rows) = (self.layout.dense, self.layout.dense * stride);
+        self.carried.resize(rows, 0.0);
+        for (out, row) in self.carried.chunks_exact_mut(stride).zip(self.phi.chunks_exact(self.stride)) {
+            out.fill(0.0);
+            for (factor, column) in row[..d].iter().zip(columns.chunks_exact(stride)) {
+                linear::add_scaled(out, *factor, column);
+            }
+        }
+        columns[..rows].copy_from_slice(&self.carried);
     }
 
     /// The adjoint of a step that [`remember`](Self::remember) wrote: λ ← Φᵀ λ, Λ ← Φᵀ Λ Φ.
@@ -214,29 +286,18 @@ impl Transition {
         lambda[..d].copy_from_slice(&self.start);
         self.congruence(big, true);
     }
+}
 
-    /// What white noise of the torques, one value a step with standard deviations `torque` (n), adds to P.
-    #[inline(always)]
-    pub(super) fn add_torque_noise(&mut self, robot: &Robot, p: &mut Symmetric, torque: &[f64], dt: f64) {
-        let n = self.layout.joints;
-        for (j, std) in torque.iter().enumerate() {
-            let Self { layout, dynamics, probe, .. } = self;
-            probe.fill(0.0);
-            for i in 0..n {
-                let link = dynamics.ddq_by_tau[i * n + j];
-                probe[i] = 0.5 * dt * dt * std * link;
-                probe[n + i] = dt * std * link;
-            }
-            for i in (0..n).filter(|&i| robot.drives[i].elastic) {
-                let pull: f64 = (0..i).map(|k| robot.coupling[k * n + i] * dynamics.ddq_by_tau[k * n + j]).sum();
-                let motor = (f64::from(i == j) - pull) / robot.drives[i].motor_inertia;
-                probe[layout.theta[i]] = 0.5 * dt * dt * std * motor;
-                probe[layout.dtheta[i]] = dt * std * motor;
-            }
-            for (r, a) in probe.iter().enumerate().filter(|(_, a)| **a != 0.0) {
-                linear::add_scaled(&mut p.data[r * p.stride..][..probe.len()], *a, probe);
-            }
-        }
+/// How the state's rate changes with the torque of motor `j`.
+#[inline(always)]
+fn torque_rate(robot: &Robot, layout: &ElasticLayout, dynamics: &ElasticDynamics, j: usize, rate: &mut [f64]) {
+    let n = layout.joints;
+    for i in 0..n {
+        rate[n + i] = dynamics.ddq_by_tau[i * n + j];
+    }
+    for i in (0..n).filter(|&i| robot.drives[i].elastic) {
+        let pull: f64 = (0..i).map(|k| robot.coupling[k * n + i] * dynamics.ddq_by_tau[k * n + j]).sum();
+        rate[layout.dtheta[i]] = (f64::from(i == j) - pull) / robot.drives[i].motor_inertia;
     }
 }
 

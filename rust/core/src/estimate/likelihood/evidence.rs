@@ -5,11 +5,12 @@ use super::filter::{Filter, Innovation};
 use super::moments::{Lateness, moments};
 use super::parameters::{Parameter, Parameters};
 use super::recording::LikelihoodRecording;
+use crate::check::{expect, expect_length};
 use crate::error::{DesignError, RunError};
 use crate::estimate::kalman::{JerkModel, Noise};
 use crate::estimate::measurement::Kind;
 use crate::robot::Robot;
-use crate::scalar::{Dual, Scalar};
+use crate::scalar::{Dual, Scalar, log};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -27,9 +28,6 @@ pub struct LikelihoodSettings {
     pub biased: Vec<bool>,
     /// Whether motor torques are readings, too.
     pub torque: bool,
-    /// Whether random jerk steps the acceleration where an interval begins, as in the filter that estimates; else it acts
-    /// all the time. The former puts acceleration half a sample ahead of velocity, which damping and delays would pay for.
-    pub held: bool,
     /// Parameters that are not free, and not as the robot says.
     pub fixed: Vec<(Parameter, f64)>,
     /// Beyond so many standard deviations an innovation counts linearly (Huber 1964); infinite for the plain likelihood.
@@ -45,6 +43,8 @@ pub struct Evidence {
     pub gradient: Vec<f64>,
     /// Σ ∂ν ∂νᵀ/s + ½ ∂ln s ∂ln sᵀ over innovations ν of variance s (p × p): Fisher's information along the recording.
     pub information: Vec<f64>,
+    /// Each sample's part of the log-likelihood (count); empty unless asked for.
+    pub densities: Vec<f64>,
     /// Each sample's part of the gradient (count × p); empty unless asked for.
     pub scores: Vec<f64>,
     /// Innovations over their standard deviations (count × channels), NaN where missing; empty unless asked for.
@@ -71,10 +71,7 @@ impl Likelihood {
         settings: LikelihoodSettings,
         recording: LikelihoodRecording,
     ) -> Result<Self, DesignError> {
-        let value = settings.huber;
-        if value.is_nan() || value <= 0.0 {
-            return Err(DesignError::Range { what: "huber", value, expected: "greater than 0" });
-        }
+        expect(settings.huber > 0.0, "huber", settings.huber, "greater than 0")?;
         recording.check(&robot, settings.torque)?;
         let kinds: &[_] = if settings.torque {
             &[Kind::Motor, Kind::Acceleration, Kind::Torque]
@@ -110,10 +107,7 @@ impl Likelihood {
     /// # Errors
     /// A parameter that the robot does not have; parameters under which the filter breaks down.
     pub fn evaluate(&self, parameters: &[Parameter], values: &[f64], detail: bool) -> Result<Evidence, RunError> {
-        let (found, expected) = (values.len(), parameters.len());
-        if found != expected {
-            return Err(DesignError::Length { what: "values", found, expected }.into());
-        }
+        expect_length("values", values.len(), parameters.len())?;
         let chunks = parameters.len().div_ceil(DIRECTIONS).max(1);
         let filters: Result<Vec<Filter<Dual<DIRECTIONS>>>, _> =
             (0..chunks).map(|c| self.filter(parameters, values, c * DIRECTIONS)).collect();
@@ -138,7 +132,8 @@ impl Likelihood {
         let fixed = self.settings.fixed.iter().map(|&(parameter, value)| (parameter, value, usize::MAX));
         let free = free.iter().zip(values).enumerate().map(|(i, (&p, &value))| (p, value, i.wrapping_sub(first)));
         for (parameter, value, direction) in fixed.chain(free) {
-            let slot = parameters.slot(parameter).ok_or(DesignError::NoParameter { parameter })?;
+            let slot =
+                parameters.slot(parameter).ok_or(DesignError::NoParameter { parameter: format!("{parameter:?}") })?;
             *slot = T::seeded(value, direction);
             if let Parameter::TimeConstant(s) | Parameter::Delay(s) = parameter {
                 late[s] = true;
@@ -152,7 +147,7 @@ impl Likelihood {
         let moments = moments(&self.recording.t, &lags);
         let noise = &self.settings.noise;
         let evaluation = Evaluation::new(&self.model, noise.clone(), parameters, lateness, late);
-        Ok(Filter::new(&self.model, noise.clone(), evaluation, moments, self.settings.held))
+        Ok(Filter::new(&self.model, noise.clone(), evaluation, moments))
     }
 
     fn accumulate<T: Seeded>(&self, mut filters: Vec<Filter<T>>, p: usize, detail: bool) -> Result<Evidence, RunError> {
@@ -160,6 +155,7 @@ impl Likelihood {
         let mut evidence = Evidence {
             gradient: vec![0.0; p],
             information: vec![0.0; p * p],
+            densities: vec![0.0; if detail { count } else { 0 }],
             scores: vec![0.0; if detail { count * p } else { 0 }],
             innovations: vec![f64::NAN; if detail { count * channels } else { 0 }],
             ..Evidence::default()
@@ -193,7 +189,11 @@ impl Likelihood {
         let (limit, size, p) = (self.settings.huber, square.sqrt(), by_value.len());
         let outlying = size > limit;
         let (loss, weight) = if outlying { (limit * (2.0 * size - limit), limit / size) } else { (square, 1.0) };
-        evidence.log_likelihood -= 0.5 * (loss + (core::f64::consts::TAU * variance).ln());
+        let density = -0.5 * (loss + log(core::f64::consts::TAU * variance));
+        evidence.log_likelihood += density;
+        if let Some(slot) = evidence.densities.get_mut(innovation.row) {
+            *slot += density;
+        }
         evidence.used += 1;
         for k in 0..p {
             let relative = by_variance[k] / variance;

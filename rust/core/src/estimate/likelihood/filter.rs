@@ -1,8 +1,14 @@
 //! The filter, over a scalar: what is kept is each reading's innovation.
+//!
+//! Its update differs from that of [`kalman`](crate::estimate::kalman), which defers the covariance to the end of a sample:
+//! here each reading changes it at once, so that a filter inside a sensor can take its next value between two readings,
+//! and no derivative number is computed for padding or for a gain that only a smoother needs. A test holds both equal.
 
 use super::evaluation::{Evaluation, Reading};
 use super::moments::Moment;
 use super::recording::LikelihoodRecording;
+use crate::estimate::bias::bias_step;
+use crate::estimate::jerk_noise;
 use crate::estimate::kalman::{JerkModel, Noise};
 use crate::estimate::measurement::Channel;
 use crate::scalar::Scalar;
@@ -26,8 +32,6 @@ pub(super) struct Filter<T> {
     /// The state that is each channel's filter, and α.
     memories: Vec<Option<(usize, T)>>,
     noise: Noise,
-    /// Whether acceleration steps where an interval begins.
-    held: bool,
     moments: Vec<Moment>,
     next: usize,
     mean: Vec<T>,
@@ -39,13 +43,7 @@ pub(super) struct Filter<T> {
 }
 
 impl<T: Scalar> Filter<T> {
-    pub(super) fn new(
-        model: &JerkModel,
-        noise: Noise,
-        evaluation: Evaluation<T>,
-        moments: Vec<Moment>,
-        held: bool,
-    ) -> Self {
+    pub(super) fn new(model: &JerkModel, noise: Noise, evaluation: Evaluation<T>, moments: Vec<Moment>) -> Self {
         let n = model.joints();
         let mut states = model.states();
         let mut memory = |channel: &Channel| match *channel {
@@ -60,7 +58,6 @@ impl<T: Scalar> Filter<T> {
             evaluation,
             biases: model.biases.clone(),
             noise,
-            held,
             moments,
             next: 0,
             mean: vec![T::default(); states],
@@ -149,23 +146,30 @@ impl<T: Scalar> Filter<T> {
     #[inline(always)]
     fn add_noise(&mut self, dt: T) {
         let (n, states) = (self.reference.len() / 3, self.mean.len());
-        let spread = if self.held { held_spread(dt) } else { continuous_spread(dt) };
+        let white_jerk = jerk_noise::covariance(dt);
         for j in 0..n {
             let density = self.evaluation.parameters().joints[j].jerk_noise * self.noise.jerk[j];
-            let variance = density * density * dt;
+            let variance = density * density;
             for a in 0..3 {
                 for b in 0..3 {
-                    self.covariance[(a * n + j) * states + b * n + j] += spread[a][b] * variance;
+                    self.covariance[(a * n + j) * states + b * n + j] += white_jerk[a][b] * variance;
                 }
             }
         }
         for (i, walk) in self.noise.link_walk.iter().enumerate() {
             self.covariance[i * states + i] += dt * (walk * walk);
         }
-        for (bias, walk) in self.biases.iter().zip(&self.noise.bias_walk) {
-            if let Some(b) = *bias {
-                self.covariance[b * states + b] += dt * (walk * walk);
+        for c in 0..self.biases.len() {
+            let Some(b) = self.biases[c] else { continue };
+            let step = bias_step(self.noise.bias_walk[c], self.noise.bias_time[c], dt);
+            self.mean[b] = step.decay * self.mean[b];
+            for k in 0..states {
+                self.covariance[b * states + k] = step.decay * self.covariance[b * states + k];
             }
+            for k in 0..states {
+                self.covariance[k * states + b] = step.decay * self.covariance[k * states + b];
+            }
+            self.covariance[b * states + b] += step.variance;
         }
     }
 
@@ -263,22 +267,6 @@ impl<T: Scalar> Filter<T> {
             }
         }
     }
-}
-
-/// Covariance of position, velocity and acceleration, per variance of the latter, after white jerk over `dt` [s].
-#[inline(always)]
-fn continuous_spread<T: Scalar>(dt: T) -> [[T; 3]; 3] {
-    let square = dt * dt;
-    let (p, a) = (square * square * (1.0 / 20.0), T::constant(1.0));
-    let (pv, pa, v, va) = (square * dt * (1.0 / 8.0), square * (1.0 / 6.0), square * (1.0 / 3.0), dt * 0.5);
-    [[p, pv, pa], [pv, v, va], [pa, va, a]]
-}
-
-/// The same where acceleration steps at the interval's start, Axelsson, Karlsson and Norrlöf 2012, eq. (10).
-#[inline(always)]
-fn held_spread<T: Scalar>(dt: T) -> [[T; 3]; 3] {
-    let parts = [dt * dt * 0.5, dt, T::constant(1.0)];
-    parts.map(|a| parts.map(|b| a * b))
 }
 
 /// [`Filter::predict`], to be compiled for each instruction set.

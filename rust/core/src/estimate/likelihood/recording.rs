@@ -1,5 +1,6 @@
 //! What is given: a recording with all signals that bear on a robot's parameters.
 
+use crate::check::{expect, expect_length};
 use crate::error::DesignError;
 use crate::robot::Robot;
 
@@ -49,19 +50,13 @@ impl LikelihoodRecording {
             ("jerk", &self.jerk, n),
         ];
         for (what, values, width) in lengths {
-            let expected = count * width;
-            if values.len() != expected {
-                return Err(DesignError::Length { what, found: values.len(), expected });
-            }
+            expect_length(what, values.len(), count * width)?;
         }
         if count < 2 {
             return Err(DesignError::Length { what: "t", found: count, expected: 2 });
         }
-        let expected = "a step of time greater than 0";
-        let step =
-            self.t.windows(2).map(|w| w[1] - w[0]).chain([self.period]).find(|step| step.is_nan() || *step <= 0.0);
-        if let Some(value) = step {
-            return Err(DesignError::Range { what: "t", value, expected });
+        for step in self.t.windows(2).map(|w| w[1] - w[0]).chain([self.period]) {
+            expect(step > 0.0, "t", step, "a step of time greater than 0")?;
         }
         match self.theta[..n].iter().position(|x| x.is_nan()) {
             Some(joint) => Err(DesignError::NoStart { joint }),

@@ -1,9 +1,11 @@
 //! All channels of the acceleration-driven model in one state, with their Jacobian.
 
+use super::motion::PlainMotion;
 use super::view::OfDrives;
 use super::{Channel, Driven, Jacobian, LinkMotion, read_all};
 use crate::robot::Robot;
 use crate::scalar::Scalar;
+use crate::simd::{self, Kernel};
 
 /// Predictions of all channels at one state, with their derivatives in (q, q̇, q̈).
 #[derive(Clone, Debug)]
@@ -12,7 +14,8 @@ pub struct Evaluation<T> {
     pub prediction: Vec<T>,
     /// ∂h/∂(q, q̇, q̈), channels × 3n, row-major.
     pub jacobian: Vec<T>,
-    motion: LinkMotion<T>,
+    pub(crate) motion: LinkMotion<T>,
+    plain: PlainMotion<T>,
 }
 
 impl<T: Scalar> Evaluation<T> {
@@ -22,14 +25,40 @@ impl<T: Scalar> Evaluation<T> {
             prediction: vec![T::default(); channels],
             jacobian: vec![T::default(); channels * 3 * robot.len()],
             motion: LinkMotion::new(robot),
+            plain: PlainMotion::new(robot),
         }
     }
 
     /// Evaluates `channels` at `state` = (q, q̇, q̈); `dtheta` (n) is each motor's velocity for the damping torque, NaN to
     /// leave it out. Rows of motor velocities stay zero: they are the rate of the motor positions'.
-    #[inline(always)]
+    #[inline]
     pub fn evaluate(&mut self, robot: &Robot, channels: &[Channel], state: &[T], dtheta: &[f64]) {
-        let Self { prediction, jacobian, motion } = self;
+        simd::phase(Evaluate { evaluation: self, robot, channels, state, dtheta });
+    }
+
+    /// Predictions alone, as [`evaluate`](Self::evaluate) but for rounding.
+    #[inline]
+    pub fn predict(&mut self, robot: &Robot, channels: &[Channel], state: &[T], dtheta: &[f64]) {
+        self.plain.predict(robot, channels, state, dtheta, &mut self.prediction);
+    }
+}
+
+/// [`Evaluation::evaluate`], to be compiled for each instruction set.
+struct Evaluate<'a, T> {
+    evaluation: &'a mut Evaluation<T>,
+    robot: &'a Robot,
+    channels: &'a [Channel],
+    state: &'a [T],
+    dtheta: &'a [f64],
+}
+
+impl<T: Scalar> Kernel for Evaluate<'_, T> {
+    type Output = ();
+    const LANES: bool = T::LANES;
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { evaluation: Evaluation { prediction, jacobian, motion, .. }, robot, channels, state, dtheta } = self;
         motion.set(robot, state);
         jacobian.fill(T::default());
         let view = Driven { links: motion, state, dtheta, springs: &OfDrives };

@@ -1,9 +1,11 @@
 //! How the links move: what sensors on them see, and the torques that it takes.
 
-use super::Wanted;
+use super::view::OfDrives;
+use super::{Channel, Driven, Values, Wanted, read_all};
 use crate::dynamics::{Kinematics, Loads, NewtonEuler};
 use crate::robot::{Robot, Sensor};
 use crate::scalar::Scalar;
+use crate::simd::{self, Kernel};
 use crate::spatial::Vec3;
 
 /// What accelerometers and gyroscopes on moving links read.
@@ -63,10 +65,10 @@ impl<T: Scalar> Sensing<T> for Kinematics<T> {
 pub(crate) struct LinkMotion<T> {
     pub(crate) kinematics: Kinematics<T>,
     loads: Loads<T>,
-    tau: Vec<T>,
+    pub(crate) tau: Vec<T>,
     by_q: Vec<T>,
     by_dq: Vec<T>,
-    mass: Vec<T>,
+    pub(crate) mass: Vec<T>,
 }
 
 impl<T: Scalar> LinkMotion<T> {
@@ -156,10 +158,47 @@ impl<T: Scalar> PlainMotion<T> {
 
     /// At `state` = (q, q̇, q̈).
     #[inline(always)]
-    pub(crate) fn set(&mut self, robot: &Robot, state: &[T]) {
+    fn set(&mut self, robot: &Robot, state: &[T]) {
         let (tree, n) = (&robot.tree, robot.len());
         self.motion.set(tree, &state[..n], &state[n..2 * n], &state[2 * n..3 * n]);
         self.motion.inverse_dynamics_into(tree, &mut self.tau);
+    }
+
+    /// `channels` at `state`, links moved by jerk; `dtheta` (n) is each motor's velocity for the damping torque, NaN to
+    /// leave it out.
+    #[inline]
+    pub(crate) fn predict(
+        &mut self,
+        robot: &Robot,
+        channels: &[Channel],
+        state: &[T],
+        dtheta: &[f64],
+        prediction: &mut [T],
+    ) {
+        simd::phase(Predict { motion: self, robot, channels, state, dtheta, prediction });
+    }
+}
+
+/// [`PlainMotion::predict`], to be compiled for each instruction set.
+struct Predict<'a, T> {
+    motion: &'a mut PlainMotion<T>,
+    robot: &'a Robot,
+    channels: &'a [Channel],
+    state: &'a [T],
+    dtheta: &'a [f64],
+    prediction: &'a mut [T],
+}
+
+impl<T: Scalar> Kernel for Predict<'_, T> {
+    type Output = ();
+    const LANES: bool = T::LANES;
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { motion, robot, channels, state, dtheta, prediction } = self;
+        motion.set(robot, state);
+        let view = Driven { links: motion, state, dtheta, springs: &OfDrives };
+        read_all(robot, channels, &view, &mut Values(prediction));
     }
 }
 

@@ -218,7 +218,7 @@ impl AccelerationMap {
                     }
                     largest = largest.max(gamma * gamma / (alpha * beta));
                     let zeta = (beta - alpha) / (2.0 * gamma);
-                    let tan = zeta.signum() / (zeta.abs() + zeta.hypot(1.0));
+                    let tan = zeta.signum() / (zeta.abs() + (zeta * zeta + 1.0).sqrt());
                     rotate(&mut self.map, stride, p, q, tan);
                     rotate(&mut self.square, m, p, q, tan);
                 }
@@ -232,7 +232,7 @@ impl AccelerationMap {
 
 /// Turns columns p < q of `width` numbers by the angle whose tangent is `tan`.
 fn rotate(matrix: &mut [f64], width: usize, p: usize, q: usize, tan: f64) {
-    let cos = 1.0 / tan.hypot(1.0);
+    let cos = 1.0 / (tan * tan + 1.0).sqrt();
     let sin = cos * tan;
     let (head, tail) = matrix.split_at_mut(q * width);
     for (a, b) in head[p * width..][..width].iter_mut().zip(&mut tail[..width]) {

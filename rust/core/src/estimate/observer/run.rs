@@ -7,6 +7,7 @@ use super::recording::{Recording, Sample, Trajectory};
 use super::rest::link_position_at_rest;
 use super::sampled::{Sampled, State};
 use super::settings::{AccelerationSource, Form, Settings, check};
+use crate::check::expect_length;
 use crate::dynamics::Kinematics;
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
@@ -110,9 +111,7 @@ impl AccelerationObserver {
     pub fn start(&mut self, theta: &[f64], q: &[f64], dtheta: &[f64], dq: &[f64]) -> Result<(), DesignError> {
         let expected = self.robot.len();
         for (what, given) in [("theta", theta), ("q", q), ("dtheta", dtheta), ("dq", dq)] {
-            if given.len() != expected {
-                return Err(DesignError::Length { what, found: given.len(), expected });
-            }
+            expect_length(what, given.len(), expected)?;
         }
         for j in 0..expected {
             self.state[j] = match self.models[j] {
@@ -258,10 +257,7 @@ impl AccelerationObserver {
     /// # Errors
     /// A wrong length.
     pub fn hold(&mut self, tau: &[f64]) -> Result<(), DesignError> {
-        let expected = self.robot.len();
-        if tau.len() != expected {
-            return Err(DesignError::Length { what: "tau", found: tau.len(), expected });
-        }
+        expect_length("tau", tau.len(), self.robot.len())?;
         self.hold_torque(tau);
         Ok(())
     }
@@ -360,9 +356,7 @@ impl AccelerationObserver {
         let Recording { count, theta, tau, acceleration } = recording;
         let (n, m) = (self.joints(), self.channels());
         for (what, given, width) in [("theta", theta, n), ("tau", tau, n), ("acceleration", acceleration, m)] {
-            if given.len() != count * width {
-                return Err(DesignError::Length { what, found: given.len(), expected: count * width }.into());
-            }
+            expect_length(what, given.len(), count * width)?;
         }
         let mut out = Trajectory::with_capacity(count, n, self.robot.tool.is_some());
         for i in 0..count {

@@ -7,6 +7,7 @@
 use super::gains::JointModel;
 use super::poles::Poles;
 use crate::robot::Drive;
+use crate::scalar::{Scalar, exp_m1};
 use nalgebra::{DMatrix, DVector};
 
 /// The largest order of a joint's model.
@@ -151,11 +152,11 @@ fn scales(a: &DMatrix<f64>, omega: f64) -> Vec<f64> {
 /// Real part of e^{λh} − 1 without cancellation, λh = p/ω · h.
 fn expm1_re(p: super::Complex, omega: f64, h: f64) -> f64 {
     let (x, y) = (p.re / omega * h, p.im / omega * h);
-    let half = (0.5 * y).sin();
-    x.exp_m1() * y.cos() - 2.0 * half * half
+    let half = Scalar::sin_cos(0.5 * y).0;
+    exp_m1(x) * Scalar::sin_cos(y).1 - 2.0 * half * half
 }
 
 /// Imaginary part of e^{λh} − 1.
 fn expm1_im(p: super::Complex, omega: f64, h: f64) -> f64 {
-    (p.re / omega * h).exp() * (p.im / omega * h).sin()
+    Scalar::exp(p.re / omega * h) * Scalar::sin_cos(p.im / omega * h).0
 }

@@ -1,6 +1,7 @@
 //! What an observer is made with.
 
 use super::poles::Complex;
+use crate::check::{expect, expect_length};
 use crate::error::DesignError;
 use crate::robot::Robot;
 
@@ -44,14 +45,9 @@ pub struct Settings {
 pub(super) fn check(robot: &Robot, settings: &Settings) -> Result<(), DesignError> {
     let Settings { period, worst_acceleration_std: worst, .. } = *settings;
     for (what, value) in [("the sampling period", period), ("worst_acceleration_std", worst)] {
-        if !(value > 0.0 && value.is_finite()) {
-            return Err(DesignError::Range { what, value, expected: "a positive number" });
-        }
+        expect(value > 0.0 && value.is_finite(), what, value, "a positive number")?;
     }
-    if settings.poles.len() != robot.len() {
-        let (found, expected) = (settings.poles.len(), robot.len());
-        return Err(DesignError::Length { what: "poles", found, expected });
-    }
+    expect_length("poles", settings.poles.len(), robot.len())?;
     let joints = robot.drives.iter().filter(|d| d.elastic).count();
     let channels = robot.acceleration_channels();
     if settings.source == AccelerationSource::Sensors && channels < joints {

@@ -3,7 +3,7 @@
 use super::accelerations::{Densities, covariance_entries};
 use super::settings::Marginalised;
 use crate::estimate::kalman::JerkModel;
-use crate::estimate::measurement::{Evaluation, Predictions};
+use crate::estimate::measurement::Evaluation;
 use crate::scalar::Lanes;
 use rayon::prelude::*;
 
@@ -74,8 +74,6 @@ pub(super) struct Sums {
 /// Room for [`WIDE`] particles on their way.
 #[derive(Clone, Debug)]
 pub(super) struct Scratch {
-    pub(super) sensed: Predictions<Wide>,
-    /// There where readings are linearised.
     pub(super) evaluation: Evaluation<Wide>,
     /// q, q̇, q̈ and biases before the noise, and after it.
     pub(super) before: Vec<Wide>,
@@ -97,7 +95,6 @@ impl Scratch {
         let room = |size| vec![Wide::default(); size];
         let states = model.states();
         Self {
-            sensed: Predictions::new(&model.robot, model.channels()),
             evaluation: Evaluation::new(&model.robot, model.channels()),
             before: room(states),
             after: room(states),

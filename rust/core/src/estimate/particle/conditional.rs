@@ -54,12 +54,13 @@ impl<T: Scalar> Conditional<T> {
         self.velocity.copy_from_slice(&other.velocity);
     }
 
-    /// P ← P + Q, less what is known when n is known, and how l then follows ζ.
+    /// P ← F P Fᵀ + Q, biases alone decaying, less what is known when n is known, and how l then follows ζ.
     #[inline(always)]
     pub(super) fn follow(&mut self, motion: &Motion) {
         let (n, dt) = (self.joints, motion.dt);
-        for (i, gained) in motion.gained.iter().enumerate() {
-            self.add_variance(n + i, *gained);
+        for (i, bias) in motion.biases.iter().enumerate() {
+            self.scale(n + i, bias.decay);
+            self.add_variance(n + i, bias.variance);
         }
         self.slope.fill(T::default());
         for (j, noise) in motion.joints.iter().enumerate() {
@@ -158,6 +159,15 @@ impl<T: Scalar> Conditional<T> {
             for (slope, b) in row.iter_mut().zip(by_noise) {
                 *slope -= *gain * *b;
             }
+        }
+    }
+
+    /// The row and column of an entry times `factor`.
+    #[inline(always)]
+    fn scale(&mut self, entry: usize, factor: f64) {
+        for other in 0..self.size {
+            let at = packed(entry.min(other), entry.max(other), self.size);
+            self.covariance[at] = self.covariance[at] * (if other == entry { factor * factor } else { factor });
         }
     }
 

@@ -1,6 +1,7 @@
 //! Densities of readings' noise: the normal one, and those that expect outliers.
 
 use super::cloud::Wide;
+use crate::check::expect;
 use crate::error::DesignError;
 use crate::scalar::{Scalar, ln};
 use core::f64::consts::{PI, TAU};
@@ -33,9 +34,7 @@ impl Density {
     /// # Errors
     /// A parameter out of its range.
     pub(super) fn check(&self) -> Result<(), DesignError> {
-        let range = |ok: bool, value, expected| {
-            if ok { Ok(()) } else { Err(DesignError::Range { what: "outliers", value, expected }) }
-        };
+        let range = |ok, value, expected| expect(ok, "outliers", value, expected);
         match *self {
             Self::Normal => Ok(()),
             Self::Student { freedom } => range(

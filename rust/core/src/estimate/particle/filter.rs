@@ -53,6 +53,8 @@ pub struct ParticleFilter {
     pub(super) threads: bool,
     pub(super) taken: usize,
     pub(super) started: bool,
+    /// The belief at the first sample; none: at rest.
+    start: Option<Gaussian>,
 }
 
 impl ParticleFilter {
@@ -73,6 +75,7 @@ impl ParticleFilter {
             factors: vec![[[0.0; 3]; 3]; n],
             readings: Vec::with_capacity(m),
             walks: Vec::with_capacity(m),
+            decays: Vec::with_capacity(m),
             draws: 3 * n,
             offset: 0.0,
             proposal: settings.proposal,
@@ -96,13 +99,24 @@ impl ParticleFilter {
             threads: settings.particles >= PARALLEL,
             taken: 0,
             started: false,
+            start: None,
             marginalised,
             settings,
             model,
         })
     }
 
-    /// Forgets the state: the next sample starts anew, from rest.
+    /// From now on a first sample finds this mean, and the variances of this covariance; none: the robot at rest.
+    ///
+    /// # Errors
+    /// A belief of another number of states.
+    pub fn set_start(&mut self, start: Option<Gaussian>) -> Result<(), DesignError> {
+        self.guard.kalman.set_start(start.clone())?;
+        self.start = start;
+        Ok(())
+    }
+
+    /// Forgets the state: the next sample starts anew.
     pub fn reset(&mut self) {
         (self.taken, self.started) = (0, false);
         self.guard.reset();
@@ -147,7 +161,13 @@ impl ParticleFilter {
     }
 
     fn start(&mut self, sample: &KalmanSample<'_>) -> Result<(), DesignError> {
-        self.model.start(sample, &mut self.belief)?;
+        match &self.start {
+            Some(start) => {
+                self.belief.copy_from(start);
+                self.model.resume(sample, &mut self.belief);
+            }
+            None => self.model.start(sample, &mut self.belief)?,
+        }
         let jerk = self.model.jerk_model();
         for (variance, bias) in self.bias_variance.iter_mut().zip(&jerk.biases) {
             *variance = bias.filter(|_| self.motion.is_none()).map_or(0.0, |b| self.belief.covariance.at(b, b));
@@ -200,26 +220,30 @@ impl ParticleFilter {
     /// What each reading, and each bias, is to do.
     fn plan(&mut self, readings: &[f64]) {
         let first = !self.started;
-        let Self { model, sample, bias_variance, settings, summary, marginalised, motion, .. } = self;
+        let Self { model, sample, bias_variance, settings, summary, marginalised, motion, belief, .. } = self;
         let closed = *marginalised == Marginalised::Biases;
         sample.readings.clear();
         sample.walks.clear();
+        sample.decays.clear();
         let jerk = model.jerk_model();
         sample.draws = 3 * jerk.joints();
         if let Some(motion) = motion {
-            motion.prepare(jerk, model.noise(), sample.dt, first);
+            motion.prepare(jerk, model.noise(), sample.dt, first.then_some(&belief.covariance));
             sample.draws = 2 * jerk.joints();
         }
         for (channel, &value) in readings.iter().enumerate() {
             let bias = jerk.biases[channel];
             let own = model.variance(channel);
-            let walk =
-                bias.filter(|_| motion.is_none()).map_or(0.0, |_| model.noise().bias_walk[channel].powi(2) * sample.dt);
+            let drift = model.noise().bias_step(channel, sample.dt);
+            if let Some(bias) = bias {
+                sample.decays.push((bias, drift.decay));
+            }
+            let walk = bias.filter(|_| motion.is_none()).map_or(0.0, |_| drift.variance);
             let density = settings.densities[channel];
             let read = !value.is_nan();
             let drawn_late = closed || (read && settings.proposal != Proposal::Bootstrap && density.is_normal());
             let before = if closed || first { bias_variance[channel] } else { 0.0 };
-            let prior = before + walk;
+            let prior = before * drift.decay * drift.decay + walk;
             if let (false, Some(bias)) = (drawn_late || prior == 0.0, bias) {
                 sample.walks.push(Walk { entry: bias, std: prior.sqrt(), draw: sample.draws });
                 sample.draws += 1;
@@ -360,6 +384,7 @@ impl ParticleFilter {
             out.report(i, self, keep);
             after(self);
         }
+        out.links.findings.extend_from_slice(self.guard.kalman.findings());
         Ok(out)
     }
 

@@ -7,11 +7,11 @@
 use super::accelerations;
 use super::filter::ParticleFilter;
 use super::output::{Summary, packed};
-use super::random::Purpose;
 use super::settings::{Collapse, Marginalised, ParticleSettings};
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
 use crate::estimate::kalman::{ExtendedKalmanFilter, FilterSettings, JerkDriven, KalmanSample};
+use crate::random::Purpose;
 
 /// Evidence by which one of two filters is taken to be right, odds of 150 to one. Where both are, the sum of what the
 /// cloud is ahead exceeds a with a probability of at most e⁻ᵃ (Ville 1939).
@@ -27,10 +27,6 @@ const MOST: f64 = 50.0;
 const WORN: [f64; 2] = [0.5, 0.5];
 /// Where it is even that, it is lost, whatever it says of itself.
 const COLLAPSED: [f64; 2] = [0.03, 5.0];
-/// Samples over which readings are held against their predictions.
-const WINDOW: f64 = 50.0;
-/// Standard deviations by which the sum of their squares may exceed what is expected.
-const TOLERANCE: f64 = 8.0;
 /// An outlier to the Kalman filter, where readings are expected to have any.
 const GATE: f64 = 5.0;
 
@@ -52,9 +48,6 @@ pub(super) struct Guard {
     ahead: f64,
     /// By how much it is behind, at least zero.
     behind: f64,
-    /// Weight and sum of squared innovations, beyond what was expected.
-    excess: f64,
-    readings: f64,
     /// Whether both believe in the same model from the same start, so that they differ by chance and linearisation only.
     alike: bool,
 }
@@ -68,15 +61,13 @@ impl Guard {
             kalman: ExtendedKalmanFilter::new(model.clone(), own)?,
             ahead: 0.0,
             behind: 0.0,
-            excess: 0.0,
-            readings: 0.0,
             alike: normal && free && settings.initial.is_empty(),
         })
     }
 
     pub(super) fn reset(&mut self) {
         self.kalman.reset();
-        (self.ahead, self.behind, self.excess, self.readings) = (0.0, 0.0, 0.0, 0.0);
+        (self.ahead, self.behind) = (0.0, 0.0);
     }
 
     /// Takes the sample that the cloud takes.
@@ -116,17 +107,6 @@ impl Guard {
         let distance = summary.mean[j] - belief.mean[j];
         own < narrow * narrow * theirs || distance * distance > far * far * (own + theirs)
     }
-
-    /// Whether the readings of the last samples were further from their predictions than their noise allows.
-    fn contradicts(&mut self) -> bool {
-        let fit = self.kalman.fit();
-        let keep = 1.0 - 1.0 / WINDOW;
-        let used = f64::from(fit.used);
-        self.excess = keep * self.excess + (fit.nis - used);
-        self.readings = keep * self.readings + used;
-        // The weights are geometric: the sum's variance is that of half as many independent squares, two each.
-        !(self.excess <= TOLERANCE * self.readings.max(0.5 * WINDOW).sqrt())
-    }
 }
 
 impl ParticleFilter {
@@ -137,9 +117,7 @@ impl ParticleFilter {
             self.summary.status |= Status::CONTRADICTED;
         }
         let verdict = self.guard.judge(&self.summary, self.model.jerk_model().joints());
-        if self.guard.contradicts() {
-            self.summary.status |= Status::CONTRADICTED;
-        }
+        self.summary.status |= self.guard.kalman.status() & (Status::CONTRADICTED | Status::FAULTY);
         if verdict == Verdict::Lost {
             self.summary.status |= Status::CONTRADICTED;
         }
@@ -178,7 +156,6 @@ impl ParticleFilter {
     fn restart_guard(&mut self) {
         self.take_covariance();
         self.guard.kalman.restart(&self.belief);
-        (self.guard.excess, self.guard.readings) = (0.0, 0.0);
     }
 
     /// The cloud anew from the Kalman filter's belief, with its mean and covariance.

@@ -10,7 +10,6 @@ mod motion;
 mod moves;
 mod output;
 mod proposal;
-mod random;
 mod renewal;
 mod resample;
 mod settings;

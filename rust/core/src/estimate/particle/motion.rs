@@ -4,7 +4,8 @@
 //! nothing, is drawn by a number of its own; what is left of w_q̇ given u is noise in a measurement q̇₊ − q̇ = T q̈ of the
 //! acceleration, and goes together with what is left of w_q̈.
 
-use crate::estimate::kalman::{JerkModel, Noise};
+use crate::estimate::bias::BiasStep;
+use crate::estimate::kalman::{JerkModel, Noise, Symmetric};
 
 /// Noise of one joint over a sample.
 #[derive(Clone, Copy, Debug, Default)]
@@ -50,27 +51,31 @@ impl JointNoise {
 pub(super) struct Motion {
     pub(super) dt: f64,
     pub(super) joints: Vec<JointNoise>,
-    /// Variances that biases gain.
-    pub(super) gained: Vec<f64>,
+    /// How biases move.
+    pub(super) biases: Vec<BiasStep<f64>>,
 }
 
 impl Motion {
     pub(super) fn new(model: &JerkModel) -> Self {
         let n = model.joints();
-        Self { dt: 0.0, joints: vec![JointNoise::default(); n], gained: vec![0.0; model.states() - 3 * n] }
+        Self {
+            dt: 0.0,
+            joints: vec![JointNoise::default(); n],
+            biases: vec![BiasStep { decay: 1.0, variance: 0.0 }; model.states() - 3 * n],
+        }
     }
 
-    /// Over `dt`, or at the first sample, where nothing has moved and n is as uncertain as `noise` says.
-    pub(super) fn prepare(&mut self, model: &JerkModel, noise: &Noise, dt: f64, first: bool) {
+    /// Over `dt`, or at the first sample, where nothing has moved and n is as uncertain as `first` says.
+    pub(super) fn prepare(&mut self, model: &JerkModel, noise: &Noise, dt: f64, first: Option<&Symmetric>) {
         let n = model.joints();
-        self.dt = if first { 0.0 } else { dt };
-        let gained = |i: usize| if first { noise.initial[i].powi(2) } else { noise.link_walk[i].powi(2) * dt };
+        self.dt = if first.is_some() { 0.0 } else { dt };
+        let gained = |i: usize| first.map_or(noise.link_walk[i].powi(2) * dt, |covariance| covariance.at(i, i));
         for (j, joint) in self.joints.iter_mut().enumerate() {
             *joint = JointNoise::new(noise.jerk[j], [gained(j), gained(n + j)], self.dt);
         }
-        for (bias, walk) in model.biases.iter().zip(&noise.bias_walk) {
+        for (channel, bias) in model.biases.iter().enumerate() {
             if let Some(b) = *bias {
-                self.gained[b - 3 * n] = walk * walk * self.dt;
+                self.biases[b - 3 * n] = noise.bias_step(channel, self.dt);
             }
         }
     }

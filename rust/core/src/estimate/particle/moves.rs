@@ -7,7 +7,7 @@
 
 use super::cloud::{Block, Wide};
 use super::proposal::draw;
-use super::random::Stream;
+use crate::random::Stream;
 use crate::scalar::{Lanes, Scalar};
 use crate::simd::Kernel;
 

@@ -2,15 +2,15 @@
 
 use super::cloud::{Block, Scratch, WIDE, Wide};
 use super::density::{Noise, log_gamma};
-use super::random::{Purpose, Stream};
 use super::settings::Proposal;
 use super::shared::Shared;
 use super::sums::Weigh;
 use crate::estimate::jerk_noise;
 use crate::estimate::kalman::{self, JerkModel};
 use crate::linear;
+use crate::random::{Purpose, Stream};
 use crate::scalar::{Lanes, Scalar, ln};
-use crate::simd::Kernel;
+use crate::simd::{self, Kernel};
 
 /// What all particles share at a sample.
 #[derive(Clone, Debug)]
@@ -25,6 +25,8 @@ pub(super) struct Sample {
     pub(super) factors: Vec<[[f64; 3]; 3]>,
     pub(super) readings: Vec<Reading>,
     pub(super) walks: Vec<Walk>,
+    /// What is left of each bias after the step, by entry of the state.
+    pub(super) decays: Vec<(usize, f64)>,
     /// Normal numbers that a particle needs: of the links' noise first, then of biases.
     pub(super) draws: usize,
     /// Logarithm of the total weight before.
@@ -122,7 +124,7 @@ impl Scratch {
             Proposal::Linearised { iterations, tail } => self.propose(model, sample, shared, items, iterations, tail),
         };
         self.apply_noise(sample);
-        self.sensed.predict(&model.robot, &model.channels, &self.after, &sample.dtheta);
+        self.evaluation.predict(&model.robot, &model.channels, &self.after, &sample.dtheta);
         change += self.weigh_and_learn(sample);
         change + self.within_limits(sample)
     }
@@ -160,6 +162,9 @@ impl Scratch {
             self.before[j] += dq * dt + ddq * half + half * dt / 3.0 * u;
             self.before[n + j] += ddq * dt + half * u;
             self.before[2 * n + j] = ddq + dt * u;
+        }
+        for &(bias, decay) in &sample.decays {
+            self.before[bias] = self.before[bias] * decay;
         }
     }
 
@@ -297,7 +302,7 @@ impl Scratch {
     fn weigh_and_learn(&mut self, sample: &Sample) -> Wide {
         let mut change = Wide::default();
         for reading in &sample.readings {
-            let error = reading.error(&self.after, &self.sensed.prediction);
+            let error = reading.error(&self.after, &self.evaluation.prediction);
             change += reading.noise.log_density(error);
             if let Some(bias) = reading.bias {
                 self.after[bias] += error * reading.gain;
@@ -329,13 +334,30 @@ fn square(x: &[Wide]) -> Wide {
 }
 
 /// Standard normal numbers, two a draw.
-#[inline(always)]
 pub(super) fn draw(stream: &Stream, items: [u32; WIDE], from: u32, out: &mut [Wide]) {
-    for (k, pair) in out.chunks_mut(2).enumerate() {
-        let [first, second] = stream.normals(items, from + k as u32);
-        pair[0] = first;
-        if let [_, last] = pair {
-            *last = second;
+    simd::phase(Draw { stream, items, from, out });
+}
+
+struct Draw<'a> {
+    stream: &'a Stream,
+    items: [u32; WIDE],
+    from: u32,
+    out: &'a mut [Wide],
+}
+
+impl Kernel for Draw<'_> {
+    type Output = ();
+    const LANES: bool = true;
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { stream, items, from, out } = self;
+        for (k, pair) in out.chunks_mut(2).enumerate() {
+            let [first, second] = stream.normals(items, from + k as u32);
+            pair[0] = first;
+            if let [_, last] = pair {
+                *last = second;
+            }
         }
     }
 }

@@ -3,9 +3,9 @@
 use super::cloud::{BLOCK, Cloud, Row};
 use super::filter::ParticleFilter;
 use super::moves::Spread;
-use super::random::{Purpose, Stream};
 use super::resample;
 use super::sums::{Gather, Level};
+use crate::random::{Purpose, Stream};
 use crate::scalar::ln;
 use crate::simd;
 use rayon::prelude::*;

@@ -1,7 +1,7 @@
 //! Which particles go on: N ancestors in proportion to weights, each method unbiased in the number of copies.
 
-use super::random::Stream;
 use super::settings::Resampling;
+use crate::random::Stream;
 use crate::scalar::ln;
 
 /// Writes an ancestor for each of `ancestors`, in order; `weights` gives the weights, which sum to one.
@@ -104,8 +104,8 @@ fn walk(
 
 #[cfg(test)]
 mod tests {
-    use super::super::random::Purpose;
     use super::*;
+    use crate::random::Purpose;
 
     const METHODS: [Resampling; 4] =
         [Resampling::Systematic, Resampling::Stratified, Resampling::Residual, Resampling::Multinomial];

@@ -1,6 +1,7 @@
 //! How a particle filter goes about it.
 
 use super::density::Density;
+use crate::check::{expect, expect_length};
 use crate::error::DesignError;
 use crate::estimate::kalman::JerkModel;
 use crate::estimate::measurement::Channel;
@@ -90,42 +91,36 @@ impl ParticleSettings {
     /// # Errors
     /// A setting out of its range, or of a length that does not fit `model`.
     pub(super) fn check(&self, model: &JerkModel, marginalised: Marginalised) -> Result<(), DesignError> {
-        let range = |ok: bool, what, value, expected| {
-            if ok { Ok(()) } else { Err(DesignError::Range { what, value, expected }) }
-        };
-        let length = |what, found, expected| {
-            if found == expected { Ok(()) } else { Err(DesignError::Length { what, found, expected }) }
-        };
         let unused = !model.channels.contains(&Channel::MotorVelocity(0));
-        range(unused, "motor_velocities", 1.0, "0: a particle filter does not measure with them")?;
+        expect(unused, "motor_velocities", 1.0, "0: a particle filter does not measure with them")?;
         let count = self.particles as f64;
-        range((1..=MOST_PARTICLES).contains(&self.particles), "particles", count, "1 to 4194304")?;
-        range((0.0..=1.0).contains(&self.threshold), "threshold", self.threshold, "a share of 0 to 1")?;
+        expect((1..=MOST_PARTICLES).contains(&self.particles), "particles", count, "1 to 4194304")?;
+        expect((0.0..=1.0).contains(&self.threshold), "threshold", self.threshold, "a share of 0 to 1")?;
         if let Some(h) = self.kernel {
-            range(h > 0.0 && h <= 1.0, "kernel", h, "a width above 0 and up to 1")?;
+            expect(h > 0.0 && h <= 1.0, "kernel", h, "a width above 0 and up to 1")?;
         }
         if let Proposal::Linearised { iterations, tail } = self.proposal {
-            range(iterations > 0, "iterations", 0.0, "at least 1")?;
+            expect(iterations > 0, "iterations", 0.0, "at least 1")?;
             let dof = tail.unwrap_or(2);
-            range(dof >= 2 && dof % 2 == 0, "proposal_tail", f64::from(dof), "an even number of at least 2")?;
+            expect(dof >= 2 && dof % 2 == 0, "proposal_tail", f64::from(dof), "an even number of at least 2")?;
         }
-        length("densities", self.densities.len(), model.channels())?;
+        expect_length("densities", self.densities.len(), model.channels())?;
         for density in &self.densities {
             density.check()?;
             let fits = density.is_normal() || marginalised == Marginalised::Nothing;
-            range(fits, "outliers", 1.0, "normal noise where biases are marginalised")?;
+            expect(fits, "outliers", 1.0, "normal noise where biases are marginalised")?;
         }
-        length("limits", self.limits.len(), model.joints())?;
+        expect_length("limits", self.limits.len(), model.joints())?;
         for &(low, high) in &self.limits {
-            range(low < high, "limits", low, "a lower limit below the upper one")?;
+            expect(low < high, "limits", low, "a lower limit below the upper one")?;
         }
         let rows = self.initial.len().div_ceil(model.joints());
-        length("initial", self.initial.len(), rows * model.joints())?;
+        expect_length("initial", self.initial.len(), rows * model.joints())?;
         if let Some(&q) = self.initial.iter().find(|q| !q.is_finite()) {
-            range(false, "initial", q, "finite positions")?;
+            expect(false, "initial", q, "finite positions")?;
         }
         for &share in &self.quantiles {
-            range(share > 0.0 && share < 1.0, "quantiles", share, "shares between 0 and 1")?;
+            expect(share > 0.0 && share < 1.0, "quantiles", share, "shares between 0 and 1")?;
         }
         Ok(())
     }

@@ -95,7 +95,7 @@ impl Back {
         model.predict(&mut self.predicted, noise, dt, jerk);
         self.noise.covariance.data.fill(0.0);
         model.predict(&mut self.noise, noise, dt, jerk);
-        self.look_back(model, dt);
+        self.look_back(model, noise, dt);
         self.set_parts();
         let Self { filtered, predicted, smoothed, gain, parts, column, .. } = self;
         let d = column.len();
@@ -113,7 +113,7 @@ impl Back {
     }
 
     /// G and 1 − G F, by the adjoint of the motion alone.
-    fn look_back(&mut self, model: &JerkModel, dt: f64) {
+    fn look_back(&mut self, model: &JerkModel, noise: &Noise, dt: f64) {
         let Self { filtered, predicted, factor, products, gain, left, column, unused, .. } = self;
         let d = column.len();
         pack(&[&predicted.covariance], products);
@@ -122,14 +122,14 @@ impl Back {
             column.fill(0.0);
             column[k] = 1.0;
             factor.solve(column);
-            model.retreat(column, unused, dt); // a column of Fᵀ P₋⁻¹
+            model.retreat(column, unused, noise, dt); // a column of Fᵀ P₋⁻¹
             for r in 0..d {
                 gain[r * d + k] = sum(&filtered.covariance.row(r)[..d], column);
             }
         }
         for r in 0..d {
             column.copy_from_slice(&gain[r * d..][..d]);
-            model.retreat(column, unused, dt);
+            model.retreat(column, unused, noise, dt);
             for (c, (left, moved)) in left[r * d..][..d].iter_mut().zip(column.iter()).enumerate() {
                 *left = f64::from(u8::from(r == c)) - moved;
             }

@@ -2,9 +2,9 @@
 
 use super::cloud::{Cloud, Wide};
 use super::proposal::{Sample, draw};
-use super::random::{Purpose, Stream};
 use crate::estimate::kalman::{Gaussian, Linearised};
 use crate::linear;
+use crate::random::{Purpose, Stream};
 use crate::scalar::{Lanes, Scalar, ln};
 
 /// Where the first particles come from: N(mode, (Λ⁻¹)) in units of the first belief's standard deviations.

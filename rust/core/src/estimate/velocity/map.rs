@@ -1,6 +1,6 @@
 //! Gains that depend on the posture.
 
-use super::settings::expect;
+use crate::check::{expect, expect_length};
 use crate::error::DesignError;
 use crate::linear::{add_scaled, dot};
 use crate::scalar::Scalar;
@@ -32,9 +32,7 @@ impl GainMap {
             ("the cosine part of a gain map", &self.cosine, waves),
         ];
         for (what, values, expected) in parts {
-            if values.len() != expected {
-                return Err(DesignError::Length { what, found: values.len(), expected });
-            }
+            expect_length(what, values.len(), expected)?;
             for &value in values {
                 expect(value.is_finite(), what, value, "a finite number")?;
             }

@@ -5,10 +5,12 @@ use super::map::Mapped;
 use super::rigid::RigidDynamics;
 use super::schedule::Logic;
 use super::settings::{Gains, Settings};
+use crate::check::expect_length;
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
 use crate::linear::add_scaled;
 use crate::robot::Robot;
+use crate::scalar::exp_m1;
 use crate::simd::{self, Kernel};
 use std::sync::Arc;
 
@@ -102,9 +104,7 @@ impl VelocityObserver {
     pub fn start(&mut self, dq: &[f64], lag: &[f64]) -> Result<(), DesignError> {
         let expected = self.joints();
         for (what, given) in [("dq", dq), ("lag", lag)] {
-            if given.len() != expected {
-                return Err(DesignError::Length { what, found: given.len(), expected });
-            }
+            expect_length(what, given.len(), expected)?;
         }
         self.velocity.copy_from_slice(dq);
         self.lag.copy_from_slice(lag);
@@ -248,7 +248,7 @@ impl VelocityObserver {
     fn weigh(&mut self) {
         let period = self.settings.period;
         for (weight, gain) in self.weights.iter_mut().zip(&self.gains) {
-            *weight = -(-gain * period).exp_m1() / period;
+            *weight = -exp_m1(-gain * period) / period;
         }
     }
 
@@ -328,6 +328,6 @@ impl Kernel for Step<'_> {
 
 /// Largest λ(M⁻¹K_P) at which the error is stable, sampled with a gain of `gain` [1/s²]: Jury's condition on its two equations.
 fn stiffest_stable(gain: f64, period: f64) -> f64 {
-    let taken = -(-gain * period).exp_m1();
+    let taken = -exp_m1(-gain * period);
     gain / (period * taken) * (4.0 - 2.0 * taken) / (1.0 - taken / 3.0)
 }

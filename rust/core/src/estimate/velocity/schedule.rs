@@ -1,6 +1,6 @@
 //! The gain that jumps with the estimated speed.
 
-use super::settings::expect;
+use crate::check::expect;
 use crate::error::DesignError;
 
 /// When the gain jumps.

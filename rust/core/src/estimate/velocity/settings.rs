@@ -2,6 +2,7 @@
 
 use super::map::GainMap;
 use super::schedule::Schedule;
+use crate::check::{expect, expect_length};
 use crate::error::DesignError;
 
 /// The largest product of a gain and the sampling period: of an error e⁻² is left after one sample.
@@ -42,7 +43,7 @@ impl Settings {
     pub(super) fn check(&self, n: usize) -> Result<(), DesignError> {
         expect(self.period.is_finite() && self.period > 0.0, "the sampling period", self.period, "a positive number")?;
         for (what, values) in [("spring", &self.spring), ("wrap", &self.wrap)] {
-            expect_length(what, values, n)?;
+            expect_length(what, values.len(), n)?;
         }
         for &value in &self.spring {
             expect(value >= 0.0 && value.is_finite(), "a position gain", value, "at least 0")?;
@@ -52,7 +53,7 @@ impl Settings {
         }
         match &self.gains {
             Gains::Constant(gains) => {
-                expect_length("gains", gains, n)?;
+                expect_length("gains", gains.len(), n)?;
                 gains.iter().try_for_each(|&gain| self.check_gain(gain))
             }
             Gains::Scheduled(schedule) => {
@@ -76,16 +77,4 @@ impl Settings {
             limit => Err(DesignError::FastGain { gain, period: self.period, limit }),
         }
     }
-}
-
-fn expect_length(what: &'static str, values: &[f64], expected: usize) -> Result<(), DesignError> {
-    match values.len() {
-        found if found == expected => Ok(()),
-        found => Err(DesignError::Length { what, found, expected }),
-    }
-}
-
-/// Refuses `value` unless `ok`.
-pub(super) fn expect(ok: bool, what: &'static str, value: f64, expected: &'static str) -> Result<(), DesignError> {
-    if ok { Ok(()) } else { Err(DesignError::Range { what, value, expected }) }
 }

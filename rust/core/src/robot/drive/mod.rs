@@ -6,9 +6,10 @@ mod soft_windup;
 pub use motor_friction::MotorFriction;
 pub use soft_windup::SoftWindup;
 
-use super::expect;
+use crate::check::expect_of;
 use crate::error::RobotError;
 use crate::scalar::Scalar;
+use crate::simd::{self, Kernel};
 
 /// A joint's drive, reflected through the gear to the link side.
 #[derive(Clone, Debug, PartialEq)]
@@ -53,19 +54,19 @@ impl Drive {
         ];
         let friction = self.link_friction.iter().map(|&g| ("link friction", g));
         for (what, value) in finite.into_iter().chain(friction) {
-            expect(value.is_finite(), what, owner, value, "a finite number")?;
+            expect_of(value.is_finite(), what, owner, value, "a finite number")?;
         }
         let fades = stribeck == 0.0 || stribeck_velocity > 0.0;
-        expect(fades, "Stribeck velocity", owner, stribeck_velocity, "greater than 0")?;
+        expect_of(fades, "Stribeck velocity", owner, stribeck_velocity, "greater than 0")?;
         if self.elastic {
-            expect(self.stiffness > 0.0, "stiffness", owner, self.stiffness, "greater than 0")?;
-            expect(self.motor_inertia > 0.0, "motor inertia", owner, self.motor_inertia, "greater than 0")?;
-            expect(self.damping >= 0.0, "damping", owner, self.damping, "at least 0")?;
+            expect_of(self.stiffness > 0.0, "stiffness", owner, self.stiffness, "greater than 0")?;
+            expect_of(self.motor_inertia > 0.0, "motor inertia", owner, self.motor_inertia, "greater than 0")?;
+            expect_of(self.damping >= 0.0, "damping", owner, self.damping, "at least 0")?;
             let (cubic, rising) = (self.cubic_stiffness, "greater than 0: the spring's torque must rise with torsion");
-            expect(cubic >= 0.0, "cubic stiffness", owner, cubic, "at least 0")?;
-            expect(shape >= 0.0, "soft wind-up's shape", owner, shape, "at least 0")?;
+            expect_of(cubic >= 0.0, "cubic stiffness", owner, cubic, "at least 0")?;
+            expect_of(shape >= 0.0, "soft wind-up's shape", owner, shape, "at least 0")?;
             let least = self.soft_windup.least_slope(self.stiffness, cubic);
-            expect(least > 0.0, "least tangent stiffness", owner, least, rising)?;
+            expect_of(least > 0.0, "least tangent stiffness", owner, least, rising)?;
         }
         Ok(())
     }
@@ -105,9 +106,7 @@ impl Drive {
         if self.is_linear() {
             return torque * (1.0 / self.stiffness);
         }
-        // One more step of Newton's method from the solution gives a derivative number its slope.
-        let solution = torque.map(|t| self.solve(t));
-        solution + (torque - self.spring_torque(solution)) / self.tangent_stiffness(solution)
+        simd::phase(Torsion { drive: self, torque })
     }
 
     /// Whether the spring's torque is K δ.
@@ -133,14 +132,11 @@ impl Drive {
     /// γ₁(tanh γ₂v − tanh γ₃v) + γ₄ tanh γ₅v + γ₆v (Ulrich and Sasiadek 2011, eq. (14)).
     #[inline(always)]
     pub fn link_friction<T: Scalar>(&self, v: T) -> (T, T) {
-        let [g1, g2, g3, g4, g5, g6] = self.link_friction;
+        let [g1, .., g4, _, g6] = self.link_friction;
         if g1 == 0.0 && g4 == 0.0 {
             return (v * g6, T::constant(g6));
         }
-        let [a, b, c] = [g2, g3, g5].map(|g| (v * g).tanh());
-        let bell = |t: T| -(t * t) + 1.0;
-        let slope = (bell(a) * g2 - bell(b) * g3) * g1 + bell(c) * (g4 * g5) + g6;
-        ((a - b) * g1 + c * g4 + v * g6, slope)
+        simd::phase(LinkFriction { law: &self.link_friction, v })
     }
 
     /// Friction torque of the motor at speed `v` [rad/s], and its slope [N m, N m s/rad].
@@ -159,6 +155,45 @@ impl Drive {
     #[inline(always)]
     pub fn dry_friction<T: Scalar>(&self, v: T) -> T {
         self.motor_friction.dry(v).0
+    }
+}
+
+/// The torsion of a spring that is not linear; a function of its own, as many rows of sensors ask for it.
+struct Torsion<'a, T> {
+    drive: &'a Drive,
+    torque: T,
+}
+
+impl<T: Scalar> Kernel for Torsion<'_, T> {
+    type Output = T;
+    const LANES: bool = T::LANES;
+
+    #[inline(always)]
+    fn run(self) -> T {
+        let Self { drive, torque } = self;
+        // One more step of Newton's method from the solution gives a derivative number its slope.
+        let solution = torque.map(|t| drive.solve(t));
+        solution + (torque - drive.spring_torque(solution)) / drive.tangent_stiffness(solution)
+    }
+}
+
+/// Friction of a link that is not viscous alone, likewise.
+struct LinkFriction<'a, T> {
+    law: &'a [f64; 6],
+    v: T,
+}
+
+impl<T: Scalar> Kernel for LinkFriction<'_, T> {
+    type Output = (T, T);
+    const LANES: bool = T::LANES;
+
+    #[inline(always)]
+    fn run(self) -> (T, T) {
+        let Self { law: &[g1, g2, g3, g4, g5, g6], v } = self;
+        let [a, b, c] = [g2, g3, g5].map(|g| (v * g).tanh());
+        let bell = |t: T| -(t * t) + 1.0;
+        let slope = (bell(a) * g2 - bell(b) * g3) * g1 + bell(c) * (g4 * g5) + g6;
+        ((a - b) * g1 + c * g4 + v * g6, slope)
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::super::motion::JointNoise;
 use super::*;
+use crate::estimate::bias::BiasStep;
 use crate::estimate::jerk_noise;
 use nalgebra::{DMatrix, DVector};
 use proptest::prelude::*;
@@ -13,6 +14,8 @@ const D: usize = 2 * N + L;
 const DT: f64 = 0.3;
 /// Which bias adds to each reading.
 const BIASES: [Option<usize>; 3] = [Some(2), None, Some(3)];
+/// What is left of each bias after the step.
+const DECAYS: [f64; L - N] = [0.6, 1.0];
 const VARIANCE: f64 = 0.2;
 
 #[derive(Debug)]
@@ -46,7 +49,8 @@ impl Case {
     fn motion(&self) -> Motion {
         let walks = |j: usize| [self.walks[j].powi(2), self.walks[N + j].powi(2)];
         let joints = (0..N).map(|j| JointNoise::new(self.jerk[j], walks(j), DT)).collect();
-        Motion { dt: DT, joints, gained: self.gained.to_vec() }
+        let step = |(&variance, decay)| BiasStep { decay, variance };
+        Motion { dt: DT, joints, biases: self.gained.iter().zip(DECAYS).map(step).collect() }
     }
 
     fn conditional(&self) -> Conditional<f64> {
@@ -60,6 +64,9 @@ impl Case {
     fn joint(&self) -> DMatrix<f64> {
         let mut map = DMatrix::zeros(D, L);
         map.view_mut((2 * N, 0), (L, L)).fill_with_identity();
+        for (i, decay) in DECAYS.into_iter().enumerate() {
+            map[(3 * N + i, N + i)] = decay;
+        }
         for j in 0..N {
             (map[(j, j)], map[(N + j, j)]) = (0.5 * DT * DT, DT);
         }

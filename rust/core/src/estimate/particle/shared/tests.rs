@@ -40,6 +40,7 @@ fn model() -> JerkDriven {
         torsion: 0.0,
         link_walk: vec![0.0; 2],
         bias_walk: vec![1e-6, 1e-3, 1e-3],
+        bias_time: vec![f64::INFINITY; 3],
         initial: vec![1e-4, 1e-3, 0.1],
         initial_bias: vec![1e-5, 0.1, 0.1],
     };

@@ -20,7 +20,7 @@ NEVER = 1e4
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class Observability:
     """How well link accelerations are seen in each of T postures.
 
     Attributes
@@ -35,7 +35,7 @@ class Sight:
     directions: FloatArray
 
     @classmethod
-    def of(cls, robot: Robot, q: FloatArray) -> Sight:
+    def of(cls, robot: Robot, q: FloatArray) -> Observability:
         """Look at postures q (T, n), all at once."""
         noise = np.array([sensor.noise_std for sensor in robot.accelerometers for _ in sensor.axes])
         matrix = robot.acceleration_map(q, np.zeros_like(q))[0][:, :, robot.elastic] / noise[:, None]
@@ -110,7 +110,7 @@ class Path:
     q : (T, n)
         Positions [rad, m].
     worst, joints : (T,) and (T, e)
-        As those of `Sight`.
+        As those of `Observability`.
     """
 
     source: str
@@ -142,7 +142,7 @@ def _reciprocal(values: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Findings:
+class CheckResult:
     """What a robot's accelerometers see of its elastic joints.
 
     Attributes
@@ -153,7 +153,7 @@ class Findings:
         The workspace: lowest and highest position of each joint [rad, m].
     home : (n,)
         The middle of the log, or of the workspace.
-    sight : Sight
+    observability : Observability
         Over the workspace.
     influence : (n,)
         How much each joint's position matters: its total-effect index on log10 of σ (Jansen 1999).
@@ -166,7 +166,7 @@ class Findings:
     robot: Robot
     limits: FloatArray
     home: FloatArray
-    sight: Sight
+    observability: Observability
     influence: FloatArray
     postures: tuple[Posture, ...]
     path: Path | None
@@ -179,7 +179,7 @@ class Findings:
     @property
     def observable(self) -> bool:
         """Whether every link acceleration is seen in some posture."""
-        return bool(np.isfinite(self.sight.worst).any())
+        return bool(np.isfinite(self.observability.worst).any())
 
     @property
     def singular(self) -> tuple[Posture, ...]:

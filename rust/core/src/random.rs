@@ -1,4 +1,4 @@
-//! Random numbers by counter: what a particle draws depends on its number, the step and the seed alone.
+//! Random numbers by counter: what a particle or a sensor draws depends on its number, the step and the seed alone.
 //!
 //! Philox 4×32-10 (Salmon, Moraes, Dror and Shaw 2011), so that neither threads nor the width of instructions enter.
 
@@ -11,31 +11,32 @@ const WORD: u64 = 0xFFFF_FFFF;
 
 /// What a number is drawn for; streams of different purposes never meet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Purpose {
+pub(crate) enum Purpose {
     Start,
     Motion,
     Tail,
     Ancestors,
     Move,
     Reseed,
+    Sensors,
 }
 
 /// The random numbers of one step and purpose.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Stream {
+pub(crate) struct Stream {
     seed: u64,
     step: u32,
     purpose: u32,
 }
 
 impl Stream {
-    pub(super) fn new(seed: u64, step: u32, purpose: Purpose) -> Self {
+    pub(crate) fn new(seed: u64, step: u32, purpose: Purpose) -> Self {
         Self { seed, step, purpose: purpose as u32 }
     }
 
     /// The `draw`-th two uniform numbers in (0, 1) of each of `items`.
     #[inline(always)]
-    pub(super) fn uniforms<const L: usize>(&self, items: [u32; L], draw: u32) -> [Lanes<L>; 2] {
+    pub(crate) fn uniforms<const L: usize>(&self, items: [u32; L], draw: u32) -> [Lanes<L>; 2] {
         let wide = |word: u32| [u64::from(word); L];
         let mut words = [items.map(u64::from), wide(draw), wide(self.step), wide(self.purpose)];
         philox(&mut words, self.seed);
@@ -44,15 +45,20 @@ impl Stream {
 
     /// The `draw`-th two standard normal numbers of each of `items` (Box and Muller 1958).
     #[inline(always)]
-    pub(super) fn normals<const L: usize>(&self, items: [u32; L], draw: u32) -> [Lanes<L>; 2] {
+    pub(crate) fn normals<const L: usize>(&self, items: [u32; L], draw: u32) -> [Lanes<L>; 2] {
         let [u, v] = self.uniforms(items, draw);
         let radius = (u.map(ln) * -2.0).sqrt();
         let (sin, cos) = (v * core::f64::consts::TAU).sin_cos();
         [radius * cos, radius * sin]
     }
 
+    /// One standard normal number.
+    pub(crate) fn normal(&self, item: u32) -> f64 {
+        self.normals([item], 0)[0].0[0]
+    }
+
     /// One uniform number in (0, 1).
-    pub(super) fn uniform(&self, item: u32) -> f64 {
+    pub(crate) fn uniform(&self, item: u32) -> f64 {
         self.uniforms([item], 0)[0].0[0]
     }
 }

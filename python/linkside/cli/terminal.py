@@ -1,13 +1,16 @@
-"""A bar while work goes on."""
+"""What the terminal shows: reports, and a bar while work goes on."""
 
 from __future__ import annotations
 
+import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from linkside.text import render
 
 DELAY = 2.0
 """Work that takes less than this needs no bar [s]."""
@@ -31,3 +34,8 @@ def bar(total: int | None) -> Iterator[Callable[[str, int], None]]:
         yield advance
     finally:
         progress.stop()
+
+
+def show(parts: Iterable[RenderableType]) -> None:
+    """Print on standard output; a pipe has no width, so tables are as wide as they need to be there."""
+    render(parts, Console(width=None if sys.stdout.isatty() else 160))

@@ -1,0 +1,94 @@
+"""What an estimator found wrong with a recording, and what is likely to be its cause."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+Told = tuple[int | None, int, int, float, float, str]
+"""A finding as the core has it: channel, first and last sample, size, deviations, kind."""
+
+DEVIATIONS = 6.5
+"""Quantile of the normal distribution that a test must exceed, as in the core."""
+
+CORRELATED = 4.0
+"""So many times fewer degrees of freedom than readings, as in the core."""
+
+CAUSES = {
+    "stuck": ("the sensor or its cable has failed", "the recorder repeated an old value"),
+    "saturated": ("the sensor's range is too small for this motion",),
+    "dead": ("the sensor is not connected",),
+    "wrap": ("the encoder wrapped and its turns were not counted",),
+    "flipped": ("the sign of this channel is turned in the log", "the sensor is mounted the other way round"),
+    "step": (
+        "the sensor was moved, or changed its zero or its scale",
+        "something pushed the robot, or it took up a load",
+        "robot.yaml is wrong about this sensor or its joint",
+    ),
+    "unknown": (
+        "the robot is not as robot.yaml says, by more than its tolerances",
+        "the noise of the readings is larger than robot.yaml says",
+        "the robot touched something",
+    ),
+}
+"""Likeliest causes of each kind, in order."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Readings that contradict the model.
+
+    Attributes
+    ----------
+    channel : str or None
+        The log's column that contradicts the model and all other columns; None where no single one does.
+    since, until : int
+        First and last sample that show it, counted from the recording's start.
+    size : float
+        How far off the readings were when it was found [the column's unit].
+    deviations : float
+        The same in standard deviations; repetitions of a value that is stuck.
+    kind : str
+        What the readings look like: one of `CAUSES`.
+    """
+
+    channel: str | None
+    since: int
+    until: int
+    size: float
+    deviations: float
+    kind: str
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Likeliest causes, in order."""
+        return CAUSES[self.kind]
+
+    def __str__(self) -> str:
+        """Give one line: what, since when, by how much, and why."""
+        where = f"rows {self.since} to {self.until}"
+        causes = "; or ".join(self.causes)
+        if self.channel is None:
+            return f"{where}: readings contradict the model. Likely: {causes}"
+        by = (
+            f"for {self.deviations:.0f} readings"
+            if self.kind in ("stuck", "saturated", "dead")
+            else (f"by {self.size:.3g}, {self.deviations:.3g} standard deviations")
+        )
+        word = "contradicts the other channels" if self.kind == "step" else f"looks {self.kind}"
+        return f"{where}: '{self.channel}' {word}, {by}. Likely: {causes}"
+
+
+def largest_nis(used: int) -> float:
+    """Bound of the sum of ``used`` normalised innovations squared: exceeded by chance once in 10¹⁰ recordings.
+
+    Four neighbours are taken to move together; Wilson and Hilferty (1931).
+    """
+    degrees = max(used / CORRELATED, 1.0)
+    cube = 1 - 2 / (9 * degrees) + DEVIATIONS * (2 / (9 * degrees)) ** 0.5
+    return float(CORRELATED * degrees * cube**3)
+
+
+def named(found: Iterable[Told], columns: tuple[str, ...]) -> tuple[Finding, ...]:
+    """Findings of the core with the names of the columns."""
+    return tuple(Finding(columns[one[0]] if columns and one[0] is not None else None, *one[1:]) for one in found)

@@ -1,0 +1,89 @@
+"""Numbers of robot.yaml that are known to a tolerance only: they count in standard deviations, unestimated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .robot import Robot
+
+Told = tuple[str, int, int, float]
+"""A parameter as the core has it: kind, joint or sensor, axis, standard deviation."""
+
+AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class Uncertain:
+    """A number that is not known exactly.
+
+    Attributes
+    ----------
+    name : str
+        Such as ``stiffness_a1``.
+    kind, index, axis
+        What it is of.
+    std : float
+        Its standard deviation: a share of the value, or in the unit of robot.yaml's ``tolerances``.
+    """
+
+    name: str
+    kind: str
+    index: int
+    axis: int
+    std: float
+
+    @property
+    def told(self) -> Told:
+        """For the core."""
+        return self.kind, self.index, self.axis, self.std
+
+
+def considered(robot: Robot, *, motors: bool = False) -> list[Uncertain]:
+    """Give the parameters whose tolerances count, in the order of the core; ``motors``: those of the motors as well.
+
+    Those that ``tolerances.calibrated`` names have the standard errors that a calibration found.
+    Stiffness, and damping and hardening where they are declared, of elastic joints; how much a joint that is taken as
+    rigid gives way; masses of links; friction of links; mounting of accelerometers.
+    """
+    found = [*_of_joints(robot), *_of_sensors(robot), *(_of_motors(robot) if motors else ())]
+    known = robot.config.tolerances.calibrated
+    return [replace(one, std=known.get(one.name, one.std)) for one in found]
+
+
+def _of_joints(robot: Robot) -> Iterator[Uncertain]:
+    wide = robot.config.tolerances
+    for j, drive in enumerate(robot.drives):
+        stds = {"mass": wide.mass_scale}
+        if drive.elastic:
+            stds["stiffness"] = wide.stiffness
+            stds["damping"] = wide.damping if drive.damping else 0.0
+            stds["cubic_stiffness"] = 0.5 * drive.cubic_stiffness
+        else:
+            stds["yielding"] = (2 * np.pi * wide.rigid_frequency) ** -2
+        stds["link_friction"] = wide.link_friction if any(drive.link_friction) else 0.0
+        for kind, std in stds.items():
+            if std:
+                name = "mass_scale" if kind == "mass" else kind
+                yield Uncertain(f"{name}_{drive.name}", kind, j, 0, float(std))
+
+
+def _of_sensors(robot: Robot) -> Iterator[Uncertain]:
+    wide = robot.config.tolerances
+    for s, sensor in enumerate(robot.accelerometers):
+        for kind in ("rotation", "translation", "scale"):
+            for axis in range(3):
+                if kind != "scale" or AXES[axis] in sensor.axes:
+                    yield Uncertain(f"{kind}_{sensor.name}_{AXES[axis]}", kind, s, axis, getattr(wide, kind))
+
+
+def _of_motors(robot: Robot) -> Iterator[Uncertain]:
+    wide = robot.config.tolerances
+    for j, drive in enumerate(robot.drives):
+        yield Uncertain(f"torque_constant_{drive.name}", "torque_constant", j, 0, wide.torque_constant)
+        if drive.motor_friction.viscous or drive.motor_friction.coulomb:
+            yield Uncertain(f"motor_friction_{drive.name}", "motor_friction", j, 0, wide.motor_friction)
+        if drive.elastic:
+            yield Uncertain(f"motor_inertia_{drive.name}", "motor_inertia", j, 0, wide.motor_inertia)

@@ -1,0 +1,68 @@
+//! Checks of lengths and ranges, once, at the boundary: below it kernels do not fail.
+
+use crate::error::{DesignError, RobotError};
+
+/// # Errors
+/// Another number of entries than `expected`.
+pub(crate) fn expect_length(what: &'static str, found: usize, expected: usize) -> Result<(), DesignError> {
+    if found == expected { Ok(()) } else { Err(DesignError::Length { what, found, expected }) }
+}
+
+/// Refuses `value` unless `ok`.
+pub(crate) fn expect(ok: bool, what: &'static str, value: f64, expected: &'static str) -> Result<(), DesignError> {
+    if ok { Ok(()) } else { Err(DesignError::Range { what, value, expected }) }
+}
+
+/// # Errors
+/// The first of `values` that is not `good`.
+pub(crate) fn expect_each(
+    what: &'static str,
+    values: &[f64],
+    good: impl Fn(f64) -> bool,
+    expected: &'static str,
+) -> Result<(), DesignError> {
+    values.iter().try_for_each(|&value| expect(good(value), what, value, expected))
+}
+
+/// # Errors
+/// A number that is not finite.
+pub(crate) fn expect_finite(what: &'static str, values: &[f64]) -> Result<(), DesignError> {
+    expect_each(what, values, f64::is_finite, "finite numbers")
+}
+
+/// # Errors
+/// Another number of standard deviations than `expected`, or one that is negative or not finite.
+pub(crate) fn check_deviations(what: &'static str, values: &[f64], expected: usize) -> Result<(), DesignError> {
+    expect_length(what, values.len(), expected)?;
+    expect_each(what, values, |v| v.is_finite() && v >= 0.0, "a standard deviation of at least 0")
+}
+
+/// # Errors
+/// Another number of times than `expected`, or one that is not greater than 0.
+pub(crate) fn check_times(values: &[f64], expected: usize) -> Result<(), DesignError> {
+    expect_length("bias_time", values.len(), expected)?;
+    expect_each("bias_time", values, |v| v > 0.0, "a time greater than 0")
+}
+
+/// # Errors
+/// A reading without noise.
+pub(crate) fn check_readings(values: &[f64]) -> Result<(), DesignError> {
+    expect_each("reading", values, |v| v != 0.0, "greater than 0")
+}
+
+/// # Errors
+/// Another number of parts of a robot than `expected`.
+pub(crate) fn expect_parts(what: &'static str, found: usize, expected: usize) -> Result<(), RobotError> {
+    if found == expected { Ok(()) } else { Err(RobotError::Length { what, found, expected }) }
+}
+
+/// Refuses a robot's `value` unless `ok`.
+pub(crate) fn expect_of(
+    ok: bool,
+    what: &'static str,
+    owner: impl FnOnce() -> String,
+    value: f64,
+    expected: &'static str,
+) -> Result<(), RobotError> {
+    if ok { Ok(()) } else { Err(RobotError::Range { what, owner: owner(), value, expected }) }
+}

@@ -1,0 +1,117 @@
+//! Parameters that count, on a smoother's way back.
+
+use super::consider::{Consider, spread_of};
+use super::gaussian::{Innovation, Symmetric};
+use super::model::Model;
+use crate::linear;
+
+/// Σ⁻ and s at each sample of a stretch.
+#[derive(Clone, Debug, Default)]
+pub(super) struct ConsiderHistory {
+    columns: Vec<f64>,
+    signatures: Vec<f64>,
+}
+
+impl ConsiderHistory {
+    pub(super) fn push_prediction(&mut self, consider: &Consider) {
+        self.columns.extend_from_slice(&consider.columns);
+    }
+
+    pub(super) fn push_update(&mut self, consider: &Consider) {
+        self.signatures.extend_from_slice(&consider.signatures);
+    }
+}
+
+/// How the adjoint state depends on the parameters: λ's own recursion, driven by s in place of the innovations.
+///
+/// The smoothed error's sensitivity is Σˢ = Σ⁻ + P⁻ ∂λ/∂p, since the smoothed state is x⁻ − P⁻λ.
+#[derive(Clone, Debug)]
+pub(super) struct ConsiderBack {
+    stride: usize,
+    /// ∂λ/∂p, states × stride.
+    lambda: Vec<f64>,
+    /// Σˢ of some states.
+    columns: Vec<f64>,
+    /// E[p pᵀ] by the whole recording.
+    moment: Option<Symmetric>,
+    pull: Vec<f64>,
+    wide: Vec<f64>,
+    /// Σˢ E[p pᵀ] Σˢᵀ of the first states.
+    pub(super) total: Vec<f64>,
+}
+
+impl ConsiderBack {
+    pub(super) fn new(consider: &Consider, states: usize) -> Self {
+        let room = || vec![0.0; states * consider.stride];
+        Self {
+            stride: consider.stride,
+            lambda: room(),
+            columns: room(),
+            moment: None,
+            pull: vec![0.0; consider.stride],
+            wide: room(),
+            total: vec![0.0; states * states],
+        }
+    }
+
+    /// The next stretch is a recording's last.
+    pub(super) fn finish(&mut self) {
+        self.lambda.fill(0.0);
+        self.moment = None;
+    }
+
+    /// Takes what the filter knows of the parameters at the end of a stretch, unless a later stretch has said it.
+    pub(super) fn learn(&mut self, consider: &Consider) {
+        self.moment.get_or_insert_with(|| consider.moment().clone());
+    }
+
+    /// ∂λ/∂p from after sample `i`'s readings to before them: ← (1 − k h)ᵀ ∂λ/∂p − hᵀ s/S, the last reading first.
+    #[inline(always)]
+    pub(super) fn back(
+        &mut self,
+        history: &ConsiderHistory,
+        i: usize,
+        innovations: &[Innovation],
+        rows: &[f64],
+        gains: &[f64],
+    ) {
+        let (p, m) = (self.stride, innovations.len());
+        let width = rows.len() / m;
+        for a in (0..m).rev().filter(|&a| innovations[a].variance.is_finite()) {
+            let signature = &history.signatures[(i * m + a) * p..][..p];
+            for (pull, s) in self.pull.iter_mut().zip(signature) {
+                *pull = s / innovations[a].variance;
+            }
+            for (k, lambda) in gains[a * width..][..width].iter().zip(self.lambda.chunks_exact(p)) {
+                linear::add_scaled(&mut self.pull, *k, lambda);
+            }
+            for (h, lambda) in rows[a * width..][..width].iter().zip(self.lambda.chunks_exact_mut(p)) {
+                linear::add_scaled(lambda, -h, &self.pull);
+            }
+        }
+    }
+
+    /// The parameters' share of the smoothed covariance of the first `rows` states at sample `i`, `predicted` being
+    /// these rows of P⁻.
+    #[inline(always)]
+    pub(super) fn sum_up(&mut self, history: &ConsiderHistory, i: usize, predicted: &[f64], rows: usize) {
+        let (p, width, size) = (self.stride, predicted.len() / rows, self.lambda.len());
+        let states = size / p;
+        for r in 0..rows {
+            let own = &mut self.columns[r * p..][..p];
+            own.copy_from_slice(&history.columns[i * size + r * p..][..p]);
+            for (x, lambda) in predicted[r * width..][..states].iter().zip(self.lambda.chunks_exact(p)) {
+                linear::add_scaled(own, *x, lambda);
+            }
+        }
+        if let Some(moment) = &self.moment {
+            spread_of(&self.columns, moment, rows, &mut self.wide, &mut self.total);
+        }
+    }
+
+    /// The adjoint of a step of time.
+    #[inline(always)]
+    pub(super) fn retreat(&mut self, model: &mut impl Model, memory: &[f64], dt: f64) {
+        model.carry_back(memory, &mut self.lambda, self.stride, dt);
+    }
+}

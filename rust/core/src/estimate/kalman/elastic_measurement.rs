@@ -1,0 +1,134 @@
+//! The elastic-joint model's channels: motors are states, accelerations functions of the state and the torques.
+
+use super::model::{Linearised, Measurement, Report};
+use super::output::FilterOutput;
+use super::recording::{KalmanRecording, KalmanSample};
+use crate::dynamics::{ElasticDynamics, ElasticLayout};
+use crate::error::DesignError;
+use crate::estimate::measurement::{Chained, Channel, Elastic, Values, read_all};
+use crate::robot::Robot;
+use std::sync::Arc;
+
+/// See the module.
+#[derive(Clone, Debug)]
+pub struct ElasticMeasurement {
+    robot: Arc<Robot>,
+    layout: ElasticLayout,
+    dynamics: ElasticDynamics,
+    channels: Vec<Channel>,
+    biases: Vec<Option<usize>>,
+    /// One reading's standard deviation (channels).
+    reading: Vec<f64>,
+    prediction: Vec<f64>,
+    jacobian: Vec<f64>,
+    /// Motor torques at the sample.
+    tau: Vec<f64>,
+}
+
+impl ElasticMeasurement {
+    pub(super) fn new(
+        robot: Arc<Robot>,
+        layout: ElasticLayout,
+        channels: Vec<Channel>,
+        biases: Vec<Option<usize>>,
+        reading: Vec<f64>,
+    ) -> Self {
+        let m = channels.len();
+        Self {
+            dynamics: ElasticDynamics::new(&robot, &layout),
+            prediction: vec![0.0; m],
+            jacobian: vec![0.0; m * layout.dense],
+            tau: vec![0.0; robot.len()],
+            robot,
+            layout,
+            channels,
+            biases,
+            reading,
+        }
+    }
+}
+
+impl Measurement for ElasticMeasurement {
+    #[inline(always)]
+    fn dense(&self) -> usize {
+        self.layout.dense
+    }
+
+    #[inline(always)]
+    fn biases(&self) -> &[Option<usize>] {
+        &self.biases
+    }
+
+    fn channels(&self) -> &[Channel] {
+        &self.channels
+    }
+
+    fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError> {
+        recording.expect(self.channels.len(), self.robot.len(), &[("tau", recording.inputs.tau)])
+    }
+
+    #[inline(always)]
+    fn take(&mut self, sample: &KalmanSample<'_>, _: bool) {
+        for (held, &read) in self.tau.iter_mut().zip(sample.inputs.tau).filter(|(_, read)| !read.is_nan()) {
+            *held = read;
+        }
+    }
+
+    #[inline(always)]
+    fn evaluate(&mut self, state: &[f64]) -> &[f64] {
+        let Self { robot, layout, dynamics, channels, tau, prediction, .. } = self;
+        let n = robot.len();
+        dynamics.accelerate(robot, layout, state, tau);
+        dynamics.kinematics.set_motion(&robot.tree, &state[..n], &state[n..2 * n], &dynamics.ddq);
+        read_all(robot, channels, &Elastic { layout, dynamics, state }, &mut Values(prediction));
+        &self.prediction
+    }
+
+    #[inline(always)]
+    fn linearise(&mut self, reference: &[f64]) {
+        let Self { robot, layout, dynamics, channels, tau, prediction, jacobian, .. } = self;
+        dynamics.accelerate(robot, layout, reference, tau);
+        dynamics.differentiate(robot, layout, reference);
+        jacobian.fill(0.0);
+        let view = Elastic { layout, dynamics, state: reference };
+        let (joints, dense, ddq_by) = (robot.len(), layout.dense, &dynamics.ddq_by);
+        read_all(robot, channels, &view, &mut Chained { prediction, rows: jacobian, joints, dense, ddq_by });
+    }
+
+    #[inline(always)]
+    fn linearised(&self) -> Linearised<'_> {
+        Linearised { prediction: &self.prediction, jacobian: &self.jacobian }
+    }
+
+    #[inline(always)]
+    fn variance(&self, channel: usize) -> f64 {
+        self.reading[channel] * self.reading[channel]
+    }
+}
+
+impl Report for ElasticMeasurement {
+    fn memory(&self) -> usize {
+        self.robot.len()
+    }
+
+    /// The torques at this sample.
+    #[inline(always)]
+    fn remember(&self, memory: &mut Vec<f64>) {
+        memory.extend_from_slice(&self.tau);
+    }
+
+    #[inline(always)]
+    fn report(&mut self, memory: &[f64], state: &[f64], i: usize, out: &mut FilterOutput) {
+        let Self { robot, layout, dynamics, .. } = self;
+        let n = robot.len();
+        dynamics.accelerate(robot, layout, &state[..layout.dense], memory);
+        let row = i * n..(i + 1) * n;
+        out.q[row.clone()].copy_from_slice(&state[..n]);
+        out.dq[row.clone()].copy_from_slice(&state[n..2 * n]);
+        out.ddq[row].copy_from_slice(&dynamics.ddq);
+        for j in 0..n {
+            out.theta[i * n + j] = state[layout.theta[j]];
+            out.dtheta[i * n + j] = state[layout.dtheta[j]];
+        }
+    }
+}

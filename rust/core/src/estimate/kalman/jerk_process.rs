@@ -1,0 +1,87 @@
+//! The process of the acceleration-driven model: links moved by commanded and random jerk, biases that wander.
+
+use super::gaussian::{Gaussian, Symmetric};
+use super::jerk::{JerkModel, Noise};
+use super::model::Process;
+use super::recording::{KalmanRecording, KalmanSample};
+use crate::error::DesignError;
+use crate::estimate::observer::link_position_at_rest;
+use crate::robot::Robot;
+
+/// See the module.
+#[derive(Clone, Debug)]
+pub struct JerkProcess {
+    pub(crate) model: JerkModel,
+    pub(crate) noise: Noise,
+}
+
+impl Process for JerkProcess {
+    fn robot(&self) -> &Robot {
+        &self.model.robot
+    }
+
+    #[inline(always)]
+    fn states(&self) -> usize {
+        self.model.states()
+    }
+
+    fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError> {
+        recording.expect(self.model.channels(), self.model.joints(), &[("jerk", recording.inputs.jerk)])
+    }
+
+    fn start(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) -> Result<(), DesignError> {
+        let theta = &sample.readings[..self.model.joints()];
+        if let Some(joint) = theta.iter().position(|x| x.is_nan()) {
+            return Err(DesignError::NoStart { joint });
+        }
+        let q = link_position_at_rest(&self.model.robot, theta)?;
+        *belief = self.model.initial(&q, &self.noise);
+        Ok(())
+    }
+
+    #[inline(always)]
+    fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
+        self.model.predict(belief, &self.noise, sample.dt, sample.inputs.jerk);
+    }
+
+    #[inline(always)]
+    fn carry(&mut self, columns: &mut [f64], stride: usize, dt: f64) {
+        let size = self.model.joints() * stride;
+        let (q, rest) = columns.split_at_mut(size);
+        let (dq, ddq) = rest.split_at_mut(size);
+        for i in 0..size {
+            q[i] += dt * dq[i] + 0.5 * dt * dt * ddq[i];
+            dq[i] += dt * ddq[i];
+        }
+        self.model.drift(&self.noise).carry(columns, stride, dt);
+    }
+
+    #[inline(always)]
+    fn carry_back(&mut self, _: &[f64], columns: &mut [f64], stride: usize, dt: f64) {
+        let size = self.model.joints() * stride;
+        let (q, rest) = columns.split_at_mut(size);
+        let (dq, ddq) = rest.split_at_mut(size);
+        for i in 0..size {
+            ddq[i] += dt * dq[i] + 0.5 * dt * dt * q[i];
+            dq[i] += dt * q[i];
+        }
+        self.model.drift(&self.noise).carry(columns, stride, dt);
+    }
+
+    fn memory(&self) -> usize {
+        0
+    }
+
+    #[inline(always)]
+    fn remember(&self, _: &mut Vec<f64>) {}
+
+    #[inline(always)]
+    fn noise_rows(&mut self, _: &[f64], dt: f64, rows: &mut [f64], stride: usize) {
+        self.model.noise_rows(rows, stride, &self.noise, dt);
+    }
+
+    #[inline(always)]
+    fn retreat(&mut self, _: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric) {
+        self.model.retreat(lambda, big, &self.noise, dt);
+    }
+}

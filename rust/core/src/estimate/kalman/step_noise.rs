@@ -1,0 +1,142 @@
+//! What white noise that acts all the time adds to the elastic-joint model's covariance over a step.
+
+use super::gaussian::Symmetric;
+use crate::linear;
+
+/// Gauss and Legendre's nodes and weights on (0, 1): exact for the seventh power, the link's own from a motor's noise.
+const NODES: [(f64, f64); 4] = [
+    (0.069_431_844_202_973_71, 0.173_927_422_568_726_93),
+    (0.330_009_478_207_571_87, 0.326_072_577_431_273_07),
+    (0.669_990_521_792_428_1, 0.326_072_577_431_273_07),
+    (0.930_568_155_797_026_3, 0.173_927_422_568_726_93),
+];
+
+/// Q = ∫ e^(As) L Lᵀ e^(As)ᵀ ds over a step, and Ψ = ∫ e^(As) ds b for torques b that are constant over it.
+///
+/// Over a substep by a quadrature, whose factor is positive by construction, then by doubling: Q ← Q + Φ Q Φᵀ. (One
+/// exponential of twice the size, Van Loan 1978, holds −A and breaks down where damping is stiff.)
+#[derive(Clone, Debug)]
+pub(super) struct StepNoise {
+    /// States that noise drives, and its density.
+    sources: Vec<(usize, f64)>,
+    /// Q.
+    covariance: Symmetric,
+    /// One row for each node and source, of the quadrature's factor.
+    rows: Vec<f64>,
+    halves: Vec<f64>,
+    /// ∫ e^(As) ds over the substep.
+    integral: Vec<f64>,
+    /// Ψ, one row a torque.
+    torques: Vec<f64>,
+    before: Vec<f64>,
+}
+
+impl StepNoise {
+    /// For `dense` states that noise drives at `sources` with these densities, and `torques`.
+    pub(super) fn new(dense: usize, sources: Vec<(usize, f64)>, torques: usize) -> Self {
+        let covariance = Symmetric::zeros(dense);
+        let stride = covariance.stride;
+        Self {
+            rows: vec![0.0; NODES.len() * sources.len() * stride],
+            halves: vec![0.0; NODES.len() * sources.len() * stride],
+            integral: vec![0.0; dense * stride],
+            torques: vec![0.0; torques * stride],
+            before: vec![0.0; stride],
+            sources,
+            covariance,
+        }
+    }
+
+    /// From now on noise drives `state` with this density.
+    #[inline(always)]
+    pub(super) fn set_density(&mut self, state: usize, density: f64) {
+        for source in self.sources.iter_mut().filter(|(driven, _)| *driven == state) {
+            source.1 = density;
+        }
+    }
+
+    /// At the end of the step `state` is another one, independent of all, of this variance.
+    #[inline(always)]
+    pub(super) fn replace(&mut self, state: usize, variance: f64) {
+        for k in 0..self.covariance.n {
+            self.covariance.put(state, k, 0.0);
+        }
+        self.covariance.put(state, state, variance);
+    }
+
+    /// Before the first [`term`](Self::term).
+    #[inline(always)]
+    pub(super) fn clear(&mut self) {
+        self.rows.fill(0.0);
+        self.integral.fill(0.0);
+    }
+
+    /// Takes (A h)ᵏ/k! of the substep h.
+    #[inline(always)]
+    pub(super) fn term(&mut self, k: usize, term: &[f64]) {
+        let (d, stride) = (self.covariance.n, self.covariance.stride);
+        linear::add_scaled(&mut self.integral, 1.0 / (k + 1) as f64, term);
+        let powers = NODES.map(|(x, _)| x.powi(k as i32));
+        for (c, (state, density)) in self.sources.iter().enumerate() {
+            for (node, power) in powers.iter().enumerate() {
+                let row = &mut self.rows[(node * self.sources.len() + c) * stride..][..d];
+                for (i, out) in row.iter_mut().enumerate() {
+                    *out += density * power * term[i * stride + state];
+                }
+            }
+        }
+    }
+
+    /// After the last term: Q of the substep `h` [s], and Ψ of the rates b that `rate` writes for each torque.
+    #[inline(always)]
+    pub(super) fn substep(&mut self, h: f64, mut rate: impl FnMut(usize, &mut [f64])) {
+        let (d, stride, sources) = (self.covariance.n, self.covariance.stride, self.sources.len());
+        for (at, (row, half)) in self.rows.chunks_exact(stride).zip(self.halves.chunks_exact_mut(stride)).enumerate() {
+            let weight = -0.5 * h * NODES[at / sources].1;
+            for (half, x) in half.iter_mut().zip(row) {
+                *half = weight * x;
+            }
+        }
+        self.covariance.data.fill(0.0);
+        self.covariance.subtract_outer(&self.rows, &self.halves);
+        for (j, out) in self.torques.chunks_exact_mut(stride).enumerate() {
+            self.before.fill(0.0);
+            rate(j, &mut self.before[..d]);
+            for (i, row) in self.integral.chunks_exact(stride).enumerate() {
+                out[i] = h * linear::dot(row, &self.before);
+            }
+        }
+    }
+
+    /// From a substep to two of them, Φ being over the first and `turned` its transpose.
+    #[inline(always)]
+    pub(super) fn double(&mut self, phi: &[f64], turned: &[f64], product: &mut [f64], wide: &mut [f64]) {
+        let stride = self.covariance.stride;
+        linear::product(phi, stride, &self.covariance.data, stride, product);
+        linear::product(product, stride, turned, stride, wide);
+        linear::add_scaled(&mut self.covariance.data, 1.0, wide);
+        self.covariance.mirror();
+        for torque in self.torques.chunks_exact_mut(stride) {
+            self.before.copy_from_slice(torque);
+            for (i, row) in phi.chunks_exact(stride).enumerate() {
+                torque[i] += linear::dot(row, &self.before);
+            }
+        }
+    }
+
+    /// Q with torques of these `variances`.
+    #[inline(always)]
+    pub(super) fn add_torques(&mut self, variances: &[f64]) {
+        let Self { covariance, torques, .. } = self;
+        for (row, variance) in torques.chunks_exact(covariance.stride).zip(variances) {
+            for (i, x) in row.iter().enumerate().take(covariance.n) {
+                linear::add_scaled(&mut covariance.data[i * covariance.stride..], variance * x, row);
+            }
+        }
+    }
+
+    /// Q.
+    pub(super) fn covariance(&self) -> &Symmetric {
+        &self.covariance
+    }
+}

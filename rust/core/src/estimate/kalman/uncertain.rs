@@ -1,0 +1,210 @@
+//! Numbers of a robot that are known to a tolerance only, and what a unit error of each does to the readings.
+
+use crate::dynamics::Kinematics;
+use crate::estimate::measurement::{Channel, LinkMotion};
+use crate::robot::{Drive, Robot};
+use crate::scalar::Scalar;
+use crate::spatial::Vec3;
+
+/// A number of the robot that is not known exactly. Positive ones are told by their logarithm: 0.2 is 20 %.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Uncertain {
+    /// ln K of an elastic joint, the whole spring with it.
+    Stiffness(usize),
+    /// Hardening of an elastic joint's spring [N m/rad³].
+    CubicStiffness(usize),
+    /// ln D of an elastic joint.
+    Damping(usize),
+    /// How much a joint taken as rigid gives way after all: one is the spring on which its inertia turns at 1 rad/s [s²].
+    Yielding(usize),
+    /// Logarithm of mass and inertia of the link that a joint moves.
+    Mass(usize),
+    /// Logarithm of a link's friction.
+    LinkFriction(usize),
+    /// Logarithm of the torque constant of a joint's motor; not seen by the acceleration-driven model.
+    TorqueConstant(usize),
+    /// Logarithm of a motor's friction; likewise.
+    MotorFriction(usize),
+    /// ln B of a motor; likewise.
+    MotorInertia(usize),
+    /// Rotation of an accelerometer about one of its own axes [rad].
+    Rotation(usize, usize),
+    /// Displacement of an accelerometer along one of its own axes [m].
+    Translation(usize, usize),
+    /// Logarithm of an accelerometer's scale, of one axis.
+    Scale(usize, usize),
+}
+
+/// A number of the robot and its standard deviation, in the number's own measure.
+#[derive(Clone, Copy, Debug)]
+pub struct Tolerance {
+    /// Which.
+    pub parameter: Uncertain,
+    /// Its standard deviation.
+    pub std: f64,
+}
+
+impl<T: Scalar> LinkMotion<T> {
+    /// N = ∂h/∂p at the state that was last evaluated, into `out` (channels × `stride`, one column a parameter).
+    ///
+    /// With δ the torsion and φ′ the tangent stiffness, of a motor position: −φ/φ′ for ln K, −D(θ̇ − q̇)/φ′ for ln D and
+    /// Yᵢπᵢ/φ′ for the mass of link i; of an accelerometer that reads y: [y]× for its rotation and [ω̇]× + [ω]×² for
+    /// its displacement, in its own axes.
+    #[inline(always)]
+    pub(crate) fn signatures(
+        &mut self,
+        robot: &Robot,
+        channels: &[Channel],
+        tolerances: &[Tolerance],
+        dq: &[T],
+        dtheta: &[f64],
+        stride: usize,
+        out: &mut [T],
+    ) {
+        out.fill(T::default());
+        for (column, tolerance) in tolerances.iter().enumerate() {
+            let mut put = |row: usize, value: T| out[row * stride + column] = value;
+            match tolerance.parameter {
+                Uncertain::Mass(j) => self.mass_signature(robot, channels, j, dq, dtheta, put),
+                Uncertain::Rotation(s, axis) => {
+                    self.of_sensor(robot, channels, s, |row, own, y, _| put(row, y.cross(&unit(axis)).0[own]));
+                }
+                Uncertain::Translation(s, axis) => {
+                    self.of_sensor(robot, channels, s, |row, own, _, carry| put(row, carry(&unit(axis)).0[own]));
+                }
+                Uncertain::Scale(s, axis) => self.of_sensor(robot, channels, s, |row, own, y, _| {
+                    if own == axis {
+                        put(row, y.0[own]);
+                    }
+                }),
+                parameter => self.drive_signature(robot, channels, parameter, dq, dtheta, put),
+            }
+        }
+    }
+
+    /// Torque that joint `j`'s spring holds, and 1/φ′, at the state that was last evaluated.
+    #[inline(always)]
+    fn spring(&self, drive: &Drive, j: usize, dq: T, dtheta: f64) -> (T, T) {
+        let rate = if dtheta.is_nan() { T::default() } else { -dq + dtheta };
+        let torque = self.tau[j] + drive.link_friction(dq).0 - rate * drive.damping;
+        let torsion = drive.torsion(torque);
+        (torsion, T::constant(1.0) / drive.tangent_stiffness(torsion))
+    }
+
+    #[inline(always)]
+    fn drive_signature(
+        &self,
+        robot: &Robot,
+        channels: &[Channel],
+        parameter: Uncertain,
+        dq: &[T],
+        dtheta: &[f64],
+        mut put: impl FnMut(usize, T),
+    ) {
+        use Uncertain as U;
+        let n = robot.len();
+        let (U::Stiffness(j) | U::CubicStiffness(j) | U::Damping(j) | U::Yielding(j) | U::LinkFriction(j)) = parameter
+        else {
+            return;
+        };
+        let drive = &robot.drives[j];
+        let friction = drive.link_friction(dq[j]).0;
+        if let (Some(row), U::LinkFriction(_)) = (position(channels, Channel::Torque(j)), parameter) {
+            put(row, friction);
+        }
+        let Some(row) = position(channels, Channel::Motor(j)) else { return };
+        if !drive.elastic {
+            if parameter == U::Yielding(j) {
+                put(row, (self.tau[j] + friction) / self.mass[j * n + j]);
+            }
+            return;
+        }
+        let (torsion, compliance) = self.spring(drive, j, dq[j], dtheta[j]);
+        let rate = if dtheta[j].is_nan() { T::default() } else { -dq[j] + dtheta[j] };
+        match parameter {
+            U::Stiffness(_) => put(row, -compliance * drive.spring_torque(torsion)),
+            U::CubicStiffness(_) => put(row, -compliance * torsion * torsion * torsion),
+            U::Damping(_) => put(row, -compliance * rate * drive.damping),
+            U::LinkFriction(_) => put(row, compliance * friction),
+            _ => {}
+        }
+    }
+
+    /// A link's share of all joints' torques reaches the joints that carry it.
+    #[inline(always)]
+    fn mass_signature(
+        &self,
+        robot: &Robot,
+        channels: &[Channel],
+        link: usize,
+        dq: &[T],
+        dtheta: &[f64],
+        mut put: impl FnMut(usize, T),
+    ) {
+        let tree = &robot.tree;
+        let Some(body) = tree.bodies.iter().position(|b| b.joint == link) else { return };
+        let state = &self.kinematics.bodies[body];
+        let inertia = self.kinematics.inertia(tree, body);
+        let force = inertia.apply(&state.acceleration) + state.velocity.cross_force(&inertia.apply(&state.velocity));
+        for i in tree.path(body) {
+            let j = tree.bodies[i].joint;
+            let share = self.kinematics.bodies[i].axis.dot(&force);
+            let drive = &robot.drives[j];
+            if let Some(row) = position(channels, Channel::Torque(j)) {
+                put(row, share);
+            }
+            if let Some(row) = position(channels, Channel::Motor(j)).filter(|_| drive.elastic) {
+                put(row, self.spring(drive, j, dq[j], dtheta[j]).1 * share);
+            }
+        }
+    }
+
+    /// Hands over each row of accelerometer `s`: its row, its axis, the whole reading in the sensor's axes, and what a
+    /// displacement in these axes adds to it.
+    #[inline(always)]
+    fn of_sensor(
+        &self,
+        robot: &Robot,
+        channels: &[Channel],
+        s: usize,
+        mut each: impl FnMut(usize, usize, &Vec3<T>, &dyn Fn(&Vec3<T>) -> Vec3<T>),
+    ) {
+        let sensor = &robot.accelerometers[s];
+        let Some(first) =
+            channels.iter().position(|c| matches!(c, Channel::Acceleration { sensor, .. } if *sensor == s))
+        else {
+            return;
+        };
+        let (reading, carry) = seen(&self.kinematics, sensor);
+        for (r, &axis) in sensor.axes.iter().enumerate() {
+            each(first + r, axis, &reading, &carry);
+        }
+    }
+}
+
+/// An accelerometer's reading, and what a displacement in its own axes adds: ω̇ × r + ω × (ω × r).
+#[inline(always)]
+fn seen<'a, T: Scalar>(
+    kinematics: &'a Kinematics<T>,
+    sensor: &'a crate::robot::Sensor,
+) -> (Vec3<T>, impl Fn(&Vec3<T>) -> Vec3<T> + 'a) {
+    let placed = kinematics.place(&sensor.frame);
+    let body = &kinematics.bodies[placed.body];
+    let (rate, turning) = (
+        placed.axes.apply_transposed(&body.velocity.angular),
+        placed.axes.apply_transposed(&body.acceleration.angular),
+    );
+    let carry = move |r: &Vec3<T>| turning.cross(r) + rate.cross(&rate.cross(r));
+    (kinematics.specific_force_at(&placed), carry)
+}
+
+fn unit<T: Scalar>(axis: usize) -> Vec3<T> {
+    let mut out = Vec3::default();
+    out.0[axis] = T::constant(1.0);
+    out
+}
+
+#[inline(always)]
+fn position(channels: &[Channel], wanted: Channel) -> Option<usize> {
+    channels.iter().position(|c| *c == wanted)
+}

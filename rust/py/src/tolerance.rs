@@ -1,0 +1,33 @@
+//! Numbers of a robot that are known to a tolerance only.
+
+use linkside_core::estimate::kalman::{Tolerance, Uncertain};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+/// A parameter's kind, its joint or sensor, its axis, and its standard deviation.
+pub(crate) type Told = (String, usize, usize, f64);
+
+pub(crate) fn tolerances(told: &[Told]) -> PyResult<Vec<Tolerance>> {
+    told.iter()
+        .map(|(kind, i, axis, std)| Ok(Tolerance { parameter: uncertain(kind, *i, *axis)?, std: *std }))
+        .collect()
+}
+
+fn uncertain(kind: &str, i: usize, axis: usize) -> PyResult<Uncertain> {
+    use Uncertain as U;
+    Ok(match kind {
+        "stiffness" => U::Stiffness(i),
+        "cubic_stiffness" => U::CubicStiffness(i),
+        "damping" => U::Damping(i),
+        "yielding" => U::Yielding(i),
+        "mass" => U::Mass(i),
+        "link_friction" => U::LinkFriction(i),
+        "torque_constant" => U::TorqueConstant(i),
+        "motor_friction" => U::MotorFriction(i),
+        "motor_inertia" => U::MotorInertia(i),
+        "rotation" => U::Rotation(i, axis),
+        "translation" => U::Translation(i, axis),
+        "scale" => U::Scale(i, axis),
+        _ => return Err(PyValueError::new_err(format!("no parameter {kind:?}"))),
+    })
+}
