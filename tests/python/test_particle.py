@@ -307,7 +307,7 @@ def test_a_cloud_that_has_collapsed_is_flagged_or_spread_anew(method):
     robot, log = recording("arm2_square_mismatch")
     log = log[:1500]
     settings = {"particles": 20, "kernel": None}
-    kalman = ExtendedKalmanFilter(robot).run(log)
+    kalman = ExtendedKalmanFilter(robot, tolerances=False).run(log)
     alone = method(robot, collapse="flag", **settings).run(log)
     narrow = (alone.q_std < 0.02 * kalman.q_std).any(axis=1)
     assert narrow.any()
