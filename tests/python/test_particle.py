@@ -53,10 +53,14 @@ def recording(name="arm2_square"):
 
 
 def errors(method, count, seeds, run="run", noise=LINEAR, **settings):
-    """Deviations from the Kalman filter, in its standard deviations: of the mean, the deviation, the likelihood."""
+    """Deviations from the Kalman filter, in its standard deviations: of the mean, the deviation, the likelihood.
+
+    Of the cloud alone: nothing puts it back.
+    """
+    settings = {"collapse": "flag"} | settings
     robot, log = slide()
     reference = {"run": ExtendedKalmanFilter, "smooth": RauchTungStriebelSmoother}[run]
-    exact = reference(robot, noise).run(log, covariance=True)
+    exact = reference(robot, noise, tolerances=False).run(log, covariance=True)
     out = []
     for seed in range(seeds):
         filter_ = method(robot, noise, particles=count, seed=seed, **settings)
@@ -121,15 +125,21 @@ def tool_error(name, method=MarginalizedParticleFilter, **settings):
 
 
 def test_tool_error_on_recordings():
-    assert tool_error("arm2_square", seed=1) < 0.03
-    assert tool_error("arm2_square_mismatch", seed=1) < 1.0
+    for name in ("arm2_square", "arm2_square_mismatch"):
+        assert tool_error(name, seed=1) < 1.2 * kalman_error(name)
+
+
+def kalman_error(name):
+    robot, log = recording(name)
+    return ExtendedKalmanFilter(robot).run(log).error_against(DATA / name / "truth.parquet").tool_rms_centred
 
 
 @pytest.mark.slow
-def test_six_joints_do_not_diverge():
+@pytest.mark.parametrize("method", [ParticleFilter, MarginalizedParticleFilter])
+@pytest.mark.parametrize("name", ["arm2_square", "arm2_square_mismatch", "kr15_six_axes"])
+def test_never_worse_than_the_kalman_filter_by_more_than_a_fifth(name, method):
     for seed in range(20):
-        assert tool_error("kr15_six_axes", seed=seed) < 0.05
-        assert tool_error("kr15_six_axes", ParticleFilter, seed=seed, kernel=1.0) < 0.05
+        assert tool_error(name, method, seed=seed) < 1.2 * kalman_error(name), seed
 
 
 def spoiled(log, column=0, share=0.02, size=50, std=0.05):
@@ -162,7 +172,7 @@ def test_densities_are_scipys(outliers):
     acceleration = log.acceleration.copy()
     acceleration[5::7] += 9.0
     log = replace(log, acceleration=acceleration)
-    settings = {"particles": 1, "proposal": "bootstrap", "biases": ()}  # one path, whatever its weight
+    settings = {"particles": 1, "proposal": "bootstrap", "biases": (), "collapse": "flag"}  # one path, in any case
     normal = ParticleFilter(robot, LINEAR, **settings).run(log)
     ours = ParticleFilter(robot, LINEAR, outliers={"acceleration": outliers}, **settings).run(log)
     assert (ours.q == normal.q).all()
@@ -246,11 +256,79 @@ def test_a_sample_that_no_particle_explains():
     theta[7] = np.inf
     log = replace(log[:20], theta=theta)
     with pytest.raises(NumericalError, match=r"no particle .* sample 7"):
-        ParticleFilter(robot, Noise(jerk=15.0), particles=50).run(log)
-    estimate = MarginalizedParticleFilter(robot, Noise(jerk=15.0), particles=50, collapse="recover").run(log)
-    assert estimate.status[7] & Status.PREDICTED
-    assert not estimate.status[8]
-    assert np.isfinite(estimate.q).all()
+        ParticleFilter(robot, Noise(jerk=15.0), particles=50, collapse="raise").run(log)
+    for collapse in ("flag", "reseed"):
+        estimate = MarginalizedParticleFilter(robot, Noise(jerk=15.0), particles=50, collapse=collapse).run(log)
+        assert estimate.status[7] & Status.PREDICTED
+        assert np.isfinite(estimate.q).all()
+
+
+def wrapped(theta, acceleration):
+    theta[300:, 0] += 2 * np.pi
+
+
+def sentinel(theta, acceleration):
+    acceleration[300:303, 0] = -999.0
+
+
+def shaft(theta, acceleration):
+    theta[:, 0] *= 160
+
+
+def huge(theta, acceleration):
+    acceleration[300, 0] = 1e30
+
+
+@pytest.mark.parametrize("method", [ParticleFilter, MarginalizedParticleFilter])
+@pytest.mark.parametrize("collapse", ["reseed", "flag", "raise"])
+@pytest.mark.parametrize("spoil", [wrapped, sentinel, shaft, huge])
+def test_what_no_particle_explains_is_an_error_or_flagged(spoil, collapse, method):
+    """Wrong rows are not good: neither those where the fault is nor those that it leads astray."""
+    robot, log = recording()
+    theta, acceleration = log.theta[:400].copy(), log.acceleration[:400].copy()
+    spoil(theta, acceleration)
+    truth = Estimate.read(DATA / "arm2_square/truth.parquet")[:400]
+    try:
+        estimate = method(robot, particles=100, collapse=collapse).run(
+            replace(log[:400], theta=theta, acceleration=acceleration)
+        )
+    except NumericalError:
+        return
+    wrong = (np.abs(estimate.q - truth.q) > 1e-3).any(axis=1)
+    flagged = (estimate.status & Status.CONTRADICTED) > 0
+    assert flagged.any()
+    assert flagged[wrong].mean() > 0.98 if wrong.any() else True
+    assert (estimate.q_std > 0).all()
+
+
+@pytest.mark.parametrize("method", [ParticleFilter, MarginalizedParticleFilter])
+def test_a_cloud_that_has_collapsed_is_flagged_or_spread_anew(method):
+    """Twenty particles without moves lose their spread in a second; the demo's robot has forty states."""
+    robot, log = recording("arm2_square_mismatch")
+    log = log[:1500]
+    settings = {"particles": 20, "kernel": None}
+    kalman = ExtendedKalmanFilter(robot, tolerances=False).run(log)
+    alone = method(robot, collapse="flag", **settings).run(log)
+    narrow = (alone.q_std < 0.02 * kalman.q_std).any(axis=1)
+    assert narrow.any()
+    assert (alone.status[narrow] & Status.CONTRADICTED).all()
+    guarded = method(robot, collapse="reseed", **settings).run(log)
+    assert guarded.reseeded.any()
+    assert not (guarded.q_std < 0.02 * kalman.q_std).any()
+
+
+def test_smoothed_covariances_are_some_after_a_dropout():
+    """Two hundred rows without a reading: P grows by a factor that leaves a difference no digits."""
+    robot, log = recording()
+    theta, acceleration = log.theta[:400].copy(), log.acceleration[:400].copy()
+    theta[100:300], acceleration[100:300] = np.nan, np.nan
+    gap = replace(log[:400], theta=theta, acceleration=acceleration)
+    ours = MarginalizedParticleFilter(robot, particles=300).smooth(gap, covariance=True)
+    scale = np.sqrt(np.einsum("tii->ti", ours.covariance))
+    assert (scale > 0).all()
+    correlation = ours.covariance / scale[:, :, None] / scale[:, None, :]
+    assert np.linalg.eigvalsh(correlation).min() > -1e-9
+    assert (ours.q_std > 1e-8).all()
 
 
 def test_particles_out_of_the_numbers_lose_their_weight_and_no_more():

@@ -18,7 +18,7 @@ from linkside.robot import Robot
 from linkside.robot.considered import considered
 from linkside.robot.requirements import refuse_unsupported
 
-from .filtering import CoreFilter, KalmanEstimate, KalmanMethod, LiveFilter
+from .filtering import CoreFilter, KalmanEstimate, KalmanMethod, LiveFilter, Startable
 from .late_sensors import inside, is_late
 from .noise import Noise
 from .start import Moving, Readings, Start
@@ -160,8 +160,12 @@ class JerkDriven(KalmanMethod):
     ) -> _core.ExtendedKalmanFilter:
         """Build a filter of the core that starts where the ``first`` samples say."""
         core = self.core(kinds, noise, period)
-        self._begin(core, first, kinds, noise, np.array(noise.arrays(self.robot, kinds)["jerk"]))
+        self.begin(core, first, kinds, noise)
         return core
+
+    def begin(self, core: Startable, first: Readings, kinds: tuple[str, ...], noise: Noise) -> None:
+        """Tell a filter of the core where the ``first`` samples say that it starts."""
+        self._begin(core, first, kinds, noise, np.array(noise.arrays(self.robot, kinds)["jerk"]))
 
     def _state(self, moving: Moving, arrays: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
         mean = np.concatenate([moving.q, moving.dq, moving.ddq])
@@ -239,10 +243,8 @@ class ExtendedKalmanFilter(
         """Take one sample and give the state at its time; arguments as of `JerkDrivenFilter.step`."""
         if not self._deciding():
             return super().step(**sample)
-        noise = self.noise
-        jerk = np.array(noise.arrays(self.robot, self.live_kinds)["jerk"])
         return self._decide(
-            sample, super().step, lambda first: self._begin(self._live, first, self.live_kinds, noise, jerk)
+            sample, super().step, lambda first: self.begin(self._live, first, self.live_kinds, self.noise)
         )
 
     @property

@@ -15,8 +15,11 @@ from linkside.arguments import one_of, whole
 from linkside.arrays import FloatArray
 from linkside.channels import OUTLIERS, widths
 from linkside.errors import EstimatorError, NumericalError
+from linkside.findings import named
 from linkside.kalman.jerk_driven import ExtendedKalmanFilter, JerkDrivenFilter
 from linkside.kalman.noise import Noise
+from linkside.kalman.start import Readings
+from linkside.kalman.starting import first_readings, with_first
 from linkside.recording.batch import Job, run_each
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
@@ -47,6 +50,8 @@ class ParticleEstimate(Estimate):
     ----------
     effective : (T,)
         Effective number of particles 1/Σw², before resampling.
+    reseeded : (T,)
+        Whether the cloud was spread anew from the Kalman filter beside it.
     log_likelihood : (T,)
         Logarithm of the probability density of the sample's readings, given those before, as the particles have it.
     used : (T,)
@@ -62,6 +67,7 @@ class ParticleEstimate(Estimate):
     """
 
     effective: FloatArray | None = None
+    reseeded: npt.NDArray[np.bool_] | None = None
     log_likelihood: FloatArray | None = None
     used: npt.NDArray[np.uint32] | None = None
     best: FloatArray | None = None
@@ -107,9 +113,16 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         Least and largest position by joint [rad]; particles beyond are impossible.
     initial : (k, n)
         Link positions at rest that particles start from in turn, each spread by ``noise.position`` [rad]: a belief with
-        several peaks, say. None: the posture in which the first motor positions hold the links.
+        several peaks, say. None: as ``start`` says.
+    start
+        ``"auto"``, the first samples of a recording decide, as of `ExtendedKalmanFilter`; ``"rest"``, the posture in
+        which the first motor positions hold the links. `step` starts at rest.
     collapse
-        When no particle explains a sample: ``"raise"``, or ``"recover"``, which goes on as if it were missing.
+        What to do with a cloud that does not explain the readings, as a Kalman filter that runs beside it does.
+        ``"reseed"`` flags the row `Status.CONTRADICTED` and spreads the cloud anew from the Kalman filter's belief; a
+        cloud that has only lost spread is renewed before it comes to that. ``"flag"`` flags the row and leaves the
+        cloud as it is. ``"raise"`` stops with the sample's number. A sample that is impossible to all particles counts
+        as missing unless it stops the run.
     quantiles
         Shares of probability, such as ``(0.05, 0.95)``, whose quantiles of position are kept.
     biases, damping, rate, q, torque
@@ -143,7 +156,8 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         outliers: Mapping[str, float | Mixture] | None = None,
         limits: Mapping[str, tuple[float, float]] | None = None,
         initial: npt.ArrayLike | None = None,
-        collapse: Literal["raise", "recover"] = "raise",
+        start: Literal["auto", "rest"] = "auto",
+        collapse: Literal["reseed", "flag", "raise"] = "reseed",
         quantiles: Sequence[float] = (),
         biases: Sequence[str] = ("motor", "acceleration", "rate"),
         damping: bool = True,
@@ -152,9 +166,19 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         torque: bool | None = None,
     ) -> None:
         super().__init__()
-        one_of("collapse", collapse, ("raise", "recover"))
+        one_of("collapse", collapse, ("reseed", "flag", "raise"))
+        one_of("start", start, ("auto", "rest"))
         self.robot = robot
-        self._front = ExtendedKalmanFilter(robot, noise, biases=biases, damping=damping, rate=rate, q=q, torque=torque)
+        self._front = ExtendedKalmanFilter(
+            robot,
+            noise,
+            biases=biases,
+            damping=damping,
+            rate=rate,
+            q=q,
+            torque=torque,
+            start=start if initial is None else "rest",
+        )
         self.noise = self._front.noise
         self._outliers = _by_kind(outliers or {})
         self._settings = {
@@ -168,7 +192,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
             "kernel": kernel,
             "limits": _by_joint(robot, limits or {}),
             "initial": _positions(robot, initial),
-            "recover": collapse == "recover",
+            "collapse": collapse,
             "quantiles": list(quantiles),
         }
         self._core(self._front.live_kinds, self.noise)  # settings are checked at once
@@ -178,7 +202,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
     @overload
     def run(self, log: Sequence[Log], *, covariance: bool = False) -> list[ParticleEstimate]: ...
     def run(self, log: Log | Sequence[Log], *, covariance: bool = False) -> ParticleEstimate | list[ParticleEstimate]:
-        """Estimate a recording, or several on all cores.
+        """Estimate a recording, or several on all cores; each starts as ``start`` says.
 
         Parameters
         ----------
@@ -192,7 +216,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         LogError
             A column is missing, or a motor position at the first sample.
         NumericalError
-            No particle explains a sample; names the sample.
+            The particles do not explain a sample, with ``collapse="raise"``; names the sample.
         """
         return self._recorded(log, smooth=False, covariance=covariance)
 
@@ -220,9 +244,11 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         core: _core.ParticleFilter | None = None
         kinds: tuple[str, ...] = ()
         before: Log | None = None
+        first, pieces = with_first(pieces)
         for piece in pieces:
-            if core is None:
-                core, kinds = self._prepared(piece)
+            if core is None and first is not None:
+                core, kinds = self._prepared(piece, first)
+            assert core is not None  # there is a first piece
             try:
                 result = core.run(self._front.arrays(piece, kinds, before), False)
             except NumericalError as error:
@@ -244,12 +270,15 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         return run_each(log, self._job, lambda jobs: _core.ParticleFilter.run_all(jobs, smooth, covariance))
 
     def _job(self, log: Log) -> Job[ParticleEstimate]:
-        core, kinds = self._prepared(log)
+        core, kinds = self._prepared(log, first_readings(log))
         return Job(log, core, self._front.arrays(log, kinds), partial(self._estimate, log, kinds))
 
-    def _prepared(self, log: Log) -> tuple[_core.ParticleFilter, tuple[str, ...]]:
-        kinds = self._front.kinds(log)
-        return self._core(kinds, self.noise.for_log(log)), kinds
+    def _prepared(self, log: Log, first: Readings) -> tuple[_core.ParticleFilter, tuple[str, ...]]:
+        """A filter of the core that starts where the ``first`` samples say, and the kinds of its channels."""
+        kinds, noise = self._front.kinds(log), self.noise.for_log(log)
+        core = self._core(kinds, noise)
+        self._front.begin(core, first, kinds, noise)
+        return core, kinds
 
     def _core(self, kinds: tuple[str, ...], noise: Noise) -> _core.ParticleFilter:
         self._front.refuse_late("a particle filter")
@@ -265,7 +294,8 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
 
     def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> ParticleEstimate:
         channels = self._front.columns(log, kinds)
-        return ParticleEstimate(t=log.t, names=self.robot.names, channels=channels, **result)
+        found = named(result.pop("findings"), channels)
+        return ParticleEstimate(t=log.t, names=self.robot.names, channels=channels, findings=found, **result)
 
 
 class MarginalizedParticleFilter(ParticleFilter):
@@ -283,8 +313,6 @@ class MarginalizedParticleFilter(ParticleFilter):
     accelerations
         Marginalise accelerations, too: particles stand for positions and velocities, and each carries a Kalman filter
         of its accelerations and biases. Exact where springs are linear, else to first order in the acceleration.
-        ``noise`` must let positions and velocities wander by themselves (``position_walk`` and ``velocity_walk``): with
-        noise in acceleration alone, the path of a particle's velocity determines its acceleration.
 
     Raises
     ------

@@ -246,7 +246,7 @@ pub enum RunError {
     },
     /// No particle of a filter explains a sample's readings.
     #[error(
-        "no particle is compatible with the readings of sample {sample} and the limits: look for absurd readings there, or let the filter recover"
+        "no particle is compatible with the readings of sample {sample} and the limits: look for absurd readings there, or let the filter go on with collapse='reseed'"
     )]
     Impossible {
         /// Index of the sample.
@@ -256,6 +256,14 @@ pub enum RunError {
     #[error("stopped at sample {sample}, as asked")]
     Interrupted {
         /// Index of the first sample that was not taken.
+        sample: usize,
+    },
+    /// A cloud that no longer explains the readings.
+    #[error(
+        "the particles no longer explain the readings at sample {sample}, as a Kalman filter beside them does: take more particles, wider noise, or let the filter go on with collapse='reseed'"
+    )]
+    Lost {
+        /// Index of the sample.
         sample: usize,
     },
     /// A posture at which the robot's inertia cannot be inverted.

@@ -17,6 +17,7 @@ pub(crate) enum Purpose {
     Tail,
     Ancestors,
     Move,
+    Reseed,
     Sensors,
 }
 

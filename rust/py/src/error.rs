@@ -34,7 +34,7 @@ impl IntoPyErr for RunError {
         match self {
             Self::Design(design) => design.into_py_err(),
             Self::Interrupted { .. } => PyKeyboardInterrupt::new_err(self.to_string()),
-            Self::NotFinite { .. } | Self::Impossible { .. } | Self::SingularInertia { .. } => {
+            Self::NotFinite { .. } | Self::Impossible { .. } | Self::Lost { .. } | Self::SingularInertia { .. } => {
                 NumericalError::new_err(self.to_string())
             }
         }

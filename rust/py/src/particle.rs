@@ -1,16 +1,17 @@
 //! Particle filters on the acceleration-driven model.
 
-use crate::array::{Signal, shaped};
+use crate::array::{Signal, rows, shaped};
 use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
-use crate::kalman::{Arrays, Live, Noise, Signals, check_step, into_dict, named, recording};
+use crate::kalman::{Arrays, Live, Matrix, Noise, Signals, check_step, into_dict, named, recording};
 use crate::robot::Robot;
 use crate::state::State;
 use linkside_core::error::{DesignError, RunError};
-use linkside_core::estimate::kalman::{JerkDriven, JerkModel, KalmanSample, Keep, Model};
+use linkside_core::estimate::kalman::{Gaussian, JerkDriven, JerkModel, KalmanSample, Keep, Model};
 use linkside_core::estimate::particle::{
     self, Collapse, Density, Marginalised, ParticleOutput, ParticleSettings, Proposal, Resampling,
 };
+use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::Arc;
@@ -46,7 +47,7 @@ struct Settings {
     outliers: Vec<Option<Outliers>>,
     limits: Vec<(f64, f64)>,
     initial: Vec<f64>,
-    recover: bool,
+    collapse: String,
     quantiles: Vec<f64>,
 }
 
@@ -68,8 +69,13 @@ impl Settings {
             "multinomial" => Resampling::Multinomial,
             other => return unknown("resampling", other),
         };
+        let collapse = match self.collapse.as_str() {
+            "raise" => Collapse::Stop,
+            "flag" => Collapse::Flag,
+            "reseed" => Collapse::Reseed,
+            other => return unknown("collapse", other),
+        };
         let Self { particles, seed, threshold, kernel, outliers, limits, initial, quantiles, .. } = self;
-        let collapse = if self.recover { Collapse::Recover } else { Collapse::Stop };
         Ok(ParticleSettings {
             particles,
             seed,
@@ -136,6 +142,19 @@ impl ParticleFilter {
     /// A copy with the same particles.
     fn copy(&self) -> Self {
         self.clone()
+    }
+
+    /// Number of states, under the name that all filters have for it.
+    #[getter]
+    fn own_states(&self) -> usize {
+        self.states()
+    }
+
+    /// From now on a first sample finds this mean, and the variances of this covariance.
+    fn set_start(&mut self, mean: Signal<'_>, covariance: Matrix<'_>) -> PyResult<()> {
+        let states = self.states();
+        let start = Gaussian::new(mean.sized("mean", states)?, rows("covariance", &covariance, states)?);
+        start.and_then(|start| self.filter.set_start(Some(start))).map_err(IntoPyErr::into_py_err)
     }
 
     fn reset(&mut self) {
@@ -212,11 +231,12 @@ impl ParticleFilter {
 
 impl ParticleFilter {
     fn convert<'py>(&self, py: Python<'py>, o: ParticleOutput) -> PyResult<Bound<'py, PyDict>> {
-        let ParticleOutput { links, effective, best, quantiles } = o;
+        let ParticleOutput { links, effective, reseeded, best, quantiles } = o;
         let (count, n) = (effective.len(), self.filter.model().robot().len());
         let out = into_dict(py, links, self.filter.model(), self.tool)?;
         out.del_item("nis")?;
         out.set_item("effective", shaped(py, effective, vec![count])?)?;
+        out.set_item("reseeded", PyArray1::from_vec(py, reseeded))?;
         if !best.is_empty() {
             out.set_item("best", shaped(py, best, vec![count, n])?)?;
         }

@@ -27,6 +27,15 @@ pub struct FilterSettings {
     pub iterations: usize,
 }
 
+/// How a sample's readings fitted what was predicted.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Fit {
+    /// Readings used.
+    pub(crate) used: u32,
+    /// Logarithm of their probability density.
+    pub(crate) log_likelihood: f64,
+}
+
 /// Kalman filter with exact derivatives; a step allocates nothing.
 ///
 /// Readings with independent noise are used one after the other, which equals using them at once, needs no matrix
@@ -123,6 +132,19 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
     /// The belief after the last sample.
     pub fn belief(&self) -> &Gaussian {
         &self.belief
+    }
+
+    /// Goes on from another belief.
+    pub(crate) fn restart(&mut self, belief: &Gaussian) {
+        self.reset();
+        self.belief.copy_from(belief);
+        self.started = true;
+    }
+
+    /// How the last sample's readings fitted.
+    pub(crate) fn fit(&self) -> Fit {
+        let Correction { used, log_likelihood, .. } = self.correction;
+        Fit { used, log_likelihood }
     }
 
     /// Covariance of the state after the last sample, with what the parameters' tolerances add to it.

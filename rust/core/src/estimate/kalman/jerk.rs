@@ -4,6 +4,7 @@ use super::drift::Biases;
 use super::gaussian::{Gaussian, Symmetric};
 use crate::check::{check_deviations, check_readings, check_times, expect_length};
 use crate::error::DesignError;
+use crate::estimate::bias::{BiasStep, bias_step};
 use crate::estimate::jerk_noise;
 use crate::estimate::measurement::{Channel, Kind};
 use crate::linear;
@@ -41,6 +42,14 @@ pub struct Noise {
     pub initial: Vec<f64>,
     /// Initial bias (channels).
     pub initial_bias: Vec<f64>,
+}
+
+impl Noise {
+    /// How a channel's bias moves over `dt` [s].
+    #[inline(always)]
+    pub(crate) fn bias_step(&self, channel: usize, dt: f64) -> BiasStep<f64> {
+        bias_step(self.bias_walk[channel], self.bias_time[channel], dt)
+    }
 }
 
 impl JerkModel {

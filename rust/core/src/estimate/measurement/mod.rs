@@ -2,14 +2,13 @@
 //!
 //! A channel's row is the text of [`rows`]. It is generic three times over: over the scalar (`f64`, derivative numbers,
 //! lanes), over what a model knows of its motors ([`view`]: a load behind a spring, or states of their own), and over
-//! what is wanted ([`wanted`]: values, the whole Jacobian, derivatives along increments of acceleration, or a Jacobian
-//! in which q̈ is itself a function of the state). Filters, smoothers, particles, likelihood and simulator read it.
+//! what is wanted ([`wanted`]: values, the whole Jacobian, or a Jacobian in which q̈ is itself a function of the state).
+//! Filters, smoothers, particles, likelihood and simulator read it.
 //!
 //! To add a kind of sensor: a variant of [`Kind`] and of [`Channel`], and its row.
 
 mod channel;
 mod evaluation;
-mod increments;
 mod motion;
 mod rows;
 mod view;
@@ -17,7 +16,6 @@ mod wanted;
 
 pub use channel::{Channel, Kind};
 pub use evaluation::Evaluation;
-pub(crate) use increments::{AlongIncrements, Reach};
 pub(crate) use motion::{LinkMotion, Loading, Sensing};
 pub(crate) use rows::{read, read_all};
 pub(crate) use view::{Driven, Elastic, Springs};

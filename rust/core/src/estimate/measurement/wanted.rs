@@ -1,6 +1,5 @@
 //! What is wanted of a channel: its value, or derivatives with it, and where they go.
 
-use super::Reach;
 use crate::linear;
 use crate::scalar::Scalar;
 
@@ -68,43 +67,6 @@ impl<T: Scalar> Wanted<T> for Jacobian<'_, T> {
         for (part, entry) in by.into_iter().enumerate() {
             self.rows[row * 3 * n + part * n + joint] += entry;
         }
-    }
-}
-
-/// Values, and derivatives along an increment of each joint's acceleration that acts from a step's start, rows × n.
-pub(crate) struct Along<'a, T> {
-    pub(crate) prediction: &'a mut [T],
-    pub(crate) rows: &'a mut [T],
-    pub(crate) joints: usize,
-    pub(crate) reach: Reach,
-}
-
-impl<T: Scalar> Along<'_, T> {
-    #[inline(always)]
-    fn change(&self, [q, dq, ddq]: [T; 3]) -> T {
-        q * self.reach[0] + dq * self.reach[1] + ddq * self.reach[2]
-    }
-}
-
-impl<T: Scalar> Wanted<T> for Along<'_, T> {
-    #[inline(always)]
-    fn value(&mut self, row: usize, value: T) {
-        self.prediction[row] = value;
-    }
-
-    #[inline(always)]
-    fn columns(&mut self, row: usize, joint: usize, by: [T; 3]) {
-        self.rows[row * self.joints + joint] = self.change(by);
-    }
-
-    #[inline(always)]
-    fn scaled(&mut self, row: usize, joint: usize, factor: T, by: [T; 3]) {
-        self.rows[row * self.joints + joint] = factor * self.change(by);
-    }
-
-    #[inline(always)]
-    fn add(&mut self, row: usize, joint: usize, [q, dq]: [T; 2]) {
-        self.rows[row * self.joints + joint] += dq * self.reach[1] + q * self.reach[0];
     }
 }
 

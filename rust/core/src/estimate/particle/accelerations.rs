@@ -60,6 +60,22 @@ pub(super) fn start(cloud: &mut Cloud, belief: &Gaussian, n: usize) {
     }
 }
 
+/// Gives all particles the covariance of what follows `first` entries given these, of a belief of `d` entries with a lower
+/// `factor`, of which only that is left which the first entries explain.
+pub(super) fn condition(cloud: &mut Cloud, factor: &mut [f64], d: usize, first: usize) {
+    let mut rows = d..;
+    for r in first..d {
+        for c in r..d {
+            let own = (first..=r).map(|k| factor[r * d + k] * factor[c * d + k]).sum();
+            let row = rows.next().unwrap_or_default();
+            cloud.blocks.iter_mut().for_each(|block| block.state[row].each_mut().fill(own));
+        }
+    }
+    for row in factor.chunks_exact_mut(d) {
+        row[first..].fill(0.0);
+    }
+}
+
 /// Moves a block by one sample.
 pub(super) struct Advance<'a> {
     pub(super) model: &'a JerkModel,
@@ -113,7 +129,7 @@ impl Densities {
     fn bring_back(&mut self, after: &[Wide], rows: &[Row], group: usize, motion: &Motion) {
         self.trial.copy_from(&self.path);
         self.load(rows, group);
-        self.path.drift(motion);
+        self.path.follow(motion);
         for l in 0..WIDE {
             if after.iter().chain(&self.trial.covariance).all(|x| x.0[l].is_finite()) {
                 for (entry, found) in self.path.covariance.iter_mut().zip(&self.trial.covariance) {
@@ -136,7 +152,6 @@ impl Densities {
         let stream = Stream::new(sample.seed, sample.step, Purpose::Motion);
         draw(&stream, items, 0, &mut scratch.normal[..sample.draws]);
         scratch.coast(model.joints(), sample);
-        self.path.drift(motion);
         self.path.follow(motion);
         let (passes, tail) = match sample.proposal {
             Proposal::Bootstrap => (0, None),

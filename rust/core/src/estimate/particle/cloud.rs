@@ -1,11 +1,10 @@
 //! Where the particles are kept: blocks of fixed size, a row of numbers for each entry of the state.
 
 use super::accelerations::{Densities, covariance_entries};
-
 use super::settings::Marginalised;
 use crate::error::DesignError;
 use crate::estimate::kalman::JerkModel;
-use crate::estimate::measurement::AlongIncrements;
+use crate::estimate::measurement::Evaluation;
 use crate::memory::{filled, room};
 use crate::parallel;
 use crate::scalar::Lanes;
@@ -77,32 +76,35 @@ pub(super) struct Sums {
 /// Room for [`WIDE`] particles on their way.
 #[derive(Clone, Debug)]
 pub(super) struct Scratch {
-    pub(super) sensed: AlongIncrements<Wide>,
+    pub(super) evaluation: Evaluation<Wide>,
     /// q, q̇, q̈ and biases before the noise, and after it.
     pub(super) before: Vec<Wide>,
     pub(super) after: Vec<Wide>,
-    /// Standard normal numbers, and the increments made of them in units of their standard deviation.
+    /// Standard normal numbers, and those of them, or near the proposal's mode, that are the links' noise.
     pub(super) normal: Vec<Wide>,
     pub(super) noise: Vec<Wide>,
     /// Mode of the proposal.
     pub(super) mode: Vec<Wide>,
     /// Factor of its information matrix, by rows.
     pub(super) factor: Vec<Wide>,
+    /// How a reading changes with the noise.
+    pub(super) row: Vec<Wide>,
 }
 
 impl Scratch {
-    /// For a proposal of `drawn` increments.
+    /// For a proposal of `drawn` numbers.
     pub(super) fn new(model: &JerkModel, drawn: usize) -> Self {
         let room = |size| vec![Wide::default(); size];
         let states = model.states();
         Self {
-            sensed: AlongIncrements::new(&model.robot, model.channels()),
+            evaluation: Evaluation::new(&model.robot, model.channels()),
             before: room(states),
             after: room(states),
             normal: room(states + 1),
             noise: room(drawn),
             mode: room(drawn),
             factor: room(drawn * drawn),
+            row: room(drawn),
         }
     }
 }
@@ -111,7 +113,7 @@ impl Block {
     fn new(model: &JerkModel, marginalised: Marginalised, first: usize, count: usize) -> Result<Self, DesignError> {
         let (d, n) = (model.states(), model.joints());
         let accelerations = marginalised == Marginalised::Accelerations;
-        let (more, drawn) = if accelerations { (covariance_entries(model), 2 * n) } else { (0, n) };
+        let (more, drawn) = if accelerations { (covariance_entries(model), 2 * n) } else { (0, 3 * n) };
         Ok(Self {
             first,
             count,

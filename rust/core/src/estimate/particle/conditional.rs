@@ -1,10 +1,9 @@
 //! Accelerations and biases for a given path of positions and velocities: a normal density, moved and corrected.
 //!
-//! n = (q, q̇) is drawn, l = (q̈, biases) is not (Schön, Gustafsson and Nordlund 2005). An increment of acceleration acts
-//! from the start of the interval, so it is l's noise alone, and over it n moves by n ← F n + A l + [walks](super::motion)
-//! with A = (T²/2, T). Taken one joint after the other, the measurements q̇₊ − q̇ = T q̈ + noise give n as a triangular map
-//! of standard normal numbers ζ without ever forming n's covariance, whose positions hardly differ from T/2 times its
-//! velocities.
+//! n = (q, q̇) is drawn, l = (q̈, biases) is not (Schön, Gustafsson and Nordlund 2005). n ← F n + A l + noise with
+//! A = (T²/2, T), and l ← l + noise, the [noise](super::motion) of a joint's three entries being one. Taken one joint after
+//! the other, the measurements q̇₊ − q̇ = T q̈ + noise give n as a triangular map of standard normal numbers ζ without ever
+//! forming n's covariance, whose positions hardly differ from T/2 times its velocities.
 
 use super::motion::Motion;
 use super::output::packed;
@@ -55,25 +54,22 @@ impl<T: Scalar> Conditional<T> {
         self.velocity.copy_from_slice(&other.velocity);
     }
 
-    /// P ← P + Q.
-    #[inline(always)]
-    pub(super) fn drift(&mut self, motion: &Motion) {
-        for (i, gained) in motion.gained.iter().enumerate() {
-            let diagonal = packed(i, i, self.size);
-            self.covariance[diagonal] = self.covariance[diagonal] + *gained;
-        }
-    }
-
-    /// P ← what is left when n is known, and how l then follows ζ.
+    /// P ← F P Fᵀ + Q, biases alone decaying, less what is known when n is known, and how l then follows ζ.
     #[inline(always)]
     pub(super) fn follow(&mut self, motion: &Motion) {
         let (n, dt) = (self.joints, motion.dt);
+        for (i, bias) in motion.biases.iter().enumerate() {
+            self.scale(n + i, bias.decay);
+            self.add_variance(n + i, bias.variance);
+        }
         self.slope.fill(T::default());
-        for (j, walk) in motion.walks.iter().enumerate() {
+        for (j, noise) in motion.joints.iter().enumerate() {
             for r in 0..self.size {
                 self.gain[r] = self.at(r, j) * dt;
             }
-            let variance = self.gain[j] * dt + walk.rest;
+            let variance = self.gain[j] * dt + noise.rest;
+            self.gain[j] += T::constant(noise.cross);
+            self.add_variance(j, noise.gained);
             self.scale_gain(variance.map(|v| if v > 0.0 { 1.0 / v.sqrt() } else { 0.0 }));
             self.velocity[j * n + j] = variance.sqrt();
             for i in j + 1..n {
@@ -82,6 +78,7 @@ impl<T: Scalar> Conditional<T> {
             for (row, gain) in self.slope.chunks_exact_mut(2 * n).zip(&self.gain) {
                 row[n + j] = *gain;
             }
+            self.slope[j * 2 * n + j] = T::constant(noise.acceleration);
             self.remove_gain();
         }
     }
@@ -90,15 +87,16 @@ impl<T: Scalar> Conditional<T> {
     #[inline(always)]
     pub(super) fn displace(&self, motion: &Motion, from: &[T], noise: &[T], to: &mut [T]) {
         let n = self.joints;
-        let (walks, moves) = noise.split_at(n);
+        let (own, moves) = noise.split_at(n);
         to.copy_from_slice(from);
-        for (j, walk) in motion.walks.iter().enumerate() {
+        for (j, joint) in motion.joints.iter().enumerate() {
             let mut change = T::default();
             for (velocity, z) in self.velocity[j * n..=j * n + j].iter().zip(moves) {
                 change += *velocity * *z;
             }
-            to[j] += walks[j] * walk.position + change * (0.5 * motion.dt);
-            to[n + j] += walks[j] * walk.velocity + change;
+            to[j] += own[j] * joint.position + change * (0.5 * motion.dt);
+            to[n + j] += own[j] * joint.velocity + change;
+            to[2 * n + j] += own[j] * joint.acceleration;
         }
         for (entry, slope) in to[2 * n..].iter_mut().zip(self.slope.chunks_exact(2 * n)) {
             for (slope, z) in slope[n..].iter().zip(moves) {
@@ -112,8 +110,8 @@ impl<T: Scalar> Conditional<T> {
     pub(super) fn by_noise(&self, motion: &Motion, row: Slope<'_, T>, out: &mut [T]) {
         let n = self.joints;
         let (q, dq) = (&row.links[..n], &row.links[n..2 * n]);
-        for (j, walk) in motion.walks.iter().enumerate() {
-            out[j] = q[j] * walk.position + dq[j] * walk.velocity;
+        for (j, joint) in motion.joints.iter().enumerate() {
+            out[j] = q[j] * joint.position + dq[j] * joint.velocity;
             out[n + j] = T::default();
             for i in j..n {
                 out[n + j] += (dq[i] + q[i] * (0.5 * motion.dt)) * self.velocity[i * n + j];
@@ -162,6 +160,21 @@ impl<T: Scalar> Conditional<T> {
                 *slope -= *gain * *b;
             }
         }
+    }
+
+    /// The row and column of an entry times `factor`.
+    #[inline(always)]
+    fn scale(&mut self, entry: usize, factor: f64) {
+        for other in 0..self.size {
+            let at = packed(entry.min(other), entry.max(other), self.size);
+            self.covariance[at] = self.covariance[at] * (if other == entry { factor * factor } else { factor });
+        }
+    }
+
+    #[inline(always)]
+    fn add_variance(&mut self, entry: usize, variance: f64) {
+        let diagonal = packed(entry, entry, self.size);
+        self.covariance[diagonal] += T::constant(variance);
     }
 
     #[inline(always)]

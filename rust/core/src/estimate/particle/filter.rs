@@ -3,11 +3,12 @@
 use super::accelerations;
 use super::cloud::Cloud;
 use super::density::Density;
+use super::guard::Guard;
 use super::motion::Motion;
 use super::moves::Moments;
 use super::output::{ParticleOutput, Summary, packed};
 use super::proposal::{Advance, Reading, Sample, Walk};
-use super::settings::{Collapse, Marginalised, ParticleSettings, Proposal};
+use super::settings::{Marginalised, ParticleSettings, Proposal};
 use super::shared::{Probe, Shared};
 use super::start::Start;
 use super::sums::Deviations;
@@ -30,7 +31,9 @@ const PARALLEL: usize = 2048;
 pub struct ParticleFilter {
     pub(super) model: JerkDriven,
     pub(super) settings: ParticleSettings,
-    marginalised: Marginalised,
+    pub(super) marginalised: Marginalised,
+    /// The Kalman filter beside the cloud.
+    pub(super) guard: Guard,
     /// The cloud's mean as it would move, and where motors and biases were last linearised.
     pub(super) belief: Gaussian,
     pub(super) cloud: Cloud,
@@ -51,6 +54,8 @@ pub struct ParticleFilter {
     pub(super) threads: bool,
     pub(super) taken: usize,
     pub(super) started: bool,
+    /// The belief at the first sample; none: at rest.
+    start: Option<Gaussian>,
 }
 
 impl ParticleFilter {
@@ -60,7 +65,7 @@ impl ParticleFilter {
     /// Settings out of range or that do not fit the model.
     pub fn new(model: JerkDriven, settings: ParticleSettings, marginalised: Marginalised) -> Result<Self, DesignError> {
         let jerk = model.jerk_model();
-        settings.check(jerk, model.noise(), marginalised)?;
+        settings.check(jerk, marginalised)?;
         let (n, m, d) = (jerk.joints(), jerk.channels(), jerk.states());
         let sample = Sample {
             seed: settings.seed,
@@ -68,10 +73,11 @@ impl ParticleFilter {
             dt: 0.0,
             jerk: vec![0.0; n],
             dtheta: vec![f64::NAN; n],
-            increments: vec![0.0; n],
+            factors: vec![[[0.0; 3]; 3]; n],
             readings: Vec::with_capacity(m),
-            walks: Vec::with_capacity(2 * n + m),
-            draws: n,
+            walks: Vec::with_capacity(m),
+            decays: Vec::with_capacity(m),
+            draws: 3 * n,
             offset: 0.0,
             proposal: settings.proposal,
             limits: settings.limits.clone(),
@@ -80,6 +86,7 @@ impl ParticleFilter {
             belief: Gaussian::independent(&vec![0.0; d]),
             cloud: Cloud::new(jerk, marginalised, settings.particles)?,
             sample,
+            guard: Guard::new(&model, &settings)?,
             shared: Shared::new(jerk),
             sharing: false,
             motion: (marginalised == Marginalised::Accelerations).then(|| Motion::new(jerk)),
@@ -93,15 +100,27 @@ impl ParticleFilter {
             threads: settings.particles >= PARALLEL,
             taken: 0,
             started: false,
+            start: None,
             marginalised,
             settings,
             model,
         })
     }
 
-    /// Forgets the state: the next sample starts anew, from rest.
+    /// From now on a first sample finds this mean, and the variances of this covariance; none: the robot at rest.
+    ///
+    /// # Errors
+    /// A belief of another number of states.
+    pub fn set_start(&mut self, start: Option<Gaussian>) -> Result<(), DesignError> {
+        self.guard.kalman.set_start(start.clone())?;
+        self.start = start;
+        Ok(())
+    }
+
+    /// Forgets the state: the next sample starts anew.
     pub fn reset(&mut self) {
         (self.taken, self.started) = (0, false);
+        self.guard.reset();
     }
 
     /// Whether it has taken a sample.
@@ -147,6 +166,7 @@ impl ParticleFilter {
 
     /// [`step`](Self::step) with a sample that has been checked.
     fn take(&mut self, sample: KalmanSample<'_>) -> Result<(), RunError> {
+        self.guard.step(sample)?;
         self.resample_if_due();
         if self.started {
             JerkDriven::predict_phase(Predict { model: &mut self.model, sample: &sample, belief: &mut self.belief });
@@ -159,7 +179,9 @@ impl ParticleFilter {
         }
         self.share();
         self.advance();
-        if !self.summarise() {
+        if self.summarise() {
+            self.guard()?;
+        } else {
             self.recover()?;
         }
         self.started = true;
@@ -168,7 +190,13 @@ impl ParticleFilter {
     }
 
     fn start(&mut self, sample: &KalmanSample<'_>) -> Result<(), DesignError> {
-        self.model.start(sample, &mut self.belief)?;
+        match &self.start {
+            Some(start) => {
+                self.belief.copy_from(start);
+                self.model.resume(sample, &mut self.belief);
+            }
+            None => self.model.start(sample, &mut self.belief)?,
+        }
         let jerk = self.model.jerk_model();
         for (variance, bias) in self.bias_variance.iter_mut().zip(&jerk.biases) {
             *variance = bias.filter(|_| self.motion.is_none()).map_or(0.0, |b| self.belief.covariance.at(b, b));
@@ -210,42 +238,41 @@ impl ParticleFilter {
         shared.dtheta.copy_from_slice(dtheta);
         for j in 0..n {
             shared.jerk[j] = if first { 0.0 } else { jerk[j] };
-            shared.increments[j] = model.noise().jerk[j] * shared.dt.sqrt();
         }
+        shared.set_noise(model.noise());
         self.summary.status = 0;
         self.summary.used = 0;
+        self.summary.reseeded = false;
         self.plan(sample.readings);
     }
 
     /// What each reading, and each bias, is to do.
     fn plan(&mut self, readings: &[f64]) {
         let first = !self.started;
-        let Self { model, sample, bias_variance, settings, summary, marginalised, motion, .. } = self;
+        let Self { model, sample, bias_variance, settings, summary, marginalised, motion, belief, .. } = self;
         let closed = *marginalised == Marginalised::Biases;
         sample.readings.clear();
         sample.walks.clear();
+        sample.decays.clear();
         let jerk = model.jerk_model();
-        sample.draws = jerk.joints();
+        sample.draws = 3 * jerk.joints();
         if let Some(motion) = motion {
-            motion.prepare(jerk, model.noise(), sample.dt, first);
-            sample.draws *= 2;
-        }
-        for (entry, walk) in
-            model.noise().link_walk.iter().enumerate().filter(|(_, walk)| motion.is_none() && **walk > 0.0)
-        {
-            sample.walks.push(Walk { entry, std: walk * sample.dt.sqrt(), draw: sample.draws });
-            sample.draws += 1;
+            motion.prepare(jerk, model.noise(), sample.dt, first.then_some(&belief.covariance));
+            sample.draws = 2 * jerk.joints();
         }
         for (channel, &value) in readings.iter().enumerate() {
             let bias = jerk.biases[channel];
             let own = model.variance(channel);
-            let walk =
-                bias.filter(|_| motion.is_none()).map_or(0.0, |_| model.noise().bias_walk[channel].powi(2) * sample.dt);
+            let drift = model.noise().bias_step(channel, sample.dt);
+            if let Some(bias) = bias {
+                sample.decays.push((bias, drift.decay));
+            }
+            let walk = bias.filter(|_| motion.is_none()).map_or(0.0, |_| drift.variance);
             let density = settings.densities[channel];
             let read = !value.is_nan();
             let drawn_late = closed || (read && settings.proposal != Proposal::Bootstrap && density.is_normal());
             let before = if closed || first { bias_variance[channel] } else { 0.0 };
-            let prior = before + walk;
+            let prior = before * drift.decay * drift.decay + walk;
             if let (false, Some(bias)) = (drawn_late || prior == 0.0, bias) {
                 sample.walks.push(Walk { entry: bias, std: prior.sqrt(), draw: sample.draws });
                 sample.draws += 1;
@@ -299,7 +326,7 @@ impl ParticleFilter {
     }
 
     /// Mean, spread, likelihood and effective number; false when no particle has a weight.
-    fn summarise(&mut self) -> bool {
+    pub(super) fn summarise(&mut self) -> bool {
         let Self { cloud, summary, sample, belief, .. } = self;
         let largest = cloud.blocks.iter().fold(f64::NEG_INFINITY, |l, b| l.max(b.sums.largest));
         if !largest.is_finite() {
@@ -360,22 +387,6 @@ impl ParticleFilter {
         }
     }
 
-    /// No particle is possible: stops, or goes on as if the readings were missing.
-    fn recover(&mut self) -> Result<(), RunError> {
-        for reading in self.sample.readings.iter().filter(|_| self.marginalised == Marginalised::Biases) {
-            self.bias_variance[reading.channel] = reading.gain * reading.noise.variance;
-        }
-        self.level();
-        self.summarise();
-        (self.summary.used, self.summary.log_likelihood) = (0, 0.0);
-        self.summary.status |= Status::PREDICTED;
-        if self.settings.collapse == Collapse::Stop {
-            (self.started, self.taken) = (true, self.taken + 1);
-            return Err(RunError::Impossible { sample: self.taken - 1 });
-        }
-        Ok(())
-    }
-
     /// Filters a recording, `count` rows; goes on from where it was, so that it may come in pieces.
     ///
     /// # Errors
@@ -408,6 +419,7 @@ impl ParticleFilter {
             out.report(i, self, keep);
             after(self);
         }
+        out.links.findings.extend_from_slice(self.guard.kalman.findings());
         Ok(out)
     }
 

@@ -5,6 +5,7 @@ mod cloud;
 mod conditional;
 mod density;
 mod filter;
+mod guard;
 mod motion;
 mod moves;
 mod output;

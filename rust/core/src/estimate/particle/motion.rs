@@ -1,30 +1,48 @@
 //! What is random in the motion of particles of positions and velocities.
 //!
-//! Walks of position and velocity are taken apart by joint: w_q − T/2 w_q̇ is what no acceleration does, and what is left
-//! of w_q̇ given that is noise in a measurement q̇₊ − q̇ = T q̈ of the acceleration.
+//! A joint's noise (w_q, w_q̇, w_q̈) over T is taken apart: u = w_q − T/2 w_q̇, to which the acceleration before adds
+//! nothing, is drawn by a number of its own; what is left of w_q̇ given u is noise in a measurement q̇₊ − q̇ = T q̈ of the
+//! acceleration, and goes together with what is left of w_q̈.
 
-use crate::estimate::kalman::{JerkModel, Noise};
+use crate::estimate::bias::BiasStep;
+use crate::estimate::kalman::{JerkModel, Noise, Symmetric};
 
-/// Walks of one joint over a sample.
+/// Noise of one joint over a sample.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct JointWalk {
-    /// ∂q/∂ζ and ∂q̇/∂ζ of the joint's own number ζ.
+pub(super) struct JointNoise {
+    /// ∂q/∂ζ, ∂q̇/∂ζ and ∂q̈/∂ζ of the joint's own number ζ.
     pub(super) position: f64,
     pub(super) velocity: f64,
-    /// The variance of velocity that is left.
+    pub(super) acceleration: f64,
+    /// Variances of velocity and acceleration that are left, and their covariance.
     pub(super) rest: f64,
+    pub(super) gained: f64,
+    pub(super) cross: f64,
 }
 
-impl JointWalk {
-    /// From standard deviations of position and velocity.
-    pub(super) fn new(position: f64, velocity: f64, dt: f64) -> Self {
-        let carried = 0.5 * dt * velocity;
-        let std = (position * position + carried * carried).sqrt();
-        if std == 0.0 {
-            return Self { position: 0.0, velocity: 0.0, rest: velocity * velocity };
+impl JointNoise {
+    /// Of white jerk of a density, and variances that position and velocity gain besides.
+    ///
+    /// With U = density² T⁵/120, all that white jerk has in u: closed forms in which nothing is subtracted, for any of the
+    /// three may be all that there is.
+    pub(super) fn new(density: f64, [position, velocity]: [f64; 2], dt: f64) -> Self {
+        let jerk = density * density * dt / 120.0; // U / T⁴
+        let own = jerk * dt.powi(4);
+        let variance = own + position + 0.25 * dt * dt * velocity;
+        if variance == 0.0 {
+            let (rest, cross) = (40.0 * jerk * dt * dt + velocity, 60.0 * jerk * dt);
+            return Self { rest, cross, gained: 120.0 * jerk, ..Self::default() };
         }
-        let (own, other) = (position / std, carried / std);
-        Self { position: position * own, velocity: -velocity * other, rest: (velocity * own).powi(2) }
+        let std = variance.sqrt();
+        let [jolt, walk, turn] = [own / variance, position / variance, velocity / variance];
+        Self {
+            position: (position - 1.5 * own) / std,
+            velocity: -(5.0 * jerk * dt.powi(3) + 0.5 * dt * velocity) / std,
+            acceleration: -10.0 * jerk * dt * dt / std,
+            rest: jerk * dt * dt * (15.0 * jolt + 40.0 * walk) + velocity * (6.0 * jolt + walk),
+            cross: jerk * dt * (10.0 * jolt + 60.0 * walk + 10.0 * dt * dt * turn),
+            gained: jerk * (20.0 * jolt + 120.0 * walk + 30.0 * dt * dt * turn),
+        }
     }
 }
 
@@ -32,29 +50,32 @@ impl JointWalk {
 #[derive(Clone, Debug)]
 pub(super) struct Motion {
     pub(super) dt: f64,
-    pub(super) walks: Vec<JointWalk>,
-    /// Variances that l gains.
-    pub(super) gained: Vec<f64>,
+    pub(super) joints: Vec<JointNoise>,
+    /// How biases move.
+    pub(super) biases: Vec<BiasStep<f64>>,
 }
 
 impl Motion {
     pub(super) fn new(model: &JerkModel) -> Self {
         let n = model.joints();
-        Self { dt: 0.0, walks: vec![JointWalk::default(); n], gained: vec![0.0; model.states() - 2 * n] }
+        Self {
+            dt: 0.0,
+            joints: vec![JointNoise::default(); n],
+            biases: vec![BiasStep { decay: 1.0, variance: 0.0 }; model.states() - 3 * n],
+        }
     }
 
-    /// Over `dt`, or at the first sample, where nothing has moved and n is as uncertain as `noise` says.
-    pub(super) fn prepare(&mut self, model: &JerkModel, noise: &Noise, dt: f64, first: bool) {
+    /// Over `dt`, or at the first sample, where nothing has moved and n is as uncertain as `first` says.
+    pub(super) fn prepare(&mut self, model: &JerkModel, noise: &Noise, dt: f64, first: Option<&Symmetric>) {
         let n = model.joints();
-        self.dt = if first { 0.0 } else { dt };
-        let walk = |i: usize| if first { noise.initial[i] } else { noise.link_walk[i] * dt.sqrt() };
-        for (j, joint) in self.walks.iter_mut().enumerate() {
-            *joint = JointWalk::new(walk(j), walk(n + j), self.dt);
-            self.gained[j] = noise.jerk[j].powi(2) * self.dt;
+        self.dt = if first.is_some() { 0.0 } else { dt };
+        let gained = |i: usize| first.map_or(noise.link_walk[i].powi(2) * dt, |covariance| covariance.at(i, i));
+        for (j, joint) in self.joints.iter_mut().enumerate() {
+            *joint = JointNoise::new(noise.jerk[j], [gained(j), gained(n + j)], self.dt);
         }
-        for (bias, walk) in model.biases.iter().zip(&noise.bias_walk) {
+        for (channel, bias) in model.biases.iter().enumerate() {
             if let Some(b) = *bias {
-                self.gained[b - 2 * n] = walk * walk * self.dt;
+                self.biases[b - 3 * n] = noise.bias_step(channel, self.dt);
             }
         }
     }
@@ -63,18 +84,39 @@ impl Motion {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::estimate::jerk_noise;
 
     #[test]
-    fn a_walk_taken_apart_has_the_variances_that_it_was_made_of() {
-        for (position, velocity, dt) in
-            [(1e-6, 1e-3, 5e-4), (0.3, 0.0, 0.1), (0.0, 0.3, 0.1), (0.2, 0.5, 0.0), (0.0, 0.0, 0.1)]
-        {
-            let JointWalk { position: p, velocity: v, rest } = JointWalk::new(position, velocity, dt);
+    fn noise_taken_apart_has_the_covariance_that_it_was_made_of() {
+        for (density, position, velocity, dt) in [
+            (3e3, 0.0, 0.0, 5e-4),
+            (3e3, 1e-6, 1e-3, 5e-4),
+            (1e-3, 0.3, 0.0, 0.1),
+            (0.0, 0.0, 0.3, 0.1),
+            (5.0, 0.2, 0.5, 0.0),
+            (5.0, 0.0, 0.5, 0.0),
+            (0.0, 0.0, 0.0, 0.1),
+        ] {
+            let noise = JointNoise::new(density, [position * position, velocity * velocity], dt);
+            let JointNoise { position: p, velocity: v, acceleration: a, rest, gained, cross } = noise;
+            let jerk = jerk_noise::covariance(dt).map(|row| row.map(|entry| entry * density * density));
             let half = 0.5 * dt;
-            let close = |a: f64, b: f64| assert!((a - b).abs() <= 1e-12 * (position + velocity).powi(2), "{a} {b}");
-            close(p * p + half * half * rest, position * position);
-            close(v * v + rest, velocity * velocity);
-            close(p * v + half * rest, 0.0);
+            let expected = [
+                [jerk[0][0] + position * position, jerk[0][1], jerk[0][2]],
+                [jerk[0][1], jerk[1][1] + velocity * velocity, jerk[1][2]],
+                [jerk[0][2], jerk[1][2], jerk[2][2]],
+            ];
+            let found = [
+                [p * p + half * half * rest, p * v + half * rest, p * a + half * cross],
+                [p * v + half * rest, v * v + rest, v * a + cross],
+                [p * a + half * cross, v * a + cross, a * a + gained],
+            ];
+            for r in 0..3 {
+                for c in 0..3 {
+                    let scale = (expected[r][r] * expected[c][c]).sqrt() + half * half * velocity * velocity;
+                    assert!((found[r][c] - expected[r][c]).abs() <= 1e-12 * scale, "{found:?} {expected:?}");
+                }
+            }
         }
     }
 }

@@ -23,6 +23,8 @@ pub struct Summary {
     pub status: u8,
     /// Readings used.
     pub used: u32,
+    /// Whether the cloud was then spread anew.
+    pub reseeded: bool,
     /// Upper triangle of the covariance, by rows: of the positions, or after a choice of particles of the whole state.
     pub(super) products: Vec<f64>,
     /// Where motors were linearised.
@@ -42,6 +44,7 @@ impl Summary {
             log_likelihood: 0.0,
             status: 0,
             used: 0,
+            reseeded: false,
             products: vec![0.0; d * (d + 1) / 2],
             reference: vec![0.0; 3 * model.joints()],
             shares: vec![0.0; particles.div_ceil(BLOCK)],
@@ -124,6 +127,8 @@ pub struct ParticleOutput {
     pub links: FilterOutput,
     /// Effective number of particles.
     pub effective: Vec<f64>,
+    /// Whether the cloud was spread anew after the sample.
+    pub reseeded: Vec<bool>,
     /// Link positions of the particle of largest weight (n).
     pub best: Vec<f64>,
     /// Quantiles of each link position (quantiles × n).
@@ -137,6 +142,7 @@ impl ParticleOutput {
         Ok(Self {
             links: FilterOutput::zeros(count, &filter.model, Keep { innovations: false, ..keep })?,
             effective: filled(0.0, count, 1)?,
+            reseeded: filled(false, count, 1)?,
             best: filled(0.0, count, n)?,
             quantiles: filled(0.0, count, n * filter.settings.quantiles.len())?,
         })
@@ -151,6 +157,7 @@ impl ParticleOutput {
         }
         let ParticleFilter { cloud, summary, settings, .. } = filter;
         self.effective[i] = summary.effective;
+        self.reseeded[i] = summary.reseeded;
         for j in 0..n {
             self.best[i * n + j] = cloud.at(summary.best, j);
             let levels = settings.quantiles.len();

@@ -5,8 +5,8 @@ use super::density::{Noise, log_gamma};
 use super::settings::Proposal;
 use super::shared::Shared;
 use super::sums::Weigh;
-use crate::estimate::kalman::JerkModel;
-use crate::estimate::measurement::Reach;
+use crate::estimate::jerk_noise;
+use crate::estimate::kalman::{self, JerkModel};
 use crate::linear;
 use crate::random::{Purpose, Stream};
 use crate::scalar::{Lanes, Scalar, ln};
@@ -21,11 +21,13 @@ pub(super) struct Sample {
     /// Commanded jerk (n), zero at the first sample.
     pub(super) jerk: Vec<f64>,
     pub(super) dtheta: Vec<f64>,
-    /// Standard deviation of each joint's increment of acceleration.
-    pub(super) increments: Vec<f64>,
+    /// How each joint's (q, q̇, q̈) follow from its three standard normal numbers, see [`jerk_noise::factor`].
+    pub(super) factors: Vec<[[f64; 3]; 3]>,
     pub(super) readings: Vec<Reading>,
     pub(super) walks: Vec<Walk>,
-    /// Normal numbers that a particle needs: of increments first, then of walks and biases.
+    /// What is left of each bias after the step, by entry of the state.
+    pub(super) decays: Vec<(usize, f64)>,
+    /// Normal numbers that a particle needs: of the links' noise first, then of biases.
     pub(super) draws: usize,
     /// Logarithm of the total weight before.
     pub(super) offset: f64,
@@ -113,15 +115,16 @@ impl Scratch {
         draw(&motion, items, 0, &mut self.normal[..sample.draws]);
         self.coast(n, sample);
         self.walk(sample);
+        let drawn = self.noise.len();
         let mut change = match sample.proposal {
             Proposal::Bootstrap => {
-                self.noise.copy_from_slice(&self.normal[..n]);
+                self.noise.copy_from_slice(&self.normal[..drawn]);
                 Wide::default()
             }
             Proposal::Linearised { iterations, tail } => self.propose(model, sample, shared, items, iterations, tail),
         };
         self.apply_noise(sample);
-        self.sensed.predict(&model.robot, &model.channels, &self.after, &sample.dtheta);
+        self.evaluation.predict(&model.robot, &model.channels, &self.after, &sample.dtheta);
         change += self.weigh_and_learn(sample);
         change + self.within_limits(sample)
     }
@@ -160,9 +163,12 @@ impl Scratch {
             self.before[n + j] += ddq * dt + half * u;
             self.before[2 * n + j] = ddq + dt * u;
         }
+        for &(bias, decay) in &sample.decays {
+            self.before[bias] = self.before[bias] * decay;
+        }
     }
 
-    /// Positions, velocities and biases that wander whatever the readings say.
+    /// Biases that wander whatever the readings say.
     #[inline(always)]
     fn walk(&mut self, sample: &Sample) {
         for walk in &sample.walks {
@@ -170,11 +176,11 @@ impl Scratch {
         }
     }
 
-    /// Draws increments by the linearised readings; returns log p(w) − log q(w).
+    /// Draws the links' noise by the linearised readings; returns log p(w) − log q(w).
     ///
-    /// In noise space, increments in units of their standard deviation: Λ = 1 + AᵀS⁻¹A and ŵ = Λ⁻¹AᵀS⁻¹ε.
-    /// The usual pseudo-inverse of a singular Q (Axelsson, Karlsson and Norrlöf 2012, eq. (19)) takes directions in
-    /// which the process has no noise for directions in which nothing is known.
+    /// In noise space, by the standard normal numbers of which noise is made: Λ = 1 + AᵀS⁻¹A and ŵ = Λ⁻¹AᵀS⁻¹ε. That
+    /// holds for a singular Q as well, whose pseudo-inverse (Axelsson, Karlsson and Norrlöf 2012, eq. (19)) would take
+    /// directions without noise for directions in which nothing is known.
     #[inline(always)]
     fn propose(
         &mut self,
@@ -213,7 +219,7 @@ impl Scratch {
         for iteration in 0..iterations {
             self.noise.copy_from_slice(&self.mode);
             self.apply_noise(sample);
-            self.sensed.linearise(&model.robot, &model.channels, &self.after, &sample.dtheta, reach(sample.dt));
+            self.evaluation.evaluate(&model.robot, &model.channels, &self.after, &sample.dtheta);
             self.gather_information(sample, iteration > 0);
             linear::factorise(&mut self.factor, n);
             linear::solve(&self.factor, n, &mut self.mode, 1);
@@ -224,7 +230,7 @@ impl Scratch {
     /// Λ into `factor` and AᵀS⁻¹(ε + A ŵ) into `mode`, ε taken at ŵ.
     #[inline(always)]
     fn gather_information(&mut self, sample: &Sample, again: bool) {
-        let Self { sensed, after, mode, noise, factor, .. } = self;
+        let Self { evaluation, after, mode, noise, factor, row, .. } = self;
         let n = mode.len();
         factor.fill(Wide::default());
         mode.fill(Wide::default());
@@ -232,13 +238,12 @@ impl Scratch {
             factor[j * n + j] = Wide::constant(1.0);
         }
         for reading in &sample.readings {
-            let row = &mut sensed.by_increment[reading.channel * n..][..n];
-            let mut error = reading.error(after, &sensed.prediction);
+            sample.by_noise(&evaluation.jacobian[reading.channel * n..][..n], row);
+            let mut error = reading.error(after, &evaluation.prediction);
             let precision = reading.noise.precision(error);
-            for j in 0..n {
-                row[j] = row[j] * sample.increments[j];
-                if again {
-                    error += row[j] * noise[j];
+            if again {
+                for (slope, noise) in row.iter().zip(noise.iter()) {
+                    error += *slope * *noise;
                 }
             }
             for j in 0..n {
@@ -266,10 +271,10 @@ impl Scratch {
         };
         self.noise.copy_from_slice(&self.normal[..n]);
         if let Some(shared) = shared {
-            unwind(&mut self.noise, |i| Wide::constant(shared.factor[i]));
+            shared.unwind(&mut self.noise);
             change += Wide::constant(shared.constant);
         } else {
-            unwind(&mut self.noise, |i| self.factor[i]);
+            unwind(&mut self.noise, &self.factor);
             let diagonal = self.factor.iter().step_by(n + 1);
             change -= diagonal.fold(Wide::constant(1.0), |product, &root| product * root).map(ln);
         }
@@ -282,14 +287,13 @@ impl Scratch {
     /// x = x⁻ + G w.
     #[inline(always)]
     fn apply_noise(&mut self, sample: &Sample) {
-        let n = self.noise.len();
-        let [r0, r1, _] = reach(sample.dt);
+        let n = sample.factors.len();
         self.after.copy_from_slice(&self.before);
-        for j in 0..n {
-            let w = self.noise[j] * sample.increments[j];
-            self.after[j] += w * r0;
-            self.after[n + j] += w * r1;
-            self.after[2 * n + j] += w;
+        for (j, [q, dq, ddq]) in sample.factors.iter().enumerate() {
+            let [w0, w1, w2] = [self.noise[j], self.noise[n + j], self.noise[2 * n + j]];
+            self.after[j] += w0 * q[0] + w1 * q[1] + w2 * q[2];
+            self.after[n + j] += w0 * dq[0] + w1 * dq[1];
+            self.after[2 * n + j] += w0 * ddq[0];
         }
     }
 
@@ -298,7 +302,7 @@ impl Scratch {
     fn weigh_and_learn(&mut self, sample: &Sample) -> Wide {
         let mut change = Wide::default();
         for reading in &sample.readings {
-            let error = reading.error(&self.after, &self.sensed.prediction);
+            let error = reading.error(&self.after, &self.evaluation.prediction);
             change += reading.noise.log_density(error);
             if let Some(bias) = reading.bias {
                 self.after[bias] += error * reading.gain;
@@ -311,28 +315,22 @@ impl Scratch {
     }
 }
 
-/// ζ to L⁻ᵀζ, entry i of L by rows being `factor(i)`.
+/// ζ to L⁻ᵀζ.
 #[inline(always)]
-fn unwind(zeta: &mut [Wide], factor: impl Fn(usize) -> Wide) {
+fn unwind(zeta: &mut [Wide], factor: &[Wide]) {
     let n = zeta.len();
     for j in (0..n).rev() {
         let mut value = zeta[j];
         for k in j + 1..n {
-            value -= factor(k * n + j) * zeta[k];
+            value -= factor[k * n + j] * zeta[k];
         }
-        zeta[j] = value / factor(j * n + j);
+        zeta[j] = value / factor[j * n + j];
     }
 }
 
 #[inline(always)]
 fn square(x: &[Wide]) -> Wide {
     x.iter().fold(Wide::default(), |sum, &x| sum + x * x)
-}
-
-/// How far an increment of acceleration reaches in `dt`.
-#[inline(always)]
-pub(super) fn reach(dt: f64) -> Reach {
-    [0.5 * dt * dt, dt, 1.0]
 }
 
 /// Standard normal numbers, two a draw.
@@ -382,6 +380,28 @@ fn student_term(square: Wide, dof: f64, n: usize) -> Wide {
     // Γ((ν+n)/2)/Γ(ν/2) over (ν/2)^(n/2), by recurrence from half-integers.
     let constant = log_gamma(0.5 * (dof + n)) - log_gamma(0.5 * dof) - 0.5 * n * ln(0.5 * dof);
     (square * (1.0 / dof) + 1.0).map(ln) * (0.5 * (dof + n)) + -constant
+}
+
+impl Sample {
+    /// The links' noise over `dt`, or none at a first sample.
+    pub(super) fn set_noise(&mut self, noise: &kalman::Noise) {
+        let n = self.factors.len();
+        for (j, factor) in self.factors.iter_mut().enumerate() {
+            *factor = jerk_noise::factor(noise.jerk[j], [noise.link_walk[j], noise.link_walk[n + j]], self.dt);
+        }
+    }
+
+    /// ∂h/∂(q, q̇, q̈) to ∂h/∂w of the standard normal numbers w: all first ones, all second ones, all third ones.
+    #[inline(always)]
+    pub(super) fn by_noise<T: Scalar>(&self, links: &[T], out: &mut [T]) {
+        let n = self.factors.len();
+        for (j, [q, dq, ddq]) in self.factors.iter().enumerate() {
+            let [by_q, by_dq, by_ddq] = [links[j], links[n + j], links[2 * n + j]];
+            out[j] = by_q * q[0] + by_dq * dq[0] + by_ddq * ddq[0];
+            out[n + j] = by_q * q[1] + by_dq * dq[1];
+            out[2 * n + j] = by_q * q[2];
+        }
+    }
 }
 
 impl Reading {

@@ -27,7 +27,7 @@ impl ParticleFilter {
         self.copy_ancestors();
         if let Some(kernel) = kernel {
             self.take_moments(false);
-            self.move_apart(kernel);
+            self.move_apart(Purpose::Move, kernel);
         }
     }
 
@@ -35,7 +35,7 @@ impl ParticleFilter {
     ///
     /// A weighted covariance about its own mean is too small by 1 − Σw² on average. That is little at a sample, but each
     /// choice hands it on to the next, until a cloud of many states has no spread left where readings say little.
-    fn take_moments(&mut self, before: bool) {
+    pub(super) fn take_moments(&mut self, before: bool) {
         let d = self.belief.mean.len();
         let mut scale = 1.0;
         if before {
@@ -74,9 +74,10 @@ impl ParticleFilter {
         sample.offset = 0.0;
     }
 
-    fn move_apart(&mut self, kernel: f64) {
+    /// Moves the particles from the moments that were found to those that are wanted.
+    pub(super) fn move_apart(&mut self, purpose: Purpose, kernel: f64) {
         let Self { cloud, wanted, found, settings, threads, .. } = self;
-        let stream = Stream::new(settings.seed, self.taken as u32, Purpose::Move);
+        let stream = Stream::new(settings.seed, self.taken as u32, purpose);
         let (wanted, found, level) = (&*wanted, &*found, simd::level());
         cloud.each(*threads, |block| simd::dispatch(level, Spread { block, wanted, found, kernel, stream }));
     }

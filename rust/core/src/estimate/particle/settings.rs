@@ -3,7 +3,7 @@
 use super::density::Density;
 use crate::check::{expect, expect_length};
 use crate::error::DesignError;
-use crate::estimate::kalman::{JerkModel, MOST_ITERATIONS, Noise};
+use crate::estimate::kalman::{JerkModel, MOST_ITERATIONS};
 use crate::estimate::measurement::Channel;
 
 /// Most particles that a filter takes.
@@ -31,8 +31,7 @@ pub enum Marginalised {
     Nothing,
     /// Biases. As each adds to its channel, and nothing else depends on it, their variances are the same for all particles.
     Biases,
-    /// Accelerations and biases, with a covariance for each particle. Positions and velocities must wander by themselves:
-    /// with noise in acceleration alone, their path determines it.
+    /// Accelerations and biases, with a covariance for each particle.
     Accelerations,
 }
 
@@ -54,8 +53,10 @@ pub enum Resampling {
 pub enum Collapse {
     /// Stop, and name the sample.
     Stop,
-    /// Go on as if the readings were missing; the sample's status says so.
-    Recover,
+    /// Flag the sample, and leave the cloud as it is.
+    Flag,
+    /// Flag the sample, and spread the cloud anew from a Kalman filter that runs beside.
+    Reseed,
 }
 
 /// Settings of a particle filter.
@@ -80,7 +81,7 @@ pub struct ParticleSettings {
     pub limits: Vec<(f64, f64)>,
     /// Link positions that particles start from in turn, at rest (any number of rows of n); empty for one at rest.
     pub initial: Vec<f64>,
-    /// What to do when no particle explains a sample.
+    /// What to do when the cloud does not explain the readings.
     pub collapse: Collapse,
     /// Shares of probability whose quantiles of position are reported.
     pub quantiles: Vec<f64>,
@@ -89,12 +90,7 @@ pub struct ParticleSettings {
 impl ParticleSettings {
     /// # Errors
     /// A setting out of its range, or of a length that does not fit `model`.
-    pub(super) fn check(
-        &self,
-        model: &JerkModel,
-        noise: &Noise,
-        marginalised: Marginalised,
-    ) -> Result<(), DesignError> {
+    pub(super) fn check(&self, model: &JerkModel, marginalised: Marginalised) -> Result<(), DesignError> {
         let unused = !model.channels.contains(&Channel::MotorVelocity(0));
         expect(unused, "motor_velocities", 1.0, "0: a particle filter does not measure with them")?;
         let count = self.particles as f64;
@@ -113,12 +109,6 @@ impl ParticleSettings {
             density.check()?;
             let fits = density.is_normal() || marginalised == Marginalised::Nothing;
             expect(fits, "outliers", 1.0, "normal noise where biases are marginalised")?;
-        }
-        for (i, &walk) in noise.link_walk.iter().enumerate() {
-            let what = if i < model.joints() { "position_walk" } else { "velocity_walk" };
-            let fits = walk > 0.0 || marginalised != Marginalised::Accelerations;
-            let expected = "more than 0 where accelerations are marginalised: without it positions determine them";
-            expect(fits, what, walk, expected)?;
         }
         expect_length("limits", self.limits.len(), model.joints())?;
         for &(low, high) in &self.limits {

@@ -1,7 +1,7 @@
 //! One linearisation for all particles, where the cloud is narrow enough that each has the same.
 
-use super::cloud::{Cloud, Scratch, WIDE};
-use super::proposal::{Sample, reach};
+use super::cloud::{Cloud, Scratch, WIDE, Wide};
+use super::proposal::Sample;
 use crate::estimate::kalman::{JerkModel, Linearised};
 use crate::linear;
 use crate::scalar::{Lanes, ln};
@@ -11,20 +11,21 @@ use crate::simd::Kernel;
 /// effective particles.
 const SLACK: f64 = 0.1;
 
-/// The linearised proposal N(ŵ, Λ⁻¹) of increments as a function of the particle's state x: ŵ = ŵ₀ − M (x − x₀).
+/// The linearised proposal N(ŵ, Λ⁻¹) of the links' noise (w, 3n numbers) as a function of the particle's state x: ŵ = ŵ₀ − M (x − x₀).
 #[derive(Clone, Debug)]
 pub(super) struct Shared {
     /// x₀, where the cloud is expected (states).
     centre: Vec<f64>,
-    /// ŵ₀ (n).
+    /// ŵ₀ (3n).
     mode: Vec<f64>,
-    /// M (n × states).
+    /// M (3n × states).
     gain: Vec<f64>,
-    /// L with Λ = L Lᵀ, by rows (n × n).
-    pub(super) factor: Vec<f64>,
+    /// L with Λ = L Lᵀ, by rows (3n × 3n), and one over its diagonal.
+    factor: Vec<f64>,
+    inverse: Vec<f64>,
     /// −ln det L.
     pub(super) constant: f64,
-    /// ∂h/∂w of each reading in units of its standard deviation (channels × n).
+    /// ∂h/∂w of each reading in units of its standard deviation (channels × 3n).
     rows: Vec<f64>,
     /// Where it is tried.
     scratch: Scratch,
@@ -32,12 +33,13 @@ pub(super) struct Shared {
 
 impl Shared {
     pub(super) fn new(model: &JerkModel) -> Self {
-        let (n, d) = (model.joints(), model.states());
+        let (n, d) = (3 * model.joints(), model.states());
         Self {
             centre: vec![0.0; d],
             mode: vec![0.0; n],
             gain: vec![0.0; n * d],
             factor: vec![0.0; n * n],
+            inverse: vec![0.0; n],
             constant: 0.0,
             rows: vec![0.0; model.channels() * n],
             scratch: Scratch::new(model, n),
@@ -46,30 +48,27 @@ impl Shared {
 
     /// Takes over readings linearised at `centre`.
     pub(super) fn set(&mut self, sample: &Sample, linearised: Linearised<'_>, centre: &[f64]) {
-        let Self { mode, gain, factor, rows, .. } = self;
+        let Self { mode, gain, factor, inverse, rows, .. } = self;
         let (n, d) = (mode.len(), centre.len());
         self.centre.copy_from_slice(centre);
         mode.fill(0.0);
         gain.fill(0.0);
         factor.fill(0.0);
         factor.iter_mut().step_by(n + 1).for_each(|x| *x = 1.0);
-        let reach = reach(sample.dt);
         for reading in &sample.readings {
-            let jacobian = &linearised.jacobian[reading.channel * 3 * n..][..3 * n];
+            let jacobian = &linearised.jacobian[reading.channel * n..][..n];
             let deviation = reading.noise.variance.sqrt();
             let bias = reading.bias.map_or(0.0, |b| centre[b]);
             let error = (reading.value - linearised.prediction[reading.channel] - bias) / deviation;
             let row = &mut rows[reading.channel * n..][..n];
-            for j in 0..n {
-                let along: f64 = (0..3).map(|k| jacobian[k * n + j] * reach[k]).sum();
-                row[j] = along * sample.increments[j] / deviation;
-            }
+            sample.by_noise(jacobian, row);
+            row.iter_mut().for_each(|slope| *slope /= deviation);
             for j in 0..n {
                 mode[j] += row[j] * error;
                 for k in 0..=j {
                     factor[j * n + k] += row[j] * row[k];
                 }
-                for (entry, slope) in gain[j * d..][..3 * n].iter_mut().zip(jacobian) {
+                for (entry, slope) in gain[j * d..][..n].iter_mut().zip(jacobian) {
                     *entry += row[j] * slope / deviation;
                 }
                 if let Some(bias) = reading.bias {
@@ -81,6 +80,9 @@ impl Shared {
         linear::solve(factor, n, mode, 1);
         linear::solve(factor, n, gain, d);
         linear::root(factor, n);
+        for (inverse, root) in inverse.iter_mut().zip(factor.iter().step_by(n + 1)) {
+            *inverse = 1.0 / root;
+        }
         self.constant = -factor.iter().step_by(n + 1).map(|&x| ln(x)).sum::<f64>();
     }
 }
@@ -101,34 +103,33 @@ impl Kernel for Probe<'_> {
     fn run(self) -> bool {
         let Self { model, sample, linearised, cloud, shared } = self;
         let Shared { scratch, centre, rows, .. } = shared;
-        let n = model.joints();
+        let (joints, n) = (model.joints(), 3 * model.joints());
         let count: usize = cloud.blocks.iter().map(|b| b.count).sum();
         for (d, entry) in scratch.before.iter_mut().enumerate() {
             *entry = Lanes(core::array::from_fn(|l| cloud.at(l * count / WIDE, d)));
         }
-        scratch.coast(n, sample);
-        scratch.sensed.linearise(&model.robot, &model.channels, &scratch.before, &sample.dtheta, reach(sample.dt));
-        let mut agree = true;
-        for l in 0..WIDE {
-            let (mut missed, mut turned, mut whole) = (0.0, 0.0, 1.0);
-            for reading in &sample.readings {
-                let jacobian = &linearised.jacobian[reading.channel * 3 * n..][..3 * n];
+        scratch.coast(joints, sample);
+        let Scratch { before, evaluation, row: by_noise, .. } = scratch;
+        evaluation.evaluate(&model.robot, &model.channels, before, &sample.dtheta);
+        let (mut missed, mut turned, mut whole) = ([0.0; WIDE], [0.0; WIDE], 1.0);
+        for reading in &sample.readings {
+            let jacobian = &linearised.jacobian[reading.channel * n..][..n];
+            let shared = &rows[reading.channel * n..][..n];
+            let deviation = reading.noise.variance.sqrt();
+            sample.by_noise(&evaluation.jacobian[reading.channel * n..][..n], by_noise);
+            whole += shared.iter().map(|row| row * row).sum::<f64>();
+            for l in 0..WIDE {
                 let mut expected = linearised.prediction[reading.channel];
                 for (d, slope) in jacobian.iter().enumerate() {
-                    expected += slope * (scratch.before[d].0[l] - centre[d]);
+                    expected += slope * (before[d].0[l] - centre[d]);
                 }
-                let own = scratch.sensed.prediction[reading.channel].0[l];
-                missed += (own - expected).powi(2) / reading.noise.variance;
-                for j in 0..n {
-                    let row = rows[reading.channel * n + j];
-                    let own = scratch.sensed.by_increment[reading.channel * n + j].0[l] * sample.increments[j];
-                    turned += (own / reading.noise.variance.sqrt() - row).powi(2);
-                    whole += row * row;
-                }
+                let own = evaluation.prediction[reading.channel].0[l];
+                missed[l] += ((own - expected) / deviation).powi(2);
+                turned[l] +=
+                    by_noise.iter().zip(shared).map(|(own, row)| (own.0[l] / deviation - row).powi(2)).sum::<f64>();
             }
-            agree &= missed < SLACK * SLACK && turned < SLACK * SLACK * whole;
         }
-        agree
+        (0..WIDE).all(|l| missed[l] < SLACK * SLACK && turned[l] < SLACK * SLACK * whole)
     }
 }
 
@@ -147,6 +148,21 @@ impl Scratch {
                 value -= *deviation * *gain;
             }
             *mode = value;
+        }
+    }
+}
+
+impl Shared {
+    /// ζ to L⁻ᵀζ.
+    #[inline(always)]
+    pub(super) fn unwind(&self, zeta: &mut [Wide]) {
+        let n = zeta.len();
+        for j in (0..n).rev() {
+            let mut value = zeta[j];
+            for k in j + 1..n {
+                value -= zeta[k] * self.factor[k * n + j];
+            }
+            zeta[j] = value * self.inverse[j];
         }
     }
 }

@@ -3,14 +3,13 @@
 //! Weighing particles by p(x₊ | x), as backward simulation does (Godsill, Doucet and West 2004), needs a density that
 //! is not there: noise moves n of 3n entries of the state, and no particle leads to where another went (Lindsten, Bunch,
 //! Singh and Schön 2015). The motion is linear and its noise normal though, so the pass back of Rauch, Tung and Striebel
-//! (1965) takes a cloud's two moments as they are; nothing of the sensors comes into it again. It is written in the
-//! adjoints λ and Λ, so that the motion is only ever applied, never inverted.
+//! (1965) takes a cloud's two moments as they are; nothing of the sensors comes into it again.
 
 use super::filter::ParticleFilter;
 use super::moves::Moments;
 use super::output::{ParticleOutput, packed};
 use crate::error::{DesignError, RunError};
-use crate::estimate::kalman::{Gaussian, KalmanRecording, Keep, Model, Symmetric};
+use crate::estimate::kalman::{Gaussian, JerkModel, KalmanRecording, Keep, Model, Noise, Symmetric};
 use crate::interrupt::Watch;
 use crate::memory::room;
 
@@ -51,11 +50,18 @@ struct Back {
     filtered: Gaussian,
     predicted: Gaussian,
     smoothed: Gaussian,
+    /// Q: what a step adds to no uncertainty at all.
+    noise: Gaussian,
+    /// Factor of a covariance.
     factor: Moments,
     products: Vec<f64>,
-    lambda: Vec<f64>,
-    big: Symmetric,
+    /// G, and 1 − G F (d × d).
+    gain: Vec<f64>,
+    left: Vec<f64>,
+    /// Factors of the two parts of the smoothed covariance (d × 2d).
+    parts: Vec<f64>,
     column: Vec<f64>,
+    unused: Symmetric,
 }
 
 impl Back {
@@ -65,58 +71,96 @@ impl Back {
             filtered: belief(),
             predicted: belief(),
             smoothed: belief(),
+            noise: belief(),
             factor: Moments::new(d),
             products: vec![0.0; d * (d + 1) / 2],
-            lambda: vec![0.0; d],
-            big: Symmetric::zeros(d),
+            gain: vec![0.0; d * d],
+            left: vec![0.0; d * d],
+            parts: vec![0.0; d * 2 * d],
             column: vec![0.0; d],
+            unused: Symmetric::zeros(d),
         }
     }
 
-    /// λ = P₋⁻¹ (m̂₊ − m₋) and Λ = P₋⁻¹ (P₋ − P̂₊) P₋⁻¹, of what was smoothed and predicted at the sample after.
-    fn look_back(&mut self) {
-        let Self { predicted, smoothed, factor, products, lambda, big, column, .. } = self;
-        let d = lambda.len();
-        for r in 0..d {
-            for c in r..d {
-                products[packed(r, c, d)] = predicted.covariance.at(r, c);
-            }
-            lambda[r] = smoothed.mean[r] - predicted.mean[r];
+    /// From the sample after, which is in `smoothed`, to that which is in `filtered`: with G = P Fᵀ P₋⁻¹,
+    ///
+    /// m̂ = m + G (m̂₊ − m₋) and P̂ = (1 − G F) P (1 − G F)ᵀ + G (Q + P̂₊) Gᵀ,
+    ///
+    /// each part the square of a factor. The usual P − G (P₋ − P̂₊) Gᵀ is the same number, but where P₋ is large it is the
+    /// difference of two that hardly differ, and may turn out negative.
+    fn step(&mut self, model: &JerkModel, noise: &Noise, dt: f64, jerk: &[f64]) {
+        self.predicted.copy_from(&self.filtered);
+        model.predict(&mut self.predicted, noise, dt, jerk);
+        self.noise.covariance.data.fill(0.0);
+        model.predict(&mut self.noise, noise, dt, jerk);
+        self.look_back(model, noise, dt);
+        self.set_parts();
+        let Self { filtered, predicted, smoothed, gain, parts, column, .. } = self;
+        let d = column.len();
+        for (change, (after, before)) in column.iter_mut().zip(smoothed.mean.iter().zip(&predicted.mean)) {
+            *change = after - before;
         }
+        for (r, row) in gain.chunks_exact(d).enumerate() {
+            smoothed.mean[r] = filtered.mean[r] + sum(row, column);
+        }
+        for (r, row) in parts.chunks_exact(2 * d).enumerate() {
+            for (c, other) in parts.chunks_exact(2 * d).enumerate().skip(r) {
+                smoothed.covariance.put(r, c, sum(row, other));
+            }
+        }
+    }
+
+    /// G and 1 − G F, by the adjoint of the motion alone.
+    fn look_back(&mut self, model: &JerkModel, noise: &Noise, dt: f64) {
+        let Self { filtered, predicted, factor, products, gain, left, column, unused, .. } = self;
+        let d = column.len();
+        pack(&[&predicted.covariance], products);
         factor.factorise(products, 1.0);
-        factor.solve(lambda);
+        for k in 0..d {
+            column.fill(0.0);
+            column[k] = 1.0;
+            factor.solve(column);
+            model.retreat(column, unused, noise, dt); // a column of Fᵀ P₋⁻¹
+            for r in 0..d {
+                gain[r * d + k] = sum(&filtered.covariance.row(r)[..d], column);
+            }
+        }
         for r in 0..d {
-            for c in 0..d {
-                column[c] = predicted.covariance.at(r, c) - smoothed.covariance.at(r, c);
-            }
-            factor.solve(column);
-            big.data[r * big.stride..][..d].copy_from_slice(column);
-        }
-        for c in 0..d {
-            for r in 0..d {
-                column[r] = big.at(r, c);
-            }
-            factor.solve(column);
-            for r in 0..d {
-                big.data[r * big.stride + c] = column[r];
+            column.copy_from_slice(&gain[r * d..][..d]);
+            model.retreat(column, unused, noise, dt);
+            for (c, (left, moved)) in left[r * d..][..d].iter_mut().zip(column.iter()).enumerate() {
+                *left = f64::from(u8::from(r == c)) - moved;
             }
         }
-        big.mirror();
     }
 
-    /// m̂ = m + P λ and P̂ = P − P Λ P, once λ and Λ are those of this sample.
-    fn smooth(&mut self) {
-        let Self { filtered, smoothed, lambda, big, column, .. } = self;
-        let (d, p) = (lambda.len(), &filtered.covariance);
-        for r in 0..d {
-            let row = &p.row(r)[..d];
-            smoothed.mean[r] = filtered.mean[r] + sum(row, lambda);
-            for (k, entry) in column.iter_mut().enumerate() {
-                *entry = sum(row, &big.row(k)[..d]);
+    /// (1 − G F) √P beside G √(Q + P̂₊).
+    fn set_parts(&mut self) {
+        let Self { filtered, smoothed, noise, factor, products, gain, left, parts, column, .. } = self;
+        let d = column.len();
+        let mut multiply = |matrix: &[f64], factor: &[f64], from: usize| {
+            for r in 0..d {
+                for c in 0..d {
+                    parts[r * 2 * d + from + c] = (c..d).map(|k| matrix[r * d + k] * factor[k * d + c]).sum();
+                }
             }
-            for c in r..d {
-                smoothed.covariance.put(r, c, p.at(r, c) - sum(column, &p.row(c)[..d]));
-            }
+        };
+        pack(&[&filtered.covariance], products);
+        factor.factorise(products, 1.0);
+        multiply(left, &factor.factor, 0);
+        pack(&[&noise.covariance, &smoothed.covariance], products);
+        factor.factorise(products, 1.0);
+        multiply(gain, &factor.factor, d);
+    }
+}
+
+/// The sum's upper triangle by rows.
+fn pack(matrices: &[&Symmetric], out: &mut [f64]) {
+    let d = matrices[0].n;
+    let mut out = out.iter_mut();
+    for r in 0..d {
+        for (c, out) in (r..d).zip(&mut out) {
+            *out = matrices.iter().map(|matrix| matrix.at(r, c)).sum();
         }
     }
 }
@@ -155,12 +199,7 @@ impl ParticleFilter {
                 continue;
             }
             let next = recording.sample(i + 1, &self.model);
-            back.predicted.copy_from(&back.filtered);
-            let model = self.model.jerk_model();
-            model.predict(&mut back.predicted, self.model.noise(), next.dt, next.inputs.jerk);
-            back.look_back();
-            model.retreat(&mut back.lambda, &mut back.big, self.model.noise(), next.dt);
-            back.smooth();
+            back.step(self.model.jerk_model(), self.model.noise(), next.dt, next.inputs.jerk);
             let motors = &history.motors[i * self.memory.len()..][..self.memory.len()];
             out.report_belief(i, self, motors, &back.smoothed, keep);
         }

@@ -1,7 +1,9 @@
 //! Against the joint density of path, accelerations, biases and readings, formed whole.
 
-use super::super::motion::JointWalk;
+use super::super::motion::JointNoise;
 use super::*;
+use crate::estimate::bias::BiasStep;
+use crate::estimate::jerk_noise;
 use nalgebra::{DMatrix, DVector};
 use proptest::prelude::*;
 
@@ -12,13 +14,16 @@ const D: usize = 2 * N + L;
 const DT: f64 = 0.3;
 /// Which bias adds to each reading.
 const BIASES: [Option<usize>; 3] = [Some(2), None, Some(3)];
+/// What is left of each bias after the step.
+const DECAYS: [f64; L - N] = [0.6, 1.0];
 const VARIANCE: f64 = 0.2;
 
 #[derive(Debug)]
 struct Case {
     prior: DMatrix<f64>,
     walks: [f64; 2 * N],
-    gained: [f64; L],
+    jerk: [f64; N],
+    gained: [f64; L - N],
     rows: DMatrix<f64>,
     errors: DVector<f64>,
 }
@@ -26,12 +31,13 @@ struct Case {
 fn cases() -> impl Strategy<Value = Case> {
     let numbers = |count| prop::collection::vec(-1.0..1.0_f64, count);
     (numbers(L * L), numbers(2 * N), numbers(L), numbers(3 * 3 * N), numbers(3)).prop_map(
-        |(root, walks, gained, rows, errors)| {
+        |(root, walks, noise, rows, errors)| {
             let root = DMatrix::from_vec(L, L, root);
             Case {
                 prior: &root * root.transpose() + DMatrix::identity(L, L) * 0.01,
                 walks: core::array::from_fn(|i| 0.02 + walks[i].abs()),
-                gained: core::array::from_fn(|i| gained[i].abs()),
+                jerk: core::array::from_fn(|j| 3.0 * noise[j].abs()),
+                gained: core::array::from_fn(|i| noise[N + i].abs()),
                 rows: DMatrix::from_vec(3, 3 * N, rows),
                 errors: DVector::from_vec(errors),
             }
@@ -41,14 +47,15 @@ fn cases() -> impl Strategy<Value = Case> {
 
 impl Case {
     fn motion(&self) -> Motion {
-        let walks = (0..N).map(|j| JointWalk::new(self.walks[j], self.walks[N + j], DT)).collect();
-        Motion { dt: DT, walks, gained: self.gained.to_vec() }
+        let walks = |j: usize| [self.walks[j].powi(2), self.walks[N + j].powi(2)];
+        let joints = (0..N).map(|j| JointNoise::new(self.jerk[j], walks(j), DT)).collect();
+        let step = |(&variance, decay)| BiasStep { decay, variance };
+        Motion { dt: DT, joints, biases: self.gained.iter().zip(DECAYS).map(step).collect() }
     }
 
     fn conditional(&self) -> Conditional<f64> {
         let mut out = Conditional::new(N, L);
         out.covariance = (0..L).flat_map(|r| (r..L).map(move |c| self.prior[(r, c)])).collect();
-        out.drift(&self.motion());
         out.follow(&self.motion());
         out
     }
@@ -57,6 +64,9 @@ impl Case {
     fn joint(&self) -> DMatrix<f64> {
         let mut map = DMatrix::zeros(D, L);
         map.view_mut((2 * N, 0), (L, L)).fill_with_identity();
+        for (i, decay) in DECAYS.into_iter().enumerate() {
+            map[(3 * N + i, N + i)] = decay;
+        }
         for j in 0..N {
             (map[(j, j)], map[(N + j, j)]) = (0.5 * DT * DT, DT);
         }
@@ -64,8 +74,16 @@ impl Case {
         for (i, walk) in self.walks.iter().enumerate() {
             own[(i, i)] = walk * walk;
         }
-        let prior = &self.prior + DMatrix::from_diagonal(&DVector::from_row_slice(&self.gained));
-        &map * prior * map.transpose() + own
+        let white_jerk = jerk_noise::covariance(DT);
+        for j in 0..N {
+            for (a, b) in (0..3).flat_map(|a| (0..3).map(move |b| (a, b))) {
+                own[(a * N + j, b * N + j)] += self.jerk[j].powi(2) * white_jerk[a][b];
+            }
+        }
+        for (i, gained) in self.gained.iter().enumerate() {
+            own[(3 * N + i, 3 * N + i)] = *gained;
+        }
+        &map * &self.prior * map.transpose() + own
     }
 
     /// ∂h/∂(n, l).

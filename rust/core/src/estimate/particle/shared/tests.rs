@@ -64,7 +64,7 @@ fn steps(initial: &[f64], iterations: usize) -> ([bool; 3], f64) {
         densities: vec![Density::Normal; 3],
         limits: vec![(f64::NEG_INFINITY, f64::INFINITY)],
         initial: initial.to_vec(),
-        collapse: Collapse::Recover,
+        collapse: Collapse::Flag,
         quantiles: vec![],
     };
     let mut filter = ParticleFilter::new(model(), settings, Marginalised::Biases).unwrap();

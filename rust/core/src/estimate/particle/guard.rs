@@ -1,0 +1,204 @@
+//! A Kalman filter that runs beside the cloud, with the same model and noise, and what it says of the cloud.
+//!
+//! A cloud that has lost its spread stays where it is, whatever the readings say, and its own standard deviations say
+//! nothing of it. Beside a Kalman filter it shows: in the evidence, the sum of log p(yₖ | y₁ … yₖ₋₁), by which two filters of
+//! the same readings compare as models do; and in spread and place.
+
+use super::accelerations;
+use super::filter::ParticleFilter;
+use super::output::{Summary, packed};
+use super::settings::{Collapse, Marginalised, ParticleSettings};
+use crate::error::{DesignError, RunError};
+use crate::estimate::Status;
+use crate::estimate::kalman::{ExtendedKalmanFilter, FilterSettings, JerkDriven, KalmanSample};
+use crate::random::Purpose;
+
+/// Evidence by which one of two filters is taken to be right, odds of 150 to one. Where both are, the sum of what the
+/// cloud is ahead exceeds a with a probability of at most e⁻ᵃ (Ville 1939).
+const DECISIVE: f64 = 5.0;
+/// Evidence by which the cloud is lost. A cloud of few particles is behind by chance a little at every sample.
+const LOST: f64 = 30.0;
+/// How much a cloud may be behind at a sample, by chance, for each reading.
+const CHANCE: f64 = 0.25;
+/// More evidence than this is not remembered.
+const MOST: f64 = 50.0;
+/// A cloud without evidence of its own should not be narrower than the first, nor further off than the second, both in
+/// the Kalman filter's standard deviations. Of a few hundred particles the mean is off by some 0.05 of them by chance.
+const WORN: [f64; 2] = [0.5, 0.1];
+/// Where it is even that, it is lost, whatever it says of itself.
+const COLLAPSED: [f64; 2] = [0.03, 5.0];
+/// An outlier to the Kalman filter, where readings are expected to have any.
+const GATE: f64 = 5.0;
+
+/// What the Kalman filter says of the cloud.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Verdict {
+    Good,
+    /// Narrower than it can be, or elsewhere, without explaining the readings any better.
+    Worn,
+    /// Does not explain the readings any more.
+    Lost,
+}
+
+/// The Kalman filter, and how the cloud compares to it.
+#[derive(Clone, Debug)]
+pub(super) struct Guard {
+    pub(super) kalman: ExtendedKalmanFilter<JerkDriven>,
+    /// By how much the cloud's evidence is ahead, at least zero.
+    ahead: f64,
+    /// By how much it is behind, at least zero.
+    behind: f64,
+    /// Whether both believe in the same model from the same start, so that they differ by chance and linearisation only.
+    alike: bool,
+}
+
+impl Guard {
+    pub(super) fn new(model: &JerkDriven, settings: &ParticleSettings) -> Result<Self, DesignError> {
+        let normal = settings.densities.iter().all(super::Density::is_normal);
+        let free = settings.limits.iter().all(|&(low, high)| low == f64::NEG_INFINITY && high == f64::INFINITY);
+        let own = FilterSettings { gate: (!normal).then_some(GATE), iterations: 1 };
+        Ok(Self {
+            kalman: ExtendedKalmanFilter::new(model.clone(), own)?,
+            ahead: 0.0,
+            behind: 0.0,
+            alike: normal && free && settings.initial.is_empty(),
+        })
+    }
+
+    pub(super) fn reset(&mut self) {
+        self.kalman.reset();
+        (self.ahead, self.behind) = (0.0, 0.0);
+    }
+
+    /// Takes the sample that the cloud takes.
+    #[inline(never)]
+    pub(super) fn step(&mut self, sample: KalmanSample<'_>) -> Result<(), RunError> {
+        self.kalman.step(sample)
+    }
+
+    /// Whether there is a belief to start anew from.
+    fn is_finite(&self) -> bool {
+        let (fit, belief) = (self.kalman.fit(), self.kalman.belief());
+        fit.log_likelihood.is_finite() && belief.mean.iter().chain(&belief.covariance.data).all(|x| x.is_finite())
+    }
+
+    /// Holds the cloud after a sample against the Kalman filter.
+    fn judge(&mut self, summary: &Summary, joints: usize) -> Verdict {
+        let (ours, fit) = (summary.log_likelihood, self.kalman.fit());
+        if fit.used == summary.used && ours.is_finite() {
+            let ahead = (ours - fit.log_likelihood).clamp(-MOST, MOST);
+            self.ahead = (self.ahead + ahead).clamp(0.0, MOST);
+            self.behind = (self.behind - ahead - CHANCE * f64::from(fit.used)).clamp(0.0, MOST);
+        }
+        let apart = |limits| (0..joints).any(|j| self.is_apart(summary, j, joints, limits));
+        match () {
+            () if self.behind > LOST => Verdict::Lost,
+            () if !self.alike || self.ahead >= DECISIVE => Verdict::Good,
+            () if apart(COLLAPSED) => Verdict::Lost,
+            () if apart(WORN) => Verdict::Worn,
+            () => Verdict::Good,
+        }
+    }
+
+    /// Whether the cloud's position of joint `j` is too narrow or too far off.
+    fn is_apart(&self, summary: &Summary, j: usize, joints: usize, [narrow, far]: [f64; 2]) -> bool {
+        let belief = self.kalman.belief();
+        let (own, theirs) = (summary.products[packed(j, j, joints)], belief.covariance.at(j, j));
+        let distance = summary.mean[j] - belief.mean[j];
+        own < narrow * narrow * theirs || distance * distance > far * far * (own + theirs)
+    }
+}
+
+impl ParticleFilter {
+    /// What is to be done about a cloud after a sample: nothing, start it anew, flag it, or stop.
+    pub(super) fn guard(&mut self) -> Result<(), RunError> {
+        if !self.guard.is_finite() {
+            self.restart_guard();
+            self.summary.status |= Status::CONTRADICTED;
+        }
+        let verdict = self.guard.judge(&self.summary, self.model.jerk_model().joints());
+        self.summary.status |= self.guard.kalman.status() & (Status::CONTRADICTED | Status::FAULTY);
+        if verdict == Verdict::Lost {
+            self.summary.status |= Status::CONTRADICTED;
+        }
+        match self.settings.collapse {
+            Collapse::Stop if verdict == Verdict::Lost => Err(RunError::Lost { sample: self.taken }),
+            Collapse::Reseed if verdict != Verdict::Good => {
+                self.reseed();
+                Ok(())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// No particle is possible: starts anew, goes on as if the readings were missing, or stops.
+    pub(super) fn recover(&mut self) -> Result<(), RunError> {
+        if self.settings.collapse == Collapse::Stop {
+            return Err(RunError::Impossible { sample: self.taken });
+        }
+        for reading in self.sample.readings.iter().filter(|_| self.marginalised == Marginalised::Biases) {
+            self.bias_variance[reading.channel] = reading.gain * reading.noise.variance;
+        }
+        self.level();
+        self.summarise();
+        (self.summary.used, self.summary.log_likelihood) = (0, 0.0);
+        self.summary.status |= Status::PREDICTED;
+        if self.settings.collapse == Collapse::Reseed {
+            self.reseed();
+            self.summary.status |= Status::CONTRADICTED;
+        } else if !self.guard.is_finite() {
+            self.restart_guard();
+        }
+        Ok(())
+    }
+
+    /// The Kalman filter's belief from the cloud's, where it went out of the numbers.
+    fn restart_guard(&mut self) {
+        self.take_covariance();
+        self.guard.kalman.restart(&self.belief);
+    }
+
+    /// The cloud anew from the Kalman filter's belief, with its mean and covariance.
+    fn reseed(&mut self) {
+        (self.guard.ahead, self.guard.behind) = (0.0, 0.0);
+        if !self.guard.is_finite() {
+            return self.restart_guard();
+        }
+        let log_likelihood = self.summary.log_likelihood;
+        self.want_belief();
+        self.found.factor.fill(0.0); // of the cloud that is nothing is taken over, not even times zero
+        self.move_apart(Purpose::Reseed, 1.0);
+        self.level();
+        if self.settings.particles > 2 * self.belief.mean.len() {
+            self.take_moments(false);
+            self.move_apart(Purpose::Reseed, 0.0);
+            self.level();
+        }
+        self.summarise();
+        self.summary.log_likelihood = log_likelihood;
+        self.summary.reseeded = true;
+    }
+
+    /// The Kalman filter's belief as what the cloud is wanted to have, less what is known in closed form.
+    fn want_belief(&mut self) {
+        let Self { guard, summary, wanted, model, bias_variance, marginalised, cloud, .. } = self;
+        let belief = guard.kalman.belief();
+        let d = belief.mean.len();
+        wanted.mean.copy_from_slice(&belief.mean);
+        for r in 0..d {
+            for c in r..d {
+                summary.products[packed(r, c, d)] = belief.covariance.at(r, c);
+            }
+        }
+        for (bias, variance) in model.jerk_model().biases.iter().zip(bias_variance.iter_mut()) {
+            if let (Marginalised::Biases, Some(b)) = (*marginalised, *bias) {
+                *variance = variance.min(belief.covariance.at(b, b));
+                summary.products[packed(b, b, d)] -= *variance;
+            }
+        }
+        wanted.factorise(&summary.products, 1.0);
+        if *marginalised == Marginalised::Accelerations {
+            accelerations::condition(cloud, &mut wanted.factor, d, 2 * model.jerk_model().joints());
+        }
+    }
+}
