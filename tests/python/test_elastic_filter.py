@@ -188,9 +188,9 @@ def test_a_missing_torque_is_the_one_before_and_trusted_less_and_less():
     held, missing = log.tau.copy(), log.tau.copy()
     held[40:43, 1], missing[40:43, 1] = held[39, 1], np.nan
     held, missing = (dataclasses.replace(log, tau=tau) for tau in (held, missing))
-    sure = ElasticJointFilter(robot, ElasticNoise(torque_walk=0.0))
+    sure = ElasticJointFilter(robot, ElasticNoise(torque_walk=0.0), start="rest")
     assert np.array_equal(sure.run(held).q, sure.run(missing).q)
-    for ekf in (sure, ElasticJointFilter(robot, ElasticNoise(torque_walk=300.0))):
+    for ekf in (sure, ElasticJointFilter(robot, ElasticNoise(torque_walk=300.0), start="rest")):
         whole = ekf.run(missing)
         assert np.flatnonzero(whole.status & Status.BRIDGED).tolist() == [40, 41, 42]
         pieces = list(ekf.run_pieces([missing[:41], missing[41:]]))

@@ -40,8 +40,8 @@ DT = LOG.period
 ESTIMATORS = {
     "ekf": lambda: ExtendedKalmanFilter(ROBOT, NOISE),
     "elastic": lambda: ElasticJointFilter(ROBOT),
-    "particle": lambda: ParticleFilter(ROBOT, NOISE, particles=40, seed=1, collapse="recover"),
-    "marginalized": lambda: MarginalizedParticleFilter(ROBOT, NOISE, particles=40, seed=1, collapse="recover"),
+    "particle": lambda: ParticleFilter(ROBOT, NOISE, particles=40, seed=1, collapse="flag"),
+    "marginalized": lambda: MarginalizedParticleFilter(ROBOT, NOISE, particles=40, seed=1, collapse="flag"),
     "fixed-lag": lambda: FixedLagSmoother(ROBOT, NOISE, lag=3),
     "observer": lambda: AccelerationObserver(ROBOT),
     "reduced-order": lambda: ReducedOrderObserver(ROBOT),
@@ -242,7 +242,7 @@ work = {
     "velocity": lambda: ReducedOrderObserver(robot).run([long] * 20),
     "smoother": lambda: RauchTungStriebelSmoother(robot, Noise(jerk=15.0)).run([long] * 10),
     "elastic": lambda: ElasticJointFilter(robot).run([long] * 10),
-    "particles": lambda: ParticleFilter(robot, Noise(jerk=15.0), particles=20000, collapse="recover").run(log),
+    "particles": lambda: ParticleFilter(robot, Noise(jerk=15.0), particles=20000, collapse="flag").run(log),
     "many particles": lambda: ParticleFilter(robot, Noise(jerk=15.0), particles=1_000_000).run(log[:50]),
     "simulate": lambda: simulate(robot, pd, 10000.0, 2000.0, substeps=8),
     "substeps": lambda: simulate(robot, pd, 10.0, 100.0, substeps=1_000_000),
@@ -289,7 +289,7 @@ def test_an_exception_from_another_thread_stops_a_kernel():
 
     def work():
         try:
-            ParticleFilter(ROBOT, NOISE, particles=2000, collapse="recover").run(LOG)
+            ParticleFilter(ROBOT, NOISE, particles=2000, collapse="flag").run(LOG)
         except TimeoutError:
             ends["stopped"] = time.monotonic()
 

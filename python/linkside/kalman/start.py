@@ -49,11 +49,6 @@ class Readings:
     dtheta: FloatArray | None
     acceleration: FloatArray | None
 
-    def first(self, count: int) -> Readings:
-        """Give the first ``count`` of them."""
-        optional = (None if s is None else s[:count] for s in (self.dtheta, self.acceleration))
-        return Readings(self.t[:count], self.theta[:count], *optional)
-
 
 @dataclass(frozen=True)
 class Spread:
@@ -130,21 +125,12 @@ def _moving(robot: Robot, readings: Readings, spread: Spread) -> Moving | None:
 
 
 def is_resting(readings: Readings, spread: Spread) -> bool:
-    """Whether nothing moves in the first samples: motors stand, and accelerometers read the same.
-
-    Where motor velocities are read, the first `LEAST` samples are enough: a robot about to move is still at rest.
-    """
-    short = LEAST if readings.dtheta is not None else WINDOW
-    return any(_rests(readings.first(count), spread) for count in sorted({short, WINDOW}))
-
-
-def _rests(readings: Readings, spread: Spread) -> bool:
+    """Whether nothing moves in the first samples: motors stand, and accelerometers read the same."""
     if len(readings.t) < LEAST:
         return False
     quiet = [_is_quiet(readings.theta, spread.theta, drift=True)]
     if readings.dtheta is not None:
-        speed = np.abs(np.nan_to_num(readings.dtheta).mean(axis=0))
-        quiet.append(bool((speed <= QUIET * spread.dtheta / np.sqrt(len(readings.t))).all()))
+        quiet.append(bool((np.abs(np.nan_to_num(readings.dtheta)) <= 2 * QUIET * spread.dtheta).all()))
     if readings.acceleration is not None:
         quiet.append(_is_quiet(readings.acceleration, spread.acceleration))
     return all(quiet)
