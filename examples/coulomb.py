@@ -43,7 +43,7 @@ def main() -> None:
     noise = Noise(transmission=ENCODER_STD, motor_bias=0.0, motor_bias_walk=0.0)
     kalman = ExtendedKalmanFilter(robot, noise)
     wide = ExtendedKalmanFilter(robot, noise.updated(transmission=FRICTION / STIFFNESS))
-    particles = [ParticleFilter(robot, noise, seed=seed) for seed in seeds]
+    particles = [ParticleFilter(robot, noise, seed=seed, collapse="flag") for seed in seeds]
     print(f"{'link position, RMS [µrad] (NEES)':32} by recording")
     show("EKF", [kalman] * len(seeds), recordings)
     show("particles", particles, recordings)

@@ -136,7 +136,7 @@ def test_on_a_linear_robot_it_is_the_dense_filter_and_smoother(lost):
 
 
 LIMITS = {  # tool error with its offset out: filter, smoother; the same without accelerometers, RMS [mm]
-    "arm2_square": (0.0058, 0.0030, 0.025, 0.024),
+    "arm2_square": (0.0058, 0.0030, 0.027, 0.024),
     "kr15_six_axes": (0.0058, 0.0033, 0.0225, 0.0185),
     "demo": (0.100, 0.082, 0.0500, 0.0445),
 }
@@ -188,9 +188,9 @@ def test_a_missing_torque_is_the_one_before_and_trusted_less_and_less():
     held, missing = log.tau.copy(), log.tau.copy()
     held[40:43, 1], missing[40:43, 1] = held[39, 1], np.nan
     held, missing = (dataclasses.replace(log, tau=tau) for tau in (held, missing))
-    sure = ElasticJointFilter(robot, ElasticNoise(torque_walk=0.0), start="rest")
+    sure = ElasticJointFilter(robot, ElasticNoise(torque_walk=0.0), start="rest", tolerances=False)
     assert np.array_equal(sure.run(held).q, sure.run(missing).q)
-    for ekf in (sure, ElasticJointFilter(robot, ElasticNoise(torque_walk=300.0), start="rest")):
+    for ekf in (sure, ElasticJointFilter(robot, ElasticNoise(torque_walk=300.0), start="rest", tolerances=False)):
         whole = ekf.run(missing)
         assert np.flatnonzero(whole.status & Status.BRIDGED).tolist() == [40, 41, 42]
         pieces = list(ekf.run_pieces([missing[:41], missing[41:]]))

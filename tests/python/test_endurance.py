@@ -17,7 +17,7 @@ def endure(hours):
     log = Log.read(FOLDER / "log.parquet", robot)
     ekf = ExtendedKalmanFilter(robot, Noise(jerk=15.0))
     kinds = ekf.kinds(log)
-    arrays, core = ekf.arrays(log, kinds), ekf.core(kinds, ekf.noise)
+    arrays, core = ekf.arrays(log, kinds), ekf.core(kinds, ekf.noise, log.period)
     least, before = np.inf, None
     for _ in range(round(hours * 3600 / log.t[-1])):
         result = core.run(arrays, False, False)

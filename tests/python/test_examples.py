@@ -115,5 +115,5 @@ def test_coulomb():
     assert len(kalman) == 3
     assert (kalman[:, 0] > 80).all()
     assert (wide[:, 0] > 50).all()
-    assert (particles[:, 0] < 20).all()
+    assert (particles[:, 0] < 30).all()
     assert (particles[:, 1] < kalman[:, 1] / 10).all()
