@@ -94,7 +94,9 @@ def test_on_a_linear_model_smoothing_tends_to_rauch_tung_and_striebels(method):
 
 def test_smoothing_knows_more_than_filtering():
     robot, log = recording()
-    method = MarginalizedParticleFilter(robot, particles=300, quantiles=(0.5,))
+    # A cloud that is spread anew between the two passes would be another one.
+    settings = {"particles": 300, "quantiles": (0.5,), "collapse": "flag", "start": "rest"}
+    method = MarginalizedParticleFilter(robot, **settings)
     truth = Estimate.read(DATA / "arm2_square/truth.parquet")
     log, truth = log[:2000], truth[:2000]
     filtered, smoothed = method.run(log), method.smooth(log)
@@ -214,9 +216,11 @@ def test_steps_and_pieces_are_the_run(method, settings):
     robot, log = recording()
     log, noise = log[:60], Noise(jerk=15.0, position_walk=1e-6, velocity_walk=1e-4)
     settings = {"particles": 40, "seed": 3, **settings}
-    whole = method(robot, noise, **settings).run(log)
-    pieces = list(method(robot, noise, **settings).run_pieces([log[:17], log[17:]]))
-    assert (np.concatenate([p.q for p in pieces]) == whole.q).all()
+    for start in ("auto", "rest"):
+        whole = method(robot, noise, start=start, **settings).run(log)
+        pieces = list(method(robot, noise, start=start, **settings).run_pieces([log[:17], log[17:]]))
+        assert (np.concatenate([p.q for p in pieces]) == whole.q).all()
+    # `step` starts at rest, as the last of them.
     live = method(robot, noise, **settings)
     for i in range(len(log)):
         dt = log.t[i] - log.t[i - 1] if i else log.period
@@ -256,9 +260,10 @@ def test_a_sample_that_no_particle_explains():
     theta[7] = np.inf
     log = replace(log[:20], theta=theta)
     with pytest.raises(NumericalError, match=r"no particle .* sample 7"):
-        ParticleFilter(robot, Noise(jerk=15.0), particles=50, collapse="raise").run(log)
+        ParticleFilter(robot, Noise(jerk=15.0), particles=50, collapse="raise", start="rest").run(log)
     for collapse in ("flag", "reseed"):
-        estimate = MarginalizedParticleFilter(robot, Noise(jerk=15.0), particles=50, collapse=collapse).run(log)
+        settings = {"particles": 50, "collapse": collapse, "start": "rest"}  # the sample is among the first
+        estimate = MarginalizedParticleFilter(robot, Noise(jerk=15.0), **settings).run(log)
         assert estimate.status[7] & Status.PREDICTED
         assert np.isfinite(estimate.q).all()
 
@@ -298,7 +303,9 @@ def test_what_no_particle_explains_is_an_error_or_flagged(spoil, collapse, metho
     flagged = (estimate.status & Status.CONTRADICTED) > 0
     assert flagged.any()
     assert flagged[wrong].mean() > 0.98 if wrong.any() else True
-    assert (estimate.q_std > 0).all()
+    narrow = ~(estimate.q_std > 0).all(axis=1)
+    assert flagged[narrow].all()
+    assert collapse == "flag" or not narrow.any()
 
 
 @pytest.mark.parametrize("method", [ParticleFilter, MarginalizedParticleFilter])
@@ -309,12 +316,12 @@ def test_a_cloud_that_has_collapsed_is_flagged_or_spread_anew(method):
     settings = {"particles": 20, "kernel": None}
     kalman = ExtendedKalmanFilter(robot, tolerances=False).run(log)
     alone = method(robot, collapse="flag", **settings).run(log)
-    narrow = (alone.q_std < 0.02 * kalman.q_std).any(axis=1)
+    narrow = (alone.q_std < 0.05 * kalman.q_std).any(axis=1)
     assert narrow.any()
     assert (alone.status[narrow] & Status.CONTRADICTED).all()
     guarded = method(robot, collapse="reseed", **settings).run(log)
     assert guarded.reseeded.any()
-    assert not (guarded.q_std < 0.02 * kalman.q_std).any()
+    assert not (guarded.q_std < 0.05 * kalman.q_std).any()
 
 
 def test_smoothed_covariances_are_some_after_a_dropout():
