@@ -117,9 +117,8 @@ def test_on_an_arm_it_is_the_plain_filter(proposal):
     robot, log = recording()
     log, count = log[:25], 4000
     means, likelihoods = reference(robot, log, ARM, count, 1)
-    method = MarginalizedParticleFilter(
-        robot, ARM, accelerations=True, particles=count, proposal=proposal, kernel=None, damping=False
-    )
+    settings = {"particles": count, "proposal": proposal, "kernel": None, "damping": False, "start": "rest"}
+    method = MarginalizedParticleFilter(robot, ARM, accelerations=True, **settings)
     ours = method.run(log, covariance=True)
     std = np.sqrt(np.diagonal(ours.covariance, axis1=1, axis2=2))
     assert np.sqrt(np.mean(((ours.state - means) / std) ** 2)) < 0.1
