@@ -1,7 +1,7 @@
 """Particle filters: towards the Kalman filter as N grows, on recordings, and with what only particles can do."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -153,19 +153,23 @@ def spoiled(log, column=0, share=0.02, size=50, std=0.05):
     return replace(log, acceleration=acceleration)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outliers", [4.0, Mixture(share=0.02, scale=50.0)])
 def test_noise_that_expects_outliers_withstands_them(outliers):
+    """A cloud of 500, alone, is off by 5 to 10 mm by chance; one misled by the outliers by 36 mm, whatever the seed."""
     robot, log = recording()
     truth = Estimate.read(DATA / "arm2_square/truth.parquet")[:2000]
 
-    def error(log, **settings):
-        """Median over seeds: one seed's error is known to within some 20 %."""
-        run = [ParticleFilter(robot, particles=500, kernel=1.0, seed=s, **settings).run(log) for s in range(9)]
-        return np.median([estimate.error_against(truth).tool_rms_centred for estimate in run])
+    def error(log, seeds, **settings):
+        method = partial(ParticleFilter, robot, particles=500, kernel=1.0, collapse="flag", **settings)
+        run = [method(seed=seed).run(log).error_against(truth).tool_rms_centred for seed in range(seeds)]
+        return np.median(run)
 
-    clean = error(log[:2000])
-    robust = error(spoiled(log)[:2000], outliers={"acceleration": 4.0})
-    assert robust < 1.2 * clean, (clean, robust)
+    expecting = {"outliers": {"acceleration": outliers}}
+    clean, misled = error(log[:2000], 7, **expecting), error(spoiled(log)[:2000], 1)
+    robust = error(spoiled(log)[:2000], 7, **expecting)
+    assert robust < 2 * clean, (clean, robust)
+    assert robust < misled / 2, (misled, robust)
 
 
 @pytest.mark.parametrize("outliers", [4.0, Mixture(share=0.1, scale=20.0)])
@@ -256,15 +260,15 @@ def test_processors_and_threads_do_not_change_a_bit():
 
 def test_a_sample_that_no_particle_explains():
     robot, log = recording()
-    theta = log.theta[:20].copy()
+    theta, settings = log.theta[:20].copy(), {"particles": 50, "proposal": "bootstrap", "start": "rest"}
     theta[7] = 1e200
     log = replace(log[:20], theta=theta)
     with pytest.raises(NumericalError, match=r"no particle .* sample 7"):
-        ParticleFilter(robot, Noise(jerk=15.0), particles=50, collapse="raise", start="rest").run(log)
+        ParticleFilter(robot, Noise(jerk=15.0), collapse="raise", **settings).run(log)
     for collapse in ("flag", "reseed"):
-        settings = {"particles": 50, "collapse": collapse, "start": "rest"}  # the sample is among the first
-        estimate = MarginalizedParticleFilter(robot, Noise(jerk=15.0), **settings).run(log)
+        estimate = MarginalizedParticleFilter(robot, Noise(jerk=15.0), collapse=collapse, **settings).run(log)
         assert estimate.status[7] & Status.PREDICTED
+        assert estimate.status[7] & Status.CONTRADICTED
         assert np.isfinite(estimate.q).all()
 
 

@@ -151,10 +151,9 @@ impl ParticleFilter {
         self.level();
         self.summarise();
         (self.summary.used, self.summary.log_likelihood) = (0, 0.0);
-        self.summary.status |= Status::PREDICTED;
+        self.summary.status |= Status::PREDICTED | Status::CONTRADICTED | self.guard.kalman.status() & Status::FAULTY;
         if self.settings.collapse == Collapse::Reseed {
             self.reseed();
-            self.summary.status |= Status::CONTRADICTED;
         } else if !self.guard.is_finite() {
             self.restart_guard();
         }
