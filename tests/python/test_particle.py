@@ -1,7 +1,7 @@
 """Particle filters: towards the Kalman filter as N grows, on recordings, and with what only particles can do."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -94,7 +94,9 @@ def test_on_a_linear_model_smoothing_tends_to_rauch_tung_and_striebels(method):
 
 def test_smoothing_knows_more_than_filtering():
     robot, log = recording()
-    method = MarginalizedParticleFilter(robot, particles=300, quantiles=(0.5,))
+    # A cloud that is spread anew between the two passes would be another one.
+    settings = {"particles": 300, "quantiles": (0.5,), "collapse": "flag", "start": "rest"}
+    method = MarginalizedParticleFilter(robot, **settings)
     truth = Estimate.read(DATA / "arm2_square/truth.parquet")
     log, truth = log[:2000], truth[:2000]
     filtered, smoothed = method.run(log), method.smooth(log)
@@ -151,19 +153,23 @@ def spoiled(log, column=0, share=0.02, size=50, std=0.05):
     return replace(log, acceleration=acceleration)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outliers", [4.0, Mixture(share=0.02, scale=50.0)])
 def test_noise_that_expects_outliers_withstands_them(outliers):
+    """A cloud of 500, alone, is off by 5 to 10 mm by chance; one misled by the outliers by 36 mm, whatever the seed."""
     robot, log = recording()
     truth = Estimate.read(DATA / "arm2_square/truth.parquet")[:2000]
 
-    def error(log, **settings):
-        """Median over seeds: one seed's error is known to within some 20 %."""
-        run = [ParticleFilter(robot, particles=500, kernel=1.0, seed=s, **settings).run(log) for s in range(9)]
-        return np.median([estimate.error_against(truth).tool_rms_centred for estimate in run])
+    def error(log, seeds, **settings):
+        method = partial(ParticleFilter, robot, particles=500, kernel=1.0, collapse="flag", **settings)
+        run = [method(seed=seed).run(log).error_against(truth).tool_rms_centred for seed in range(seeds)]
+        return np.median(run)
 
-    clean = error(log[:2000])
-    robust = error(spoiled(log)[:2000], outliers={"acceleration": 4.0})
-    assert robust < 1.2 * clean, (clean, robust)
+    expecting = {"outliers": {"acceleration": outliers}}
+    clean, misled = error(log[:2000], 7, **expecting), error(spoiled(log)[:2000], 1)
+    robust = error(spoiled(log)[:2000], 7, **expecting)
+    assert robust < 2 * clean, (clean, robust)
+    assert robust < misled / 2, (misled, robust)
 
 
 @pytest.mark.parametrize("outliers", [4.0, Mixture(share=0.1, scale=20.0)])
@@ -214,9 +220,11 @@ def test_steps_and_pieces_are_the_run(method, settings):
     robot, log = recording()
     log, noise = log[:60], Noise(jerk=15.0, position_walk=1e-6, velocity_walk=1e-4)
     settings = {"particles": 40, "seed": 3, **settings}
-    whole = method(robot, noise, **settings).run(log)
-    pieces = list(method(robot, noise, **settings).run_pieces([log[:17], log[17:]]))
-    assert (np.concatenate([p.q for p in pieces]) == whole.q).all()
+    for start in ("auto", "rest"):
+        whole = method(robot, noise, start=start, **settings).run(log)
+        pieces = list(method(robot, noise, start=start, **settings).run_pieces([log[:17], log[17:]]))
+        assert (np.concatenate([p.q for p in pieces]) == whole.q).all()
+    # `step` starts at rest, as the last of them.
     live = method(robot, noise, **settings)
     for i in range(len(log)):
         dt = log.t[i] - log.t[i - 1] if i else log.period
@@ -252,14 +260,15 @@ def test_processors_and_threads_do_not_change_a_bit():
 
 def test_a_sample_that_no_particle_explains():
     robot, log = recording()
-    theta = log.theta[:20].copy()
-    theta[7] = np.inf
+    theta, settings = log.theta[:20].copy(), {"particles": 50, "proposal": "bootstrap", "start": "rest"}
+    theta[7] = 1e200
     log = replace(log[:20], theta=theta)
     with pytest.raises(NumericalError, match=r"no particle .* sample 7"):
-        ParticleFilter(robot, Noise(jerk=15.0), particles=50, collapse="raise").run(log)
+        ParticleFilter(robot, Noise(jerk=15.0), collapse="raise", **settings).run(log)
     for collapse in ("flag", "reseed"):
-        estimate = MarginalizedParticleFilter(robot, Noise(jerk=15.0), particles=50, collapse=collapse).run(log)
+        estimate = MarginalizedParticleFilter(robot, Noise(jerk=15.0), collapse=collapse, **settings).run(log)
         assert estimate.status[7] & Status.PREDICTED
+        assert estimate.status[7] & Status.CONTRADICTED
         assert np.isfinite(estimate.q).all()
 
 
@@ -298,7 +307,9 @@ def test_what_no_particle_explains_is_an_error_or_flagged(spoil, collapse, metho
     flagged = (estimate.status & Status.CONTRADICTED) > 0
     assert flagged.any()
     assert flagged[wrong].mean() > 0.98 if wrong.any() else True
-    assert (estimate.q_std > 0).all()
+    narrow = ~(estimate.q_std > 0).all(axis=1)
+    assert flagged[narrow].all()
+    assert collapse == "flag" or not narrow.any()
 
 
 @pytest.mark.parametrize("method", [ParticleFilter, MarginalizedParticleFilter])
@@ -309,12 +320,12 @@ def test_a_cloud_that_has_collapsed_is_flagged_or_spread_anew(method):
     settings = {"particles": 20, "kernel": None}
     kalman = ExtendedKalmanFilter(robot, tolerances=False).run(log)
     alone = method(robot, collapse="flag", **settings).run(log)
-    narrow = (alone.q_std < 0.02 * kalman.q_std).any(axis=1)
+    narrow = (alone.q_std < 0.05 * kalman.q_std).any(axis=1)
     assert narrow.any()
     assert (alone.status[narrow] & Status.CONTRADICTED).all()
     guarded = method(robot, collapse="reseed", **settings).run(log)
     assert guarded.reseeded.any()
-    assert not (guarded.q_std < 0.02 * kalman.q_std).any()
+    assert not (guarded.q_std < 0.05 * kalman.q_std).any()
 
 
 def test_smoothed_covariances_are_some_after_a_dropout():

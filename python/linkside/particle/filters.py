@@ -121,8 +121,8 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         What to do with a cloud that does not explain the readings, as a Kalman filter that runs beside it does.
         ``"reseed"`` flags the row `Status.CONTRADICTED` and spreads the cloud anew from the Kalman filter's belief; a
         cloud that has only lost spread is renewed before it comes to that. ``"flag"`` flags the row and leaves the
-        cloud as it is. ``"raise"`` stops with the sample's number. A sample that is impossible to all particles counts
-        as missing unless it stops the run.
+        cloud as it is. ``"raise"`` stops with the sample's number. A sample that is impossible to all particles
+        counts as missing, and its row is flagged, unless it stops the run.
     quantiles
         Shares of probability, such as ``(0.05, 0.95)``, whose quantiles of position are kept.
     biases, damping, rate, q, torque

@@ -435,6 +435,7 @@ impl ParticleFilter {
     ) -> Vec<Result<ParticleOutput, RunError>> {
         parallel::map(jobs, |&(like, recording)| {
             let mut filter = Self::new(like.model.clone(), like.settings.clone(), like.marginalised)?;
+            filter.set_start(like.start.clone())?;
             one(&mut filter, recording)
         })
     }

@@ -25,8 +25,11 @@ const MOST: f64 = 50.0;
 /// A cloud without evidence of its own should not be narrower than the first, nor further off than the second, both in
 /// the Kalman filter's standard deviations. Of a few hundred particles the mean is off by some 0.05 of them by chance.
 const WORN: [f64; 2] = [0.5, 0.1];
-/// Where it is even that, it is lost, whatever it says of itself.
-const COLLAPSED: [f64; 2] = [0.03, 5.0];
+/// Further off than this it is lost.
+const ASTRAY: f64 = 5.0;
+/// Narrower than this it has collapsed, whatever its evidence: a few copies of one particle may well be ahead by chance, or
+/// where the model is wrong, but their standard deviations are those of no belief.
+const COLLAPSED: f64 = 0.05;
 /// An outlier to the Kalman filter, where readings are expected to have any.
 const GATE: f64 = 5.0;
 
@@ -90,22 +93,28 @@ impl Guard {
             self.ahead = (self.ahead + ahead).clamp(0.0, MOST);
             self.behind = (self.behind - ahead - CHANCE * f64::from(fit.used)).clamp(0.0, MOST);
         }
-        let apart = |limits| (0..joints).any(|j| self.is_apart(summary, j, joints, limits));
+        let (spread, distance) = self.compare(summary, joints);
+        let [narrow, far] = WORN;
         match () {
-            () if self.behind > LOST => Verdict::Lost,
+            () if self.behind > LOST || spread < COLLAPSED => Verdict::Lost,
             () if !self.alike || self.ahead >= DECISIVE => Verdict::Good,
-            () if apart(COLLAPSED) => Verdict::Lost,
-            () if apart(WORN) => Verdict::Worn,
+            () if distance > ASTRAY => Verdict::Lost,
+            () if spread < narrow || distance > far => Verdict::Worn,
             () => Verdict::Good,
         }
     }
 
-    /// Whether the cloud's position of joint `j` is too narrow or too far off.
-    fn is_apart(&self, summary: &Summary, j: usize, joints: usize, [narrow, far]: [f64; 2]) -> bool {
+    /// Least spread of the cloud's positions in the Kalman filter's standard deviations, and largest distance in both's.
+    fn compare(&self, summary: &Summary, joints: usize) -> (f64, f64) {
         let belief = self.kalman.belief();
-        let (own, theirs) = (summary.products[packed(j, j, joints)], belief.covariance.at(j, j));
-        let distance = summary.mean[j] - belief.mean[j];
-        own < narrow * narrow * theirs || distance * distance > far * far * (own + theirs)
+        let (mut spread, mut distance) = (f64::INFINITY, 0.0_f64);
+        for j in 0..joints {
+            let (own, theirs) = (summary.products[packed(j, j, joints)], belief.covariance.at(j, j));
+            let apart = summary.mean[j] - belief.mean[j];
+            spread = spread.min(own / theirs);
+            distance = distance.max(apart * apart / (own + theirs));
+        }
+        (spread.sqrt(), distance.sqrt())
     }
 }
 
@@ -142,10 +151,9 @@ impl ParticleFilter {
         self.level();
         self.summarise();
         (self.summary.used, self.summary.log_likelihood) = (0, 0.0);
-        self.summary.status |= Status::PREDICTED;
+        self.summary.status |= Status::PREDICTED | Status::CONTRADICTED | self.guard.kalman.status() & Status::FAULTY;
         if self.settings.collapse == Collapse::Reseed {
             self.reseed();
-            self.summary.status |= Status::CONTRADICTED;
         } else if !self.guard.is_finite() {
             self.restart_guard();
         }
