@@ -629,7 +629,7 @@ fn a_start_needs_every_motor_position() {
     let signals = Signals::new(2, 0.0, &[]);
     let sample =
         Sample { theta: &[0.0, f64::NAN, 0.0], tau: &signals.tau[..3], acceleration: &signals.acceleration[..3] };
-    assert_eq!(observer(|_| ()).unwrap().step(sample), Err(DesignError::NoStart { joint: 1 }));
+    assert_eq!(observer(|_| ()).unwrap().step(sample), Err(RunError::Design(DesignError::NoStart { joint: 1 })));
 }
 
 #[test]

@@ -4,6 +4,7 @@
 mod arm;
 
 use linkside_core::error::{DesignError, RunError};
+use linkside_core::estimate::observer::Start;
 use linkside_core::estimate::velocity::{GainMap, Gains, Logic, Recording, Schedule, Settings, VelocityObserver};
 use linkside_core::robot::{Drive, MotorFriction};
 use proptest::prelude::*;

@@ -66,7 +66,7 @@ pub(crate) fn each_short<I: Send>(items: impl Iterator<Item = I> + Send, count: 
             let (stop, queue) = (stop.clone(), &queue);
             scope.spawn(move |_| Watch::follow(stop, || queue.work(f)));
         }
-        queue.work(&f);
+        queue.work(f);
         queue.wait();
     });
 }

@@ -155,7 +155,7 @@ impl ElasticProcess {
             transition.torque[j] = noise.torque[j] * noise.torque[j];
             if let Some(first) = transition.layout.disturbance {
                 let (state, walk) = (first + j, noise.disturbance_walk[j]);
-                transition.noise.set_density(state, walk.hypot(wander));
+                transition.noise.set_density(state, (walk * walk + wander * wander).sqrt());
                 if gone && *age == 0.0 {
                     outage[j] = (belief.mean[state], belief.covariance.at(state, state));
                 } else if !gone && *age > 0.0 && noise.torque_walk[j] > 0.0 {

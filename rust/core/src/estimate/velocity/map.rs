@@ -3,7 +3,7 @@
 use crate::check::{expect, expect_length};
 use crate::error::DesignError;
 use crate::linear::{add_scaled, dot};
-use crate::scalar::Scalar;
+use crate::scalar::{Scalar, exp_m1};
 
 /// k(y) = P y + Σ aₘ sin(m·y) + bₘ cos(m·y), the observer's gain being ∂k/∂y (Cristofaro and De Luca 2023, Section 3.2).
 ///
@@ -87,7 +87,7 @@ impl Mapped {
 
     /// The largest share of an error of velocity that is taken in a period.
     pub(super) fn share(&self) -> f64 {
-        -(-self.map.bound() * 2.0 * self.half).exp_m1()
+        -exp_m1(-self.map.bound() * 2.0 * self.half)
     }
 
     /// What the `innovation` (n) of a `position` (n) adds to the velocity: (I + ½ T ∂k/∂y)⁻¹ times the change of k.
