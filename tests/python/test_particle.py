@@ -259,16 +259,15 @@ def test_processors_and_threads_do_not_change_a_bit():
 
 
 def test_a_sample_that_no_particle_explains():
+    """The arm starts beyond what are said to be its limits, where no particle may be."""
     robot, log = recording()
-    theta, settings = log.theta[:20].copy(), {"particles": 50, "proposal": "bootstrap", "start": "rest"}
-    theta[7] = 1e200
-    log = replace(log[:20], theta=theta)
-    with pytest.raises(NumericalError, match=r"no particle .* sample 7"):
-        ParticleFilter(robot, Noise(jerk=15.0), collapse="raise", **settings).run(log)
+    settings = {"particles": 50, "limits": {robot.names[1]: (1.0, 2.0)}, "start": "rest"}
+    with pytest.raises(NumericalError, match=r"no particle .* sample 0"):
+        ParticleFilter(robot, Noise(jerk=15.0), collapse="raise", **settings).run(log[:20])
     for collapse in ("flag", "reseed"):
-        estimate = MarginalizedParticleFilter(robot, Noise(jerk=15.0), collapse=collapse, **settings).run(log)
-        assert estimate.status[7] & Status.PREDICTED
-        assert estimate.status[7] & Status.CONTRADICTED
+        estimate = MarginalizedParticleFilter(robot, Noise(jerk=15.0), collapse=collapse, **settings).run(log[:20])
+        assert (estimate.status & Status.PREDICTED).all()
+        assert (estimate.status & Status.CONTRADICTED).all()
         assert np.isfinite(estimate.q).all()
 
 
