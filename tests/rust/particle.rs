@@ -255,18 +255,17 @@ fn a_heavier_proposal_weighs_itself_out() {
 
 #[test]
 fn impossible_readings_stop_or_are_passed_over() {
-    let mut signals = signals(6);
-    signals.readings[3 * CHANNELS] = f64::INFINITY;
-    let stopping = ParticleSettings { collapse: Collapse::Stop, ..settings(200, LINEARISED) };
-    let mut filter = ParticleFilter::new(model(noise()), stopping, Nothing).unwrap();
-    assert_eq!(filter.run(signals.all(), Keep::default()).unwrap_err(), RunError::Impossible { sample: 3 });
+    let signals = signals(6);
+    let limits = vec![(50.0, 60.0); JOINTS];
+    let bounded = |collapse| ParticleSettings { collapse, limits: limits.clone(), ..settings(200, LINEARISED) };
+    let mut filter = ParticleFilter::new(model(noise()), bounded(Collapse::Stop), Nothing).unwrap();
+    assert_eq!(filter.run(signals.all(), Keep::default()).unwrap_err(), RunError::Impossible { sample: 0 });
     for marginalised in [Nothing, Biases, Accelerations] {
         for collapse in [Collapse::Flag, Collapse::Reseed] {
-            let going_on = ParticleSettings { collapse, ..settings(200, LINEARISED) };
-            let out = run(noise(), going_on, marginalised, &signals);
-            assert_eq!(out.links.status[3] & Status::PREDICTED, Status::PREDICTED);
-            assert!((0..6).all(|i| i == 3 || out.links.status[i] == 0), "{:?}", out.links.status);
-            assert_eq!(out.links.used[3], 0);
+            let out = run(noise(), bounded(collapse), marginalised, &signals);
+            let flags = Status::PREDICTED | Status::CONTRADICTED;
+            assert!(out.links.status.iter().all(|s| s & flags == flags), "{:?}", out.links.status);
+            assert!(out.links.used.iter().all(|&used| used == 0));
             assert!(out.links.q.iter().all(|q| q.is_finite()));
         }
     }
@@ -323,7 +322,9 @@ fn settings_out_of_range_are_named() {
     let kinds = [KINDS, &[Kind::MotorVelocity]].concat();
     let model = JerkModel::new(Arc::new(robot()), &kinds, &vec![true; channels]).unwrap();
     let none = vec![0.0; channels];
-    let noise = Noise { reading: vec![1.0; channels], bias_walk: none.clone(), initial_bias: none, ..noise() };
+    let bias_time = vec![f64::INFINITY; channels];
+    let noise =
+        Noise { reading: vec![1.0; channels], bias_walk: none.clone(), bias_time, initial_bias: none, ..noise() };
     let model = JerkDriven::new(model, noise, true).unwrap();
     let error = ParticleFilter::new(model, settings(10, LINEARISED), Nothing).unwrap_err();
     assert!(matches!(error, DesignError::Range { what: "motor_velocities", .. }));
