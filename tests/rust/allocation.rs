@@ -209,7 +209,7 @@ fn a_particle_filters_step_allocates_nothing() {
             densities: vec![Density::Normal; 12],
             limits: vec![(-1e3, 1e3); 6],
             initial: vec![],
-            collapse: Collapse::Recover,
+            collapse: Collapse::Flag,
             quantiles: vec![],
         };
         let model = JerkDriven::new(model, noise, true).unwrap();

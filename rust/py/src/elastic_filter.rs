@@ -157,7 +157,7 @@ impl ElasticJointFilter {
             return Err(EstimatorError::new_err(format!("tau of joint {joint} is {}, expected a number", tau[joint])));
         }
         let inputs = Inputs { tau, ..Inputs::default() };
-        let t = self.filter.is_started().then_some(self.t + dt).unwrap_or_default();
+        let t = if self.filter.is_started() { self.t + dt } else { 0.0 };
         self.filter.step(KalmanSample { dt, readings, inputs }).map_err(IntoPyErr::into_py_err)?;
         self.t = t;
         self.filter.report_into(&mut self.row);

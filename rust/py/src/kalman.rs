@@ -229,7 +229,7 @@ impl ExtendedKalmanFilter {
         let sensors = self.filter.model().acceleration_channels();
         self.live.set(dt, sensors, &Signals { theta, acceleration, dtheta, ddqref, further })?;
         let sample = KalmanSample { dt, readings: &self.live.readings, inputs: self.live.inputs() };
-        let t = self.filter.is_started().then_some(self.live.t + dt).unwrap_or_default();
+        let t = if self.filter.is_started() { self.live.t + dt } else { 0.0 };
         self.filter.step(sample).map_err(IntoPyErr::into_py_err)?;
         self.live.t = t;
         self.filter.report_into(&mut self.live.row);

@@ -179,7 +179,7 @@ impl ParticleFilter {
         let sensors = filter.model().acceleration_channels();
         live.set(dt, sensors, &Signals { theta, acceleration, dtheta, ddqref, further })?;
         let sample = KalmanSample { dt, readings: &live.readings, inputs: live.inputs() };
-        let t = filter.is_started().then_some(live.t + dt).unwrap_or_default();
+        let t = if filter.is_started() { live.t + dt } else { 0.0 };
         py.release_briefly(|| filter.step(sample))?;
         live.t = t;
         filter.report_into(&mut live.row);
