@@ -117,7 +117,9 @@ def test_a_filter_on_its_own_model_is_consistent():
     robot = arm()
     runs = [draw(robot, NOISE, 150, seed) for seed in range(50)]
     logs, truths = zip(*runs, strict=True)
-    estimates = ExtendedKalmanFilter(robot, NOISE, start="rest", tolerances=False, **RIGHT).run(logs, covariance=True, innovations=True)
+    estimates = ExtendedKalmanFilter(robot, NOISE, start="rest", tolerances=False, **RIGHT).run(
+        logs, covariance=True, innovations=True
+    )
     reports = [consistency(e, truth) for e, truth in zip(estimates, truths, strict=True)]
     nis, used = (sum(getattr(e, name)[5:].sum() for e in estimates) for name in ("nis", "used"))
     assert stats.chi2.ppf(0.005, used) < nis < stats.chi2.ppf(0.995, used)
