@@ -47,7 +47,7 @@ def homing(seeds: range) -> tuple[float, list[float]]:
     robot, log, truth = recording(-0.47, 0.96, reads=-0.40, gravity=0.0)
     noise = Noise(motor_bias=0.1, position=0.1, transmission=ENCODER_STD, jerk=30.0)
     kalman = linkside.ExtendedKalmanFilter(robot, noise)
-    settings = {"particles": 2000, "kernel": 1.0, "limits": {"j": (-0.5, 0.5)}, "collapse": "reseed"}
+    settings = {"particles": 2000, "kernel": 1.0, "limits": {"j": (-0.5, 0.5)}, "start": "rest"}
     ours = [ParticleFilter(robot, noise, seed=seed, **settings) for seed in seeds]
     return error(kalman, log, truth), [error(method, log, truth) for method in ours]
 

@@ -280,7 +280,7 @@ def test_an_interrupt_stops_any_kernel(kernel):
     done = subprocess.run([sys.executable, "-c", INTERRUPTED, kernel], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     print(kernel, done.stdout)
-    assert float(done.stdout) < 1.0  # 0.2 s where nothing else runs
+    assert float(done.stdout) < 5.0  # 0.2 s where nothing else runs; without an interrupt it takes ten times as long
 
 
 def test_an_exception_from_another_thread_stops_a_kernel():

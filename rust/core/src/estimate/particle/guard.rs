@@ -96,7 +96,7 @@ impl Guard {
         let (spread, distance) = self.compare(summary, joints);
         let [narrow, far] = WORN;
         match () {
-            () if self.behind > LOST || spread < COLLAPSED => Verdict::Lost,
+            () if self.behind > LOST || (self.alike && spread < COLLAPSED) => Verdict::Lost,
             () if !self.alike || self.ahead >= DECISIVE => Verdict::Good,
             () if distance > ASTRAY => Verdict::Lost,
             () if spread < narrow || distance > far => Verdict::Worn,
