@@ -75,7 +75,7 @@ def recording(start: float, travel: float, *, reads: float, gravity: float) -> t
     theta += reads - theta[0] + ENCODER_STD * rng.standard_normal(len(t))
     acceleration = -SENSOR * ddq - gravity * np.sin(q) + ACCELERATION_STD * rng.standard_normal(len(t))
     robot = one_joint(horizontal=gravity == 0.0)
-    return robot, Log.from_table({"t": t, "theta_j": theta, "a_x": acceleration}, robot), float(q[-1])
+    return robot, Log.from_table({"t": t, "theta_j": theta, "a_x": acceleration}, robot, check=False), float(q[-1])
 
 
 def one_joint(*, horizontal: bool) -> Robot:
