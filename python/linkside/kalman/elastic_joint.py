@@ -13,7 +13,6 @@ from pydantic import BaseModel, ConfigDict
 from linkside import _core
 from linkside.arguments import one_of, per_joint, sized, time_step
 from linkside.arrays import FloatArray, Signal
-from linkside.errors import NumericalError
 from linkside.files.yaml_source import Source
 from linkside.recording.batch import Job
 from linkside.recording.log import Log
@@ -24,7 +23,7 @@ from .filtering import KalmanEstimate, KalmanMethod
 from .late_sensors import inside
 from .noise import LEAST_JERK, PositiveStd, Std, Time, channel_arrays, jerk_scale, motor_noise
 from .start import Moving, Readings, Start
-from .starting import DecidingFilter, first_readings, with_first
+from .starting import DecidingFilter, first_readings, in_pieces
 
 Arrays = tuple[FloatArray, FloatArray, FloatArray]
 
@@ -148,9 +147,9 @@ class ElasticJoint(KalmanMethod):
 
     def _job(self, log: Log) -> Job[KalmanEstimate]:
         kinds = self.kinds(log)
-        dt, readings, tau = self.arrays(log, kinds)
+        arrays = self.arrays(log, kinds)
         core = self.started_core(kinds, log, first_readings(log))
-        return Job(log, core, (dt, readings, self._acting(tau)), partial(self._estimate, log, kinds))
+        return Job(log, core, arrays, partial(self._estimate, log, kinds))
 
     def kinds(self, log: Log) -> tuple[str, ...]:
         """Kinds of channels to use, in the filter's order."""
@@ -194,20 +193,21 @@ class ElasticJoint(KalmanMethod):
             told=[parameter.told for parameter in self._uncertain],
         )
 
-    def arrays(self, log: Log, kinds: tuple[str, ...], before: tuple[float, FloatArray] | None = None) -> Arrays:
-        """Steps of time, readings and motor torques, one row a sample; ``before``: time and torques of the last one."""
+    def arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:
+        """Steps of time, readings and motor torques, one row a sample; ``before`` ends with the last sample before.
+
+        Held torques belong to the sample at which they end.
+        """
         if before is None:
             log.require_start("a filter", ("theta", "tau"))
         readings = np.hstack([log.theta if kind == "motor" else getattr(log, kind) for kind in kinds])
-        dt = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before[0])
-        assert log.tau is not None  # `kinds` has asked for it
-        return dt, np.ascontiguousarray(readings), log.tau
-
-    def _acting(self, tau: FloatArray, before: tuple[float, FloatArray] | None = None) -> FloatArray:
-        """Motor torques as the core takes them: held ones belong to the sample at which they end."""
-        if not self._held:
-            return tau
-        return np.vstack([tau[:1] if before is None else before[1], tau[:-1]])
+        dt = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before.t[-1])
+        tau = log.tau
+        assert tau is not None  # `kinds` has asked for it
+        if self._held:
+            earlier = None if before is None else before.tau
+            tau = np.vstack([tau[:1] if earlier is None else earlier[-1:], tau[:-1]])
+        return dt, np.ascontiguousarray(readings), tau
 
 
 class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter]):
@@ -331,23 +331,17 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter])
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
         """Estimate a recording that comes piece by piece, in bounded memory; the same bits as `run`."""
-        core: _core.ElasticJointFilter | None = None
-        kinds: tuple[str, ...] = ()
-        before: tuple[float, FloatArray] | None = None
-        first, pieces = with_first(pieces)
-        for piece in pieces:
-            if core is None:
-                kinds = self.kinds(piece)
-            dt, readings, tau = self.arrays(piece, kinds, before)
-            if core is None and first is not None:
-                core = self.started_core(kinds, piece, first)
-            assert core is not None  # there is a first piece
-            try:
-                result = core.run((dt, readings, self._acting(tau, before)))
-            except NumericalError as error:
-                raise NumericalError(f"{piece.source}: {error}") from None
-            before = float(piece.t[-1]), tau[-1:]
-            yield self._estimate(piece, kinds, result)
+
+        def start(piece: Log, first: Readings) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
+            kinds = self.kinds(piece)
+            return self.started_core(kinds, piece, first), kinds
+
+        def run(
+            core: _core.ElasticJointFilter, kinds: tuple[str, ...], piece: Log, before: Log | None
+        ) -> dict[str, Any]:
+            return core.run(self.arrays(piece, kinds, before))
+
+        return in_pieces(pieces, start, run, self._estimate)
 
     def fresh(self, period: float) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
         """Build a filter of the core for a loop of this period [s], and the kinds of its channels.

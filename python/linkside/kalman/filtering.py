@@ -176,11 +176,8 @@ class KalmanMethod(ABC):
         biased = self._channels(kinds)["biased"]
         bias = np.array(arrays["initial_bias"])[biased]
         if not isinstance(self._at, str):
-            core.set_start(
-                *given(
-                    self._at, np.concatenate([np.zeros(core.own_states - len(bias)), bias]), core.own_states - len(bias)
-                )
-            )
+            dense = core.own_states - len(bias)
+            core.set_start(*given(self._at, np.concatenate([np.zeros(dense), bias]), dense))
             return
         n = self.robot.n
         sensors = np.array(arrays["reading"])[n:][: self.width("acceleration") if "acceleration" in kinds else 0]

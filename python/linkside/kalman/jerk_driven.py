@@ -11,7 +11,7 @@ import numpy as np
 from linkside import _core
 from linkside.arguments import time_step
 from linkside.arrays import FloatArray, Signal
-from linkside.errors import EstimatorError, NumericalError
+from linkside.errors import EstimatorError
 from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
@@ -22,7 +22,7 @@ from .filtering import CoreFilter, KalmanEstimate, KalmanMethod, LiveFilter, Sta
 from .late_sensors import inside, is_late
 from .noise import Noise
 from .start import Moving, Readings, Start
-from .starting import DecidingFilter, first_readings, with_first
+from .starting import DecidingFilter, first_readings, in_pieces
 
 Arrays = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
@@ -260,23 +260,17 @@ class ExtendedKalmanFilter(
 
         The same bits as `run` when ``noise.jerk`` is given; otherwise the scale of jerk is read off the first piece.
         """
-        core: _core.ExtendedKalmanFilter | None = None
-        kinds: tuple[str, ...] = ()
-        before: Log | None = None
-        first, pieces = with_first(pieces)
-        for piece in pieces:
-            if core is None:
-                kinds = self.kinds(piece)
-            arrays = self.arrays(piece, kinds, before)
-            if core is None and first is not None:
-                core = self.started_core(kinds, self.noise.for_log(piece), first, piece.period)
-            assert core is not None  # there is a first piece
-            try:
-                result = core.run(arrays, False, False)
-            except NumericalError as error:
-                raise NumericalError(f"{piece.source}: {error}") from None
-            before = piece[-1:]
-            yield self._estimate(piece, kinds, result)
+
+        def start(piece: Log, first: Readings) -> tuple[_core.ExtendedKalmanFilter, tuple[str, ...]]:
+            kinds = self.kinds(piece)
+            return self.started_core(kinds, self.noise.for_log(piece), first, piece.period), kinds
+
+        def run(
+            core: _core.ExtendedKalmanFilter, kinds: tuple[str, ...], piece: Log, before: Log | None
+        ) -> dict[str, Any]:
+            return core.run(self.arrays(piece, kinds, before), False, False)
+
+        return in_pieces(pieces, start, run, self._estimate)
 
 
 class RauchTungStriebelSmoother(JerkDriven):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from linkside.recording.log import Log
 
 from .filtering import Core, KalmanMethod, LiveFilter
 from .start import WINDOW, Readings
+
+Filter = TypeVar("Filter")
+Found = TypeVar("Found")
 
 
 class DecidingFilter(KalmanMethod, LiveFilter[Core]):
@@ -108,3 +111,30 @@ def with_first(pieces: Iterable[Log]) -> tuple[Readings | None, Iterator[Log]]:
         parts = [getattr(f, name) for f in firsts]
         optional.append(None if any(part is None for part in parts) else np.concatenate(parts)[:WINDOW])
     return Readings(*joined, *optional), chain(taken, rest)
+
+
+def in_pieces(
+    pieces: Iterable[Log],
+    start: Callable[[Log, Readings], tuple[Filter, tuple[str, ...]]],
+    run: Callable[[Filter, tuple[str, ...], Log, Log | None], dict[str, Any]],
+    finish: Callable[[Log, tuple[str, ...], dict[str, Any]], Found],
+) -> Iterator[Found]:
+    """Estimates of pieces of a recording, by one filter of the core that goes on from piece to piece.
+
+    ``start`` makes it of the first piece and the samples that decide, and names the kinds of its channels; ``run``
+    gives it a piece, with the last row of the one before.
+    """
+    first, pieces = with_first(pieces)
+    started: tuple[Filter, tuple[str, ...]] | None = None
+    before: Log | None = None
+    for piece in pieces:
+        if started is None:
+            assert first is not None  # there is a piece
+            started = start(piece, first)
+        core, kinds = started
+        try:
+            result = run(core, kinds, piece, before)
+        except NumericalError as error:
+            raise NumericalError(f"{piece.source}: {error}") from None
+        before = piece[-1:]
+        yield finish(piece, kinds, result)

@@ -14,12 +14,12 @@ from linkside import _core
 from linkside.arguments import one_of, whole
 from linkside.arrays import FloatArray
 from linkside.channels import OUTLIERS, widths
-from linkside.errors import EstimatorError, NumericalError
+from linkside.errors import EstimatorError
 from linkside.findings import named
 from linkside.kalman.jerk_driven import ExtendedKalmanFilter, JerkDrivenFilter
 from linkside.kalman.noise import Noise
 from linkside.kalman.start import Readings
-from linkside.kalman.starting import first_readings, with_first
+from linkside.kalman.starting import first_readings, in_pieces
 from linkside.recording.batch import Job, run_each
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
@@ -241,20 +241,11 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
 
         The same bits as `run` when ``noise.jerk`` is given; otherwise the scale of jerk is read off the first piece.
         """
-        core: _core.ParticleFilter | None = None
-        kinds: tuple[str, ...] = ()
-        before: Log | None = None
-        first, pieces = with_first(pieces)
-        for piece in pieces:
-            if core is None and first is not None:
-                core, kinds = self._prepared(piece, first)
-            assert core is not None  # there is a first piece
-            try:
-                result = core.run(self._front.arrays(piece, kinds, before), False)
-            except NumericalError as error:
-                raise NumericalError(f"{piece.source}: {error}") from None
-            before = piece[-1:]
-            yield self._estimate(piece, kinds, result)
+
+        def run(core: _core.ParticleFilter, kinds: tuple[str, ...], piece: Log, before: Log | None) -> dict[str, Any]:
+            return core.run(self._front.arrays(piece, kinds, before), False)
+
+        return in_pieces(pieces, self._prepared, run, self._estimate)
 
     @property
     def effective(self) -> float:
