@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import TypeGuard
 
@@ -76,7 +76,8 @@ class Inspector:
         LogError
             What is found is impossible.
         """
-        log = self._shifted(log)
+        # The turns that were counted in the pieces before.
+        log = _shifted(log, ((signal, joint, offset) for (signal, joint), offset in self._offset.items() if offset))
         view = View(log, self._robot, self._first, self._before)
         refused = max([self._add(found) for found in channels.sentinels(view)], default=False)
         if not refused:
@@ -99,24 +100,18 @@ class Inspector:
         return found.verdict == "refused"
 
     def _unwrapped(self, log: Kind, view: View) -> Kind:
-        offsets: dict[str, FloatArray] = {}
-        for found, signal, joint, offset in positions.wraps(view):
+        wraps = list(positions.wraps(view))
+        for found, signal, joint, offset in wraps:
             self._add(found)
-            array = offsets.setdefault(signal, getattr(view.log, signal).copy())
-            array[:, joint] += offset
             self._offset[signal, joint] = self._offset.get((signal, joint), 0.0) + float(offset[-1])
-        return _with(log, offsets)
-
-    def _shifted(self, log: Kind) -> Kind:
-        """Carry on the turns that were counted in the pieces before."""
-        changed: dict[str, FloatArray] = {}
-        for (signal, joint), offset in self._offset.items():
-            if offset:
-                changed.setdefault(signal, getattr(log, signal).copy())[:, joint] += offset
-        return _with(log, changed)
+        return _shifted(log, ((signal, joint, offset) for _, signal, joint, offset in wraps))
 
 
-def _with(log: Kind, arrays: dict[str, FloatArray]) -> Kind:
+def _shifted(log: Kind, offsets: Iterable[tuple[str, int, FloatArray | float]]) -> Kind:
+    """Positions with offsets, each of a signal and a joint, and one number or (T,)."""
+    arrays: dict[str, FloatArray] = {}
+    for signal, joint, offset in offsets:
+        arrays.setdefault(signal, getattr(log, signal).copy())[:, joint] += offset
     for array in arrays.values():
         array.flags.writeable = False
     return replace(log, **arrays) if arrays else log  # type: ignore[type-var]
@@ -148,12 +143,9 @@ def _results(log: Kind, robot: Robot) -> Iterator[tuple[str, list[Finding]]]:
     view = View(log, robot)
     sound = not list(channels.sentinels(view))
     wraps = list(positions.wraps(view)) if sound else []
-    arrays: dict[str, FloatArray] = {}
-    for found, signal, joint, offset in wraps:
-        known.append(found)
-        arrays.setdefault(signal, getattr(log, signal).copy())[:, joint] += offset
+    known += [found for found, *_ in wraps]
     yield "unit of time, wraps", known
-    view = replace(view, log=_with(log, arrays))
+    view = replace(view, log=_shifted(log, ((signal, joint, offset) for _, signal, joint, offset in wraps)))
     for name, check in CHECKS.items():
         yield name, list(check(view)) if sound or name == "sentinels" else []
 
