@@ -35,29 +35,17 @@ struct Noise {
 
 impl From<Noise> for ElasticNoise {
     fn from(n: Noise) -> Self {
-        let Noise {
-            link,
-            motor,
-            torque,
-            disturbance_walk,
-            torque_walk,
-            reading,
-            bias_walk,
-            bias_time,
-            initial,
-            initial_bias,
-        } = n;
         Self {
-            link,
-            motor,
-            torque,
-            disturbance_walk,
-            torque_walk,
-            reading,
-            bias_walk,
-            bias_time,
-            initial,
-            initial_bias,
+            link: n.link,
+            motor: n.motor,
+            torque: n.torque,
+            disturbance_walk: n.disturbance_walk,
+            reading: n.reading,
+            torque_walk: n.torque_walk,
+            bias_walk: n.bias_walk,
+            bias_time: n.bias_time,
+            initial: n.initial,
+            initial_bias: n.initial_bias,
         }
     }
 }

@@ -100,6 +100,11 @@ impl Late {
         self.states
     }
 
+    /// How many states channels depend on, but for biases.
+    fn dense(&self) -> usize {
+        self.jacobian.len() / self.prediction.len()
+    }
+
     /// The state that each channel is read with.
     pub(super) fn biases(&self) -> &[Option<usize>] {
         &self.biases
@@ -157,8 +162,8 @@ impl Late {
     /// Keeps the late channels' rows.
     #[inline(always)]
     fn keep(&mut self, at: Linearised<'_>) {
-        let Self { lines, rows, prediction, jacobian, .. } = self;
-        let dense = jacobian.len() / prediction.len();
+        let dense = self.dense();
+        let Self { lines, rows, prediction, .. } = self;
         for (row, line) in rows.chunks_exact_mut(dense).zip(lines) {
             row.copy_from_slice(&at.jacobian[line.channel * dense..][..dense]);
         }
@@ -168,8 +173,8 @@ impl Late {
     /// `state` ← Σ terms + `factor` (h + bias) of line `i`, in mean and covariance.
     #[inline(always)]
     fn assign(&mut self, belief: &mut Gaussian, i: usize, state: usize, terms: &[(usize, f64)], factor: f64) {
-        let Self { lines, rows, row, prediction, own, jacobian, .. } = self;
-        let dense = jacobian.len() / prediction.len();
+        let dense = self.dense();
+        let Self { lines, rows, row, prediction, own, .. } = self;
         let (channel, h) = (lines[i].channel, &rows[i * dense..][..dense]);
         let bias = own[channel].map(|b| (b, factor));
         let Gaussian { mean, covariance } = belief;
@@ -201,7 +206,7 @@ impl Late {
     pub(super) fn mask(&mut self, at: Linearised<'_>) {
         self.prediction.copy_from_slice(at.prediction);
         self.jacobian.copy_from_slice(at.jacobian);
-        let dense = self.jacobian.len() / self.prediction.len();
+        let dense = self.dense();
         for line in &self.lines {
             self.prediction[line.channel] = 0.0;
             self.jacobian[line.channel * dense..][..dense].fill(0.0);
@@ -217,7 +222,7 @@ impl Late {
     /// Columns of sensitivities through [`advance`](Self::advance), `driven` being those of the channels themselves.
     #[inline(always)]
     pub(super) fn carry(&self, columns: &mut [f64], stride: usize, driven: Option<&[f64]>) {
-        let dense = self.jacobian.len() / self.prediction.len();
+        let dense = self.dense();
         for (i, line) in self.lines.iter().enumerate() {
             let h = &self.rows[i * dense..][..dense];
             for (state, terms, factor) in steps(*line, self.weights[i]) {
@@ -241,13 +246,8 @@ impl Late {
     /// The adjoint of [`carry`](Self::carry) for a step that [`remember`](Self::remember) wrote.
     #[inline(always)]
     pub(super) fn carry_back(&self, memory: &[f64], columns: &mut [f64], stride: usize) {
-        let (rows, weights) = memory.split_at(self.rows.len());
-        let dense = self.jacobian.len() / self.prediction.len();
-        for (i, line) in self.lines.iter().enumerate().rev() {
-            let w = &weights[5 * i..][..5];
-            let weights = Weights { filter: [w[0], w[1], w[2]], at: w[3] as usize, part: w[4] };
-            let h = &rows[i * dense..][..dense];
-            for (state, terms, factor) in steps(*line, weights).rev() {
+        for (line, h, weights) in self.remembered(memory).rev() {
+            for (state, terms, factor) in steps(line, weights).rev() {
                 let bias = self.own[line.channel].map(|b| (b, factor));
                 for c in 0..stride {
                     let pulled = core::mem::take(&mut columns[state * stride + c]);
@@ -285,16 +285,19 @@ impl Late {
         }
     }
 
+    /// Each line with its row and its weights, as [`remember`](Self::remember) wrote them.
+    #[inline(always)]
+    fn remembered<'a>(&'a self, memory: &'a [f64]) -> impl DoubleEndedIterator<Item = (Line, &'a [f64], Weights)> + 'a {
+        let (rows, weights) = memory.split_at(self.rows.len());
+        let each = self.lines.iter().zip(rows.chunks_exact(self.dense())).zip(weights.chunks_exact(5));
+        each.map(|((line, h), w)| (*line, h, Weights { filter: [w[0], w[1], w[2]], at: w[3] as usize, part: w[4] }))
+    }
+
     /// The adjoint of [`advance`](Self::advance): λ ← Tᵀ λ, Λ ← Tᵀ Λ T.
     #[inline(always)]
     pub(super) fn retreat(&self, memory: &[f64], lambda: &mut [f64], big: &mut Symmetric) {
-        let (rows, weights) = memory.split_at(self.rows.len());
-        let dense = self.jacobian.len() / self.prediction.len();
-        for (i, line) in self.lines.iter().enumerate().rev() {
-            let w = &weights[5 * i..][..5];
-            let weights = Weights { filter: [w[0], w[1], w[2]], at: w[3] as usize, part: w[4] };
-            let h = &rows[i * dense..][..dense];
-            for (state, terms, factor) in steps(*line, weights).rev() {
+        for (line, h, weights) in self.remembered(memory).rev() {
+            for (state, terms, factor) in steps(line, weights).rev() {
                 let bias = self.own[line.channel].map(|b| (b, factor));
                 let inputs = h.iter().map(|slope| factor * slope).enumerate();
                 undo(lambda, big, state, terms.into_iter().chain(bias).chain(inputs.filter(|_| factor != 0.0)));

@@ -82,35 +82,10 @@ impl<T: Scalar> LinkMotion<T> {
         simd::phase(Signatures { motion: self, robot, channels, tolerances, dq, dtheta, stride, out });
     }
 
-    #[inline(always)]
-    fn signatures_here(
-        &mut self,
-        robot: &Robot,
-        channels: &[Channel],
-        tolerances: &[Tolerance],
-        dq: &[T],
-        dtheta: &[f64],
-        stride: usize,
-        out: &mut [T],
-    ) {
-        out.fill(T::default());
-        for (column, tolerance) in tolerances.iter().enumerate() {
-            let put = |row: usize, value: T| out[row * stride + column] = value;
-            match tolerance.parameter {
-                Uncertain::Mass(j) => self.mass_signature(robot, channels, j, dq, dtheta, put),
-                parameter if parameter.joint().is_some() => {
-                    self.drive_signature(robot, channels, parameter, dq, dtheta, put);
-                }
-                parameter => of_sensor(&self.kinematics, robot, channels, parameter, put),
-            }
-        }
-    }
-
     /// Torque that joint `j`'s spring holds, and 1/φ′, at the state that was last evaluated.
     #[inline(always)]
     fn spring(&self, drive: &Drive, j: usize, dq: T, dtheta: f64) -> (T, T) {
-        let rate = if dtheta.is_nan() { T::default() } else { -dq + dtheta };
-        let torque = self.tau[j] + drive.link_friction(dq).0 - rate * drive.damping;
+        let torque = self.tau[j] + drive.link_friction(dq).0 - torsion_rate(dq, dtheta) * drive.damping;
         let torsion = drive.torsion(torque);
         (torsion, T::constant(1.0) / drive.tangent_stiffness(torsion))
     }
@@ -144,11 +119,10 @@ impl<T: Scalar> LinkMotion<T> {
             return;
         }
         let (torsion, compliance) = self.spring(drive, j, dq[j], dtheta[j]);
-        let rate = if dtheta[j].is_nan() { T::default() } else { -dq[j] + dtheta[j] };
         match parameter {
             U::Stiffness(_) => put(row, -compliance * drive.spring_torque(torsion)),
             U::CubicStiffness(_) => put(row, -compliance * torsion * torsion * torsion),
-            U::Damping(_) => put(row, -compliance * rate * drive.damping),
+            U::Damping(_) => put(row, -compliance * torsion_rate(dq[j], dtheta[j]) * drive.damping),
             U::LinkFriction(_) => put(row, compliance * friction),
             _ => {}
         }
@@ -239,6 +213,12 @@ fn seen<'a, T: Scalar>(
     (kinematics.specific_force_at(&placed), carry)
 }
 
+/// θ̇ − q̇; zero where the motor's velocity is not known.
+#[inline(always)]
+fn torsion_rate<T: Scalar>(dq: T, dtheta: f64) -> T {
+    if dtheta.is_nan() { T::default() } else { -dq + dtheta }
+}
+
 fn unit<T: Scalar>(axis: usize) -> Vec3<T> {
     let mut out = Vec3::default();
     out.0[axis] = T::constant(1.0);
@@ -269,6 +249,16 @@ impl<T: Scalar> Kernel for Signatures<'_, T> {
     #[inline(always)]
     fn run(self) {
         let Self { motion, robot, channels, tolerances, dq, dtheta, stride, out } = self;
-        motion.signatures_here(robot, channels, tolerances, dq, dtheta, stride, out);
+        out.fill(T::default());
+        for (column, tolerance) in tolerances.iter().enumerate() {
+            let put = |row: usize, value: T| out[row * stride + column] = value;
+            match tolerance.parameter {
+                Uncertain::Mass(j) => motion.mass_signature(robot, channels, j, dq, dtheta, put),
+                parameter if parameter.joint().is_some() => {
+                    motion.drive_signature(robot, channels, parameter, dq, dtheta, put);
+                }
+                parameter => of_sensor(&motion.kinematics, robot, channels, parameter, put),
+            }
+        }
     }
 }
