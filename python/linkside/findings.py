@@ -8,12 +8,6 @@ from dataclasses import dataclass
 Told = tuple[int | None, int, int, float, float, str]
 """A finding as the core has it: channel, first and last sample, size, deviations, kind."""
 
-DEVIATIONS = 6.5
-"""Quantile of the normal distribution that a test must exceed, as in the core."""
-
-CORRELATED = 4.0
-"""So many times fewer degrees of freedom than readings, as in the core."""
-
 CAUSES = {
     "stuck": ("the sensor or its cable has failed", "the recorder repeated an old value"),
     "saturated": ("the sensor's range is too small for this motion",),
@@ -77,16 +71,6 @@ class Finding:
         )
         word = "contradicts the other channels" if self.kind == "step" else f"looks {self.kind}"
         return f"{where}: '{self.channel}' {word}, {by}. Likely: {causes}"
-
-
-def largest_nis(used: int) -> float:
-    """Bound of the sum of ``used`` normalised innovations squared: exceeded by chance once in 10¹⁰ recordings.
-
-    Four neighbours are taken to move together; Wilson and Hilferty (1931).
-    """
-    degrees = max(used / CORRELATED, 1.0)
-    cube = 1 - 2 / (9 * degrees) + DEVIATIONS * (2 / (9 * degrees)) ** 0.5
-    return float(CORRELATED * degrees * cube**3)
 
 
 def named(found: Iterable[Told], columns: tuple[str, ...]) -> tuple[Finding, ...]:

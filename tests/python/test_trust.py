@@ -18,9 +18,9 @@ from linkside import (
     Robot,
     demo,
 )
+from linkside._core import largest_nis
 from linkside.cli.commands import main
 from linkside.control.controllers import JointPD
-from linkside.findings import largest_nis
 from linkside.recording.estimate import Status
 from linkside.simulation import Sensor, simulate
 

@@ -6,17 +6,14 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
-from linkside.findings import Finding, largest_nis
+from linkside._core import largest_nis
+from linkside.findings import Finding
 from linkside.kalman.filtering import KalmanEstimate
 from linkside.recording.estimate import Estimate
 
-if TYPE_CHECKING:
-    pass
-
 Item = TypeVar("Item")
-
 
 STATUS_WORDS = {
     "damped": "damped near a singular posture",

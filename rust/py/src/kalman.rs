@@ -38,6 +38,14 @@ impl From<Noise> for kalman::Noise {
     }
 }
 
+/// Bound of the sum of ``used`` normalised innovations squared: exceeded by chance once in 10¹⁰ recordings.
+///
+/// Four neighbours are taken to move together; Wilson and Hilferty (1931).
+#[pyfunction]
+pub(crate) fn largest_nis(used: f64) -> f64 {
+    kalman::largest_nis(used)
+}
+
 /// Extended Kalman filter of one robot.
 #[pyclass(module = "linkside._core")]
 #[derive(Clone)]

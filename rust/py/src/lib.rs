@@ -25,7 +25,7 @@ mod _core {
     #[pymodule_export]
     use crate::elastic_filter::ElasticJointFilter;
     #[pymodule_export]
-    use crate::kalman::{ExtendedKalmanFilter, StretchSmoother};
+    use crate::kalman::{ExtendedKalmanFilter, StretchSmoother, largest_nis};
     #[pymodule_export]
     use crate::likelihood::Likelihood;
     #[pymodule_export]

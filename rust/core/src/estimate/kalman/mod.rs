@@ -36,7 +36,7 @@ pub use jerk::{JerkModel, Noise};
 pub use jerk_process::JerkProcess;
 pub use late::Lateness;
 pub use model::{Linearised, Measurement, Model, Paired, Process, Report};
-pub use monitor::Finding;
+pub use monitor::{Finding, largest_nis};
 pub(crate) use output::Tool;
 pub use output::{FilterOutput, Keep};
 pub use phases::Phases;

@@ -60,7 +60,6 @@ pub(super) struct Monitor {
     solution: Vec<f64>,
     taken: u64,
     calm: u64,
-    stuck: Option<usize>,
     /// The finding that goes on.
     open: Option<usize>,
     pub(super) findings: Vec<Finding>,
@@ -80,7 +79,6 @@ impl Monitor {
             solution: vec![0.0; m],
             taken: 0,
             calm: 0,
-            stuck: None,
             open: None,
             findings: Vec::with_capacity(MOST),
         }
@@ -105,19 +103,19 @@ impl Monitor {
         consider: Option<&Consider>,
     ) -> u8 {
         let (nis, used) = self.load(correction, consider);
-        self.stuck = None;
+        let mut stuck = None;
         for (i, reading) in readings.iter().enumerate().filter(|(_, r)| !r.is_nan()) {
             let predicted = reading - self.whole_innovation(correction, i);
             self.signals[i].take(*reading, predicted);
             if !self.turns[i] && self.signals[i].is_stuck(model.variance(i)) {
-                self.stuck = self.stuck.or(Some(i));
+                stuck = stuck.or(Some(i));
             }
         }
         for bank in &mut self.banks {
             bank.update(model, dt, correction, consider);
         }
         let row = self.windows(nis, used);
-        let alarm = self.alarm(correction, consider, nis);
+        let alarm = self.alarm(correction, consider, nis, stuck);
         self.taken += 1;
         self.record(row, alarm)
     }
@@ -176,8 +174,9 @@ impl Monitor {
         correction: &Correction,
         consider: Option<&Consider>,
         nis: f64,
+        stuck: Option<usize>,
     ) -> Option<(usize, f64, f64, u32)> {
-        if let Some(channel) = self.stuck {
+        if let Some(channel) = stuck {
             let run = self.signals[channel].run;
             return Some((channel, 0.0, f64::from(run), run - 2));
         }
@@ -261,6 +260,13 @@ impl Monitor {
             })
         });
     }
+}
+
+/// Bound of the sum of `used` normalised innovations squared, neighbours being correlated: of any number of samples it is
+/// exceeded by chance once in 10¹⁰ times.
+#[must_use]
+pub fn largest_nis(used: f64) -> f64 {
+    bound(used, CORRELATED)
 }
 
 /// Bound of a sum of squares of `count` normal numbers, of which `correlated` ones move together, at [`DEVIATIONS`]
