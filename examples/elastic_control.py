@@ -37,7 +37,7 @@ def experiment(robot, start, angle, duration, gains, poles=250.0, period=PERIOD)
         specimen, controller, motion.t[-1], 1 / period, q=start, feedback=controller.observer, substeps=steps
     )
     names = ("theta", "q", "dtheta", "dq")
-    true, observed = (np.stack([of[name][:, 0] for name in names], axis=1) for of in (run.truth, run.told._asdict()))
+    true, observed = (np.stack([of[name][:, 0] for name in names], axis=1) for of in (run.truth, run.known._asdict()))
     return motion.t, desired.q[:, 0], true, observed
 
 

@@ -102,8 +102,8 @@ def tracking(simulation: Simulation) -> tuple[np.ndarray, np.ndarray]:
 
 def estimation_errors(simulation: Simulation) -> np.ndarray:
     """Of all eight states (T, 8) [°, °/s]."""
-    told, truth = simulation.told, simulation.truth
-    return np.hstack([getattr(told, name) - truth[name] for name in ("q", "dq", "theta", "dtheta")]) / DEGREE
+    known, truth = simulation.known, simulation.truth
+    return np.hstack([getattr(known, name) - truth[name] for name in ("q", "dq", "theta", "dtheta")]) / DEGREE
 
 
 def report(name: str, simulation: Simulation, seconds: float) -> None:

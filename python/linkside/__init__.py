@@ -8,8 +8,6 @@
 (2000, 6)
 """
 
-import sys
-
 from . import demo
 from .control import controllers, feedback, trajectories
 from .errors import (
@@ -34,7 +32,6 @@ from .kalman import (
     RauchTungStriebelSmoother,
     smooth_file,
 )
-from .moved import Moved
 from .observability import sensors
 from .observers import AccelerationObserver, poles
 from .particle import MarginalizedParticleFilter, Mixture, ParticleEstimate, ParticleFilter
@@ -90,5 +87,3 @@ __all__ = [
     "smooth_file",
     "trajectories",
 ]
-
-sys.meta_path.append(Moved())

@@ -317,6 +317,6 @@ def simulate(
     robot: Robot,
     settings: Mapping[str, Any],
     sensors: Sequence[Mapping[str, Any]],
-    told: bool | tuple[ElasticJointFilter, Sequence[int]] | AccelerationObserver,
+    source: bool | tuple[ElasticJointFilter, Sequence[int]] | AccelerationObserver,
     law: Mapping[str, Any] | Callable[[float, _Array, _Array, _Array, _Array], _Signal],
 ) -> dict[str, _Array]: ...

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-Told = tuple[int | None, int, int, float, float, str]
+CoreFinding = tuple[int | None, int, int, float, float, str]
 """A finding as the core has it: channel, first and last sample, size, deviations, kind."""
 
 CAUSES = {
@@ -29,7 +29,7 @@ CAUSES = {
 
 
 @dataclass(frozen=True)
-class Finding:
+class Fault:
     """Readings that contradict the model.
 
     Attributes
@@ -73,6 +73,6 @@ class Finding:
         return f"{where}: '{self.channel}' {word}, {by}. Likely: {causes}"
 
 
-def named(found: Iterable[Told], columns: tuple[str, ...]) -> tuple[Finding, ...]:
+def named(found: Iterable[CoreFinding], columns: tuple[str, ...]) -> tuple[Fault, ...]:
     """Findings of the core with the names of the columns."""
-    return tuple(Finding(columns[one[0]] if columns and one[0] is not None else None, *one[1:]) for one in found)
+    return tuple(Fault(columns[one[0]] if columns and one[0] is not None else None, *one[1:]) for one in found)

@@ -1,18 +1,18 @@
 """The house stands: modules import downwards only, and none uses what is private to another."""
 
 import ast
-import importlib
+import re
+from collections import Counter
 from pathlib import Path
 
 import pytest
 
 import linkside
-from linkside.moved import MOVED
 
 ROOT = Path(linkside.__file__).parent
 
 LAYERS = (
-    ("errors", "moved"),
+    ("errors",),
     ("arrays", "channels", "findings", "text"),
     ("arguments",),
     ("statistics", "files"),
@@ -123,6 +123,26 @@ def test_no_private_attribute_of_another_module_is_used():
     assert found == []
 
 
+CRATES = [path for path in (Path(__file__).parents[2] / "rust").glob("*/src") if path.is_dir()]
+
+
+@pytest.mark.parametrize("crate", CRATES, ids=[path.parent.name for path in CRATES])
+def test_a_type_of_a_crate_has_a_name_of_its_own(crate):
+    defined = re.compile(
+        r"^\s*(?:pub(?:\([a-z() ]+\))? )?(?:unsafe )?(?:struct|enum|union|trait|(?<=pub )type) (\w+)", re.M
+    )
+    assert homonyms(name for path in crate.rglob("*.rs") for name in defined.findall(path.read_text())) == []
+
+
+def test_a_class_has_a_name_of_its_own():
+    assert homonyms(n.name for tree in TREES.values() for n in ast.walk(tree) if isinstance(n, ast.ClassDef)) == []
+
+
+def homonyms(names):
+    """What is defined more than once."""
+    return sorted(name for name, count in Counter(names).items() if count > 1)
+
+
 def test_no_library_prints():
     """Standard output and bars are the command line's."""
     speaks = {"print", "echo", "show", "bar", "Progress"}
@@ -134,11 +154,6 @@ def test_no_library_prints():
         if room(name) != "cli"
     ]
     assert called == []
-
-
-@pytest.mark.parametrize(("old", "new"), MOVED.items())
-def test_a_module_is_still_found_under_its_old_name(old, new):
-    assert importlib.import_module(f"linkside.{old}") is importlib.import_module(f"linkside.{new}")
 
 
 @pytest.mark.parametrize("smoother", [linkside.RauchTungStriebelSmoother, linkside.ElasticJointSmoother])

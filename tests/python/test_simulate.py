@@ -212,7 +212,7 @@ def test_torque_sensors_are_filtered_in_the_loop():
         estimator = ElasticJointFilter(robot, linkside.ElasticNoise(joint_torque=1e-3), torque=torque)
         run = simulate(robot, control, 1.0, 1000.0, feedback=estimator, sensors=noise, substeps=4)
         late = run.truth["t"] > 0.5
-        errors.append(np.abs(((run.told.theta - run.told.q) - (run.truth["theta"] - run.truth["q"]))[late]).max())
+        errors.append(np.abs(((run.known.theta - run.known.q) - (run.truth["theta"] - run.truth["q"]))[late]).max())
     assert errors[0] < 2e-6
     assert errors[1] > 3 * errors[0]
 
@@ -315,8 +315,8 @@ def test_the_estimate_closes_the_loop():
     estimator = ElasticJointFilter(robot, tuning, disturbances=False, biases=())
     run = simulate(robot, control, 10.0, 1000.0, feedback=estimator, sensors=noise, **settings)
     late = run.truth["t"] > 5
-    assert np.sqrt(((run.told.q - run.truth["q"])[late] ** 2).mean()) < 0.1 * np.pi / 180
-    assert np.abs(run.told.q - run.truth["q"]).max() < 2 * np.pi / 180
+    assert np.sqrt(((run.known.q - run.truth["q"])[late] ** 2).mean()) < 0.1 * np.pi / 180
+    assert np.abs(run.known.q - run.truth["q"]).max() < 2 * np.pi / 180
 
 
 def bad(match, error=EstimatorError, **settings):

@@ -17,7 +17,7 @@ from linkside import (
     Robot,
     demo,
 )
-from linkside.fixed_lag import FixedLagSmoother
+from linkside.kalman.fixed_lag import FixedLagSmoother
 from linkside.kalman.start import WINDOW
 
 from .drawn import jerk_noise

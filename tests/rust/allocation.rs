@@ -8,18 +8,19 @@ use core::cell::Cell;
 use core::hint::black_box;
 use linkside_core::dynamics::{Kinematics, Loads};
 use linkside_core::estimate::kalman::{
-    ExtendedKalmanFilter, FilterSettings, Inputs, JerkDriven, JerkModel, KalmanSample, Noise,
+    ExtendedKalmanFilter, FilterSettings, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanSample,
 };
 use linkside_core::estimate::measurement::Kind;
 use linkside_core::estimate::observer::{
-    AccelerationObserver, AccelerationSource, Complex, Form, Sample, Settings, Start, link_position_at_rest,
+    AccelerationObserver, AccelerationSource, Complex, Form, ObserverSample, ObserverSettings, Start,
+    link_position_at_rest,
 };
 use linkside_core::estimate::particle::{
     Collapse, Density, Marginalised, ParticleFilter, ParticleSettings, Proposal, Resampling,
 };
 use linkside_core::estimate::velocity::{self, GainMap, Gains, Logic, Schedule, VelocityObserver};
 use linkside_core::robot::{Drive, Robot};
-use linkside_core::simulate::{Adaptive, Plant, Tolerance};
+use linkside_core::simulate::{Adaptive, Plant, StepTolerance};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::Arc;
 
@@ -73,7 +74,7 @@ fn poles(drive: &Drive) -> Vec<Complex> {
 
 fn observer(form: Form, source: AccelerationSource) -> AccelerationObserver {
     let robot = robot();
-    let settings = Settings {
+    let settings = ObserverSettings {
         period: 5e-4,
         poles: robot.drives.iter().map(poles).collect(),
         bias: true,
@@ -98,7 +99,7 @@ fn a_step_allocates_nothing() {
         for source in [AccelerationSource::Sensors, AccelerationSource::Joints] {
             let mut observer = observer(form, source);
             let mut step = |theta: &[f64], acceleration: &[f64]| {
-                observer.step(Sample { theta, tau: &[1.0; 6], acceleration }).unwrap();
+                observer.step(ObserverSample { theta, tau: &[1.0; 6], acceleration }).unwrap();
             };
             step(&theta, &[0.5; 6]);
             let missing = [f64::NAN; 6];
@@ -121,7 +122,7 @@ fn a_kalman_step_allocates_nothing() {
         &[true; 30],
     )
     .unwrap();
-    let noise = Noise {
+    let noise = JerkNoise {
         jerk: vec![20.0; 6],
         link_walk: vec![0.0; 12],
         reading: vec![1e-3; 30],
@@ -165,7 +166,7 @@ fn a_velocity_observers_step_allocates_nothing() {
     let map = GainMap { linear, waves: vec![1.0; 12], sine: vec![2.0; 12], cosine: vec![1.0; 12] };
     let kinds = [(Gains::Constant(vec![50.0; 6]), 100.0), (Gains::Scheduled(schedule), 0.0), (Gains::Mapped(map), 0.0)];
     for (gains, spring) in kinds {
-        let settings = velocity::Settings {
+        let settings = velocity::VelocitySettings {
             period: 5e-4,
             gains,
             spring: vec![spring; 6],
@@ -189,7 +190,7 @@ fn a_velocity_observers_step_allocates_nothing() {
 fn a_particle_filters_step_allocates_nothing() {
     for marginalised in [Marginalised::Nothing, Marginalised::Biases, Marginalised::Accelerations] {
         let model = JerkModel::new(Arc::new(robot()), &[Kind::Motor, Kind::Acceleration], &[true; 12]).unwrap();
-        let noise = Noise {
+        let noise = JerkNoise {
             jerk: vec![20.0; 6],
             link_walk: vec![1e-5; 12],
             reading: vec![1e-2; 12],
@@ -232,7 +233,7 @@ fn a_particle_filters_step_allocates_nothing() {
 fn an_adaptive_step_allocates_nothing() {
     let robot = robot();
     let mut plant = Plant::new(&robot).unwrap();
-    let mut adaptive = Adaptive::new(&plant, Tolerance { rtol: 1e-6, atol: 1e-9 }).unwrap();
+    let mut adaptive = Adaptive::new(&plant, StepTolerance { rtol: 1e-6, atol: 1e-9 }).unwrap();
     let mut x = vec![0.1; plant.layout.dense];
     let mut advance = |t: f64| adaptive.advance(&robot, &mut plant, &mut x, &[3.0; 6], (t, 1e-3)).unwrap();
     advance(0.0);

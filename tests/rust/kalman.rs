@@ -4,8 +4,8 @@ mod arm;
 
 use arm::{Mounting, arm, drive};
 use linkside_core::estimate::kalman::{
-    ExtendedKalmanFilter, FilterSettings, Gaussian, Inputs, JerkDriven, JerkModel, KalmanRecording, KalmanSample, Keep,
-    Measurement, Model, Noise, Smoother,
+    ExtendedKalmanFilter, FilterSettings, Gaussian, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanRecording,
+    KalmanSample, Keep, Measurement, Model, Smoother,
 };
 use linkside_core::estimate::measurement::{Evaluation, Kind};
 use linkside_core::robot::{Drive, Robot, Sensor, SoftWindup};
@@ -35,8 +35,8 @@ fn robot() -> Robot {
     robot
 }
 
-fn noise() -> Noise {
-    Noise {
+fn noise() -> JerkNoise {
+    JerkNoise {
         jerk: vec![20.0; JOINTS],
         link_walk: [[1e-4; JOINTS], [1e-2; JOINTS]].concat(),
         reading: vec![1e-3; CHANNELS],

@@ -5,7 +5,7 @@ mod arm;
 use arm::{Mounting, arm, drive};
 use linkside_core::error::{DesignError, RunError};
 use linkside_core::estimate::kalman::{
-    ExtendedKalmanFilter, FilterSettings, Inputs, JerkDriven, JerkModel, KalmanRecording, Keep, Noise,
+    ExtendedKalmanFilter, FilterSettings, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanRecording, Keep,
 };
 use linkside_core::estimate::likelihood::{Likelihood, LikelihoodRecording, LikelihoodSettings, Parameter};
 use linkside_core::estimate::measurement::Kind;
@@ -53,7 +53,7 @@ fn settings(torque: bool) -> LikelihoodSettings {
     let mut reading = vec![1e-4; JOINTS];
     reading.extend([0.05; SENSORS]);
     reading.extend(vec![3.0; channels - reading.len()]);
-    let noise = Noise {
+    let noise = JerkNoise {
         jerk: vec![20.0; JOINTS],
         link_walk: [[1e-4; JOINTS], [1e-2; JOINTS]].concat(),
         reading,

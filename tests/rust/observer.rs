@@ -8,8 +8,9 @@ use linkside_core::dynamics::{Kinematics, Loads};
 use linkside_core::error::{DesignError, RunError};
 use linkside_core::estimate::Status;
 use linkside_core::estimate::observer::{
-    AccelerationMap, AccelerationObserver, AccelerationSource, Complex, Form, JointModel, Poles, Recording, Sample,
-    Sampled, Settings, Start, Trajectory, closed_form_gains, link_position_at_rest,
+    AccelerationMap, AccelerationObserver, AccelerationSource, Complex, Form, JointModel, ObserverOutput,
+    ObserverRecording, ObserverSample, ObserverSettings, Poles, Sampled, Start, closed_form_gains,
+    link_position_at_rest,
 };
 use linkside_core::robot::{Drive, MotorFriction, Robot, SoftWindup};
 use nalgebra::{DMatrix, DVector};
@@ -442,8 +443,8 @@ fn poles(robot: &Robot, omega: f64) -> Vec<Vec<Complex>> {
     robot.drives.iter().map(one).collect()
 }
 
-fn settings(robot: &Robot) -> Settings {
-    Settings {
+fn settings(robot: &Robot) -> ObserverSettings {
+    ObserverSettings {
         period: 5e-4,
         poles: poles(robot, 250.0),
         bias: false,
@@ -460,7 +461,7 @@ fn three_joints() -> Robot {
     arm(vec![drive(); 3], &[sensor])
 }
 
-fn observer(change: impl FnOnce(&mut Settings)) -> Result<AccelerationObserver, DesignError> {
+fn observer(change: impl FnOnce(&mut ObserverSettings)) -> Result<AccelerationObserver, DesignError> {
     let robot = three_joints();
     let mut settings = settings(&robot);
     change(&mut settings);
@@ -492,9 +493,9 @@ impl Signals {
         Self { count, theta, tau, acceleration }
     }
 
-    fn rows(&self, start: usize, end: usize) -> Recording<'_> {
+    fn rows(&self, start: usize, end: usize) -> ObserverRecording<'_> {
         let rows = 3 * start..3 * end;
-        Recording {
+        ObserverRecording {
             count: end - start,
             theta: &self.theta[rows.clone()],
             tau: &self.tau[rows.clone()],
@@ -502,13 +503,13 @@ impl Signals {
         }
     }
 
-    fn whole(&self) -> Recording<'_> {
+    fn whole(&self) -> ObserverRecording<'_> {
         self.rows(0, self.count)
     }
 }
 
 /// Every number of an estimate, as bits.
-fn bits(t: &Trajectory) -> Vec<u64> {
+fn bits(t: &ObserverOutput) -> Vec<u64> {
     let numbers = [&t.q, &t.dq, &t.ddq, &t.theta, &t.dtheta, &t.tool].into_iter().flatten().map(|x| x.to_bits());
     numbers.chain(t.status.iter().map(|&s| u64::from(s))).collect()
 }
@@ -561,7 +562,7 @@ fn the_predictor_reports_what_the_innovation_then_corrects() {
     let [current, predicted] =
         [Form::Current, Form::Predictor].map(|form| observer(|s| s.form = form).unwrap().run(signals.whole()).unwrap());
     assert_ne!(bits(&current), bits(&predicted));
-    let innovation = |t: &Trajectory| signals.theta.iter().zip(&t.theta).map(|(a, b)| (a - b).abs()).sum::<f64>();
+    let innovation = |t: &ObserverOutput| signals.theta.iter().zip(&t.theta).map(|(a, b)| (a - b).abs()).sum::<f64>();
     assert!(innovation(&current) < innovation(&predicted));
 }
 
@@ -618,7 +619,7 @@ fn too_few_accelerations_are_refused_unless_given_by_joint() {
     let one_axis = Mounting { body: 2, at: [0.3, 0.0, 0.0], axes: vec![2], noise_std: 0.05 };
     let robot = Arc::new(arm(vec![drive(); 3], &[one_axis]));
     let by_sensors = settings(&robot);
-    let by_joints = Settings { source: AccelerationSource::Joints, ..by_sensors.clone() };
+    let by_joints = ObserverSettings { source: AccelerationSource::Joints, ..by_sensors.clone() };
     let refused = AccelerationObserver::new(robot.clone(), by_sensors).unwrap_err();
     assert_eq!(refused, DesignError::TooFewAccelerations { joints: 3, channels: 1 });
     assert!(AccelerationObserver::new(robot, by_joints).is_ok());
@@ -627,8 +628,11 @@ fn too_few_accelerations_are_refused_unless_given_by_joint() {
 #[test]
 fn a_start_needs_every_motor_position() {
     let signals = Signals::new(2, 0.0, &[]);
-    let sample =
-        Sample { theta: &[0.0, f64::NAN, 0.0], tau: &signals.tau[..3], acceleration: &signals.acceleration[..3] };
+    let sample = ObserverSample {
+        theta: &[0.0, f64::NAN, 0.0],
+        tau: &signals.tau[..3],
+        acceleration: &signals.acceleration[..3],
+    };
     assert_eq!(observer(|_| ()).unwrap().step(sample), Err(RunError::Design(DesignError::NoStart { joint: 1 })));
 }
 
@@ -638,7 +642,7 @@ fn arrays_of_wrong_length_are_refused() {
     let refused = live.start(&[0.0; 3], &[0.0; 3], &[0.0; 2], &[0.0; 3]).unwrap_err();
     assert_eq!(refused, DesignError::Length { what: "dtheta", found: 2, expected: 3 });
     let signals = Signals::new(4, 0.0, &[]);
-    let short = Recording { tau: &signals.tau[..9], ..signals.whole() };
+    let short = ObserverRecording { tau: &signals.tau[..9], ..signals.whole() };
     let refused = live.run(short).unwrap_err();
     assert_eq!(refused, DesignError::Length { what: "tau", found: 9, expected: 12 }.into());
 }

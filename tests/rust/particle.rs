@@ -7,7 +7,7 @@ use arm::{Mounting, arm, drive};
 use linkside_core::error::{DesignError, RunError};
 use linkside_core::estimate::Status;
 use linkside_core::estimate::kalman::{
-    ExtendedKalmanFilter, FilterSettings, Inputs, JerkDriven, JerkModel, KalmanRecording, Keep, Noise,
+    ExtendedKalmanFilter, FilterSettings, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanRecording, Keep,
 };
 use linkside_core::estimate::measurement::{Evaluation, Kind};
 use linkside_core::estimate::particle::{
@@ -41,8 +41,8 @@ fn robot() -> Robot {
     robot
 }
 
-fn noise() -> Noise {
-    Noise {
+fn noise() -> JerkNoise {
+    JerkNoise {
         jerk: vec![20.0; JOINTS],
         link_walk: vec![0.0; 2 * JOINTS],
         reading: vec![1e-2; CHANNELS],
@@ -55,12 +55,18 @@ fn noise() -> Noise {
 }
 
 /// Nothing is random before the second sample, and there hardly anything.
-fn certain(jerk: f64) -> Noise {
+fn certain(jerk: f64) -> JerkNoise {
     let none = vec![0.0; CHANNELS];
-    Noise { jerk: vec![jerk; JOINTS], bias_walk: none.clone(), initial: vec![0.0; 9], initial_bias: none, ..noise() }
+    JerkNoise {
+        jerk: vec![jerk; JOINTS],
+        bias_walk: none.clone(),
+        initial: vec![0.0; 9],
+        initial_bias: none,
+        ..noise()
+    }
 }
 
-fn model(noise: Noise) -> JerkDriven {
+fn model(noise: JerkNoise) -> JerkDriven {
     let model = JerkModel::new(Arc::new(robot()), KINDS, &[true; CHANNELS]).unwrap();
     JerkDriven::new(model, noise, true).unwrap()
 }
@@ -120,12 +126,12 @@ impl Signals {
     }
 }
 
-fn run(noise: Noise, settings: ParticleSettings, marginalised: Marginalised, signals: &Signals) -> ParticleOutput {
+fn run(noise: JerkNoise, settings: ParticleSettings, marginalised: Marginalised, signals: &Signals) -> ParticleOutput {
     let mut filter = ParticleFilter::new(model(noise), settings, marginalised).unwrap();
     filter.run(signals.all(), Keep::default()).unwrap()
 }
 
-fn kalman(noise: Noise, signals: &Signals) -> Vec<f64> {
+fn kalman(noise: JerkNoise, signals: &Signals) -> Vec<f64> {
     let mut filter = ExtendedKalmanFilter::new(model(noise), FilterSettings { gate: None, iterations: 1 }).unwrap();
     filter.run(signals.all(), Keep::default()).unwrap().log_likelihood
 }
@@ -149,10 +155,10 @@ fn one_particle_without_noise_finds_the_kalman_filters_likelihood() {
 fn the_linearised_proposals_weight_does_not_depend_on_the_draw() {
     let signals = signals(2);
     let noise = certain(1e-4); // so little that every channel is linear over it, all of their derivatives at work
-    let expected = kalman(Noise { reading: vec![1e-5; CHANNELS], ..noise.clone() }, &signals)[1];
+    let expected = kalman(JerkNoise { reading: vec![1e-5; CHANNELS], ..noise.clone() }, &signals)[1];
     let mut first = None;
     for seed in 0..10 {
-        let noise = Noise { reading: vec![1e-5; CHANNELS], ..noise.clone() };
+        let noise = JerkNoise { reading: vec![1e-5; CHANNELS], ..noise.clone() };
         for proposal in [LINEARISED, Proposal::Linearised { iterations: 3, tail: None }] {
             let one = ParticleSettings { seed, ..settings(1, proposal) };
             let found = run(noise.clone(), one, Biases, &signals).links.log_likelihood[1];
@@ -164,9 +170,9 @@ fn the_linearised_proposals_weight_does_not_depend_on_the_draw() {
 }
 
 /// So little of everything that every channel is linear over it.
-fn wandering() -> Noise {
+fn wandering() -> JerkNoise {
     let link_walk = [[1e-6; JOINTS], [1e-5; JOINTS]].concat();
-    Noise { link_walk, reading: vec![1e-5; CHANNELS], bias_walk: vec![1e-5; CHANNELS], ..certain(1e-4) }
+    JerkNoise { link_walk, reading: vec![1e-5; CHANNELS], bias_walk: vec![1e-5; CHANNELS], ..certain(1e-4) }
 }
 
 /// Positions and velocities of a particle that starts with certainty are drawn; what it weighs is the readings' density
@@ -174,7 +180,7 @@ fn wandering() -> Noise {
 #[test]
 fn marginalised_accelerations_leave_a_weight_that_does_not_depend_on_the_draw() {
     let signals = signals(2);
-    let uncertain = Noise {
+    let uncertain = JerkNoise {
         initial: [[1e-6; JOINTS], [1e-6; JOINTS], [1e-4; JOINTS]].concat(),
         initial_bias: vec![1e-5; CHANNELS],
         ..wandering()
@@ -195,7 +201,7 @@ fn marginalised_accelerations_leave_a_weight_that_does_not_depend_on_the_draw() 
 #[test]
 fn a_bias_is_drawn_or_marginalised_with_the_same_likelihood() {
     let signals = signals(2);
-    let noise = Noise { bias_walk: vec![0.3; CHANNELS], ..certain(1e-3) };
+    let noise = JerkNoise { bias_walk: vec![0.3; CHANNELS], ..certain(1e-3) };
     let plain = run(noise.clone(), settings(1, LINEARISED), Nothing, &signals).links.log_likelihood[1];
     let closed = run(noise.clone(), settings(1, LINEARISED), Biases, &signals).links.log_likelihood[1];
     let expected = kalman(noise, &signals)[1];
@@ -206,7 +212,7 @@ fn a_bias_is_drawn_or_marginalised_with_the_same_likelihood() {
 fn neither_threads_nor_pieces_change_a_bit() {
     let signals = signals(12);
     let bits = |(marginalised, threads, split): (Marginalised, usize, usize)| {
-        let wandering = Noise { link_walk: vec![1e-5; 2 * JOINTS], ..noise() };
+        let wandering = JerkNoise { link_walk: vec![1e-5; 2 * JOINTS], ..noise() };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let mut filter = ParticleFilter::new(model(wandering), settings(3000, LINEARISED), marginalised).unwrap();
@@ -233,7 +239,7 @@ fn neither_threads_nor_pieces_change_a_bit() {
 #[test]
 fn students_noise_of_many_degrees_is_normal_noise() {
     let signals = signals(5);
-    let noise = Noise { bias_walk: vec![0.0; CHANNELS], initial_bias: vec![0.0; CHANNELS], ..noise() };
+    let noise = JerkNoise { bias_walk: vec![0.0; CHANNELS], initial_bias: vec![0.0; CHANNELS], ..noise() };
     let normal = run(noise.clone(), settings(50, LINEARISED), Nothing, &signals);
     let many =
         ParticleSettings { densities: vec![Density::Student { freedom: 1e7 }; CHANNELS], ..settings(50, LINEARISED) };
@@ -324,7 +330,7 @@ fn settings_out_of_range_are_named() {
     let none = vec![0.0; channels];
     let bias_time = vec![f64::INFINITY; channels];
     let noise =
-        Noise { reading: vec![1.0; channels], bias_walk: none.clone(), bias_time, initial_bias: none, ..noise() };
+        JerkNoise { reading: vec![1.0; channels], bias_walk: none.clone(), bias_time, initial_bias: none, ..noise() };
     let model = JerkDriven::new(model, noise, true).unwrap();
     let error = ParticleFilter::new(model, settings(10, LINEARISED), Nothing).unwrap_err();
     assert!(matches!(error, DesignError::Range { what: "motor_velocities", .. }));

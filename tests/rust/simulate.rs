@@ -5,12 +5,12 @@ mod arm;
 use arm::{arm, drive};
 use linkside_core::error::SimulationError;
 use linkside_core::robot::{Drive, MotorFriction, Robot, SoftWindup};
-use linkside_core::simulate::{Adaptive, Plant, RungeKutta, Tolerance};
+use linkside_core::simulate::{Adaptive, Plant, RungeKutta, StepTolerance};
 use nalgebra::{DMatrix, DVector};
 use proptest::prelude::*;
 
 /// Accepts every step.
-const LOOSE: Tolerance = Tolerance { rtol: 0.99, atol: 1e12 };
+const LOOSE: StepTolerance = StepTolerance { rtol: 0.99, atol: 1e12 };
 
 /// One joint about the vertical: gravity does nothing, everything is linear but for the friction that is asked for.
 fn spinner(stiffness: f64, damping: f64) -> Robot {
@@ -46,7 +46,7 @@ fn moving(plant: &Plant) -> Vec<f64> {
 fn integrate(
     robot: &Robot,
     tau: &[f64],
-    tolerance: Tolerance,
+    tolerance: StepTolerance,
     h: f64,
     spans: usize,
 ) -> Result<Vec<f64>, SimulationError> {
@@ -97,7 +97,7 @@ fn a_vibration_below_the_tolerance_is_damped_at_once() {
 fn what_is_too_abrupt_names_time_and_joint() {
     let rough = Drive { link_friction: [0.0, 0.0, 0.0, 500.0, 1e300, 0.0], ..drive() };
     let robot = arm(vec![drive(), drive(), rough], &[]);
-    let tolerance = Tolerance { rtol: 1e-13, atol: 1e-15 };
+    let tolerance = StepTolerance { rtol: 1e-13, atol: 1e-15 };
     let error = integrate(&robot, &[0.0; 3], tolerance, 0.05, 20).unwrap_err();
     let SimulationError::Abrupt { joint: 2, time, step } = error else { panic!("{error}") };
     assert!(time > 0.0 && time < 1.0 && step < 0.05);
@@ -106,16 +106,16 @@ fn what_is_too_abrupt_names_time_and_joint() {
 
 #[test]
 fn a_torque_beyond_all_numbers_is_not_finite() {
-    let error = integrate(&crane(), &[1e308, 0.0, 0.0], Tolerance { rtol: 1e-6, atol: 1e-9 }, 0.01, 5).unwrap_err();
+    let error = integrate(&crane(), &[1e308, 0.0, 0.0], StepTolerance { rtol: 1e-6, atol: 1e-9 }, 0.01, 5).unwrap_err();
     assert!(matches!(error, SimulationError::NotFinite { .. }), "{error}");
 }
 
 #[test]
 fn tolerances_out_of_range_are_refused() {
     let plant = Plant::new(&crane()).unwrap();
-    let refused = Adaptive::new(&plant, Tolerance { rtol: 2.0, atol: 1e-9 }).unwrap_err();
+    let refused = Adaptive::new(&plant, StepTolerance { rtol: 2.0, atol: 1e-9 }).unwrap_err();
     assert_eq!(refused.to_string(), "rtol is 2, expected at least 1e-13 and less than 1");
-    assert!(Adaptive::new(&plant, Tolerance { rtol: 1e-6, atol: 0.0 }).is_err());
+    assert!(Adaptive::new(&plant, StepTolerance { rtol: 1e-6, atol: 0.0 }).is_err());
 }
 
 proptest! {
@@ -128,7 +128,7 @@ proptest! {
         stiffness in 2.0..6.5_f64, damping in 0.0..4.0_f64, tolerance in -10.0..-4.0_f64, spans in 1_usize..8,
     ) {
         let (robot, tolerance) = (spinner(10_f64.powf(stiffness), 10_f64.powf(damping)), 10_f64.powf(tolerance));
-        let settings = Tolerance { rtol: tolerance, atol: tolerance };
+        let settings = StepTolerance { rtol: tolerance, atol: tolerance };
         let x = integrate(&robot, &[0.0], settings, 0.05 / spans as f64, spans).unwrap();
         let error = distance(&x, &exponential(&robot, 0.05));
         prop_assert!(error < 1000.0 * tolerance, "{}", error / tolerance);

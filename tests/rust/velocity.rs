@@ -5,7 +5,9 @@ mod arm;
 
 use linkside_core::error::{DesignError, RunError};
 use linkside_core::estimate::observer::Start;
-use linkside_core::estimate::velocity::{GainMap, Gains, Logic, Recording, Schedule, Settings, VelocityObserver};
+use linkside_core::estimate::velocity::{
+    GainMap, Gains, Logic, Schedule, VelocityObserver, VelocityRecording, VelocitySettings,
+};
 use linkside_core::robot::{Drive, MotorFriction};
 use proptest::prelude::*;
 use std::sync::Arc;
@@ -22,7 +24,7 @@ fn observer(drives: Vec<Drive>, gains: Gains, spring: f64) -> Result<VelocityObs
 
 fn sampled(drives: Vec<Drive>, gains: Gains, spring: f64, period: f64) -> Result<VelocityObserver, DesignError> {
     let n = drives.len();
-    let settings = Settings {
+    let settings = VelocitySettings {
         period,
         gains,
         spring: vec![spring; n],
@@ -54,7 +56,7 @@ fn a_run_is_its_steps() {
     let make = || observer(drives(), Gains::Constant(vec![80.0; 6]), 50.0).unwrap();
     let q: Vec<f64> = (0..600).map(|i| (0.01 * f64::from(i)).sin()).collect();
     let torque = vec![3.0; 600];
-    let whole = make().run(Recording { count: 100, q: &q, torque: &torque }).unwrap();
+    let whole = make().run(VelocityRecording { count: 100, q: &q, torque: &torque }).unwrap();
     let mut stepped = make();
     for (k, (q, torque)) in q.chunks_exact(6).zip(torque.chunks_exact(6)).enumerate() {
         stepped.step(q, torque).unwrap();
@@ -95,7 +97,7 @@ fn refuses_a_start_that_cannot_be_used() {
 #[test]
 fn names_the_sample_at_which_the_estimate_is_no_number() {
     let mut observer = observer(one_joint(), Gains::Constant(vec![1.0]), 0.0).unwrap();
-    let error = observer.run(Recording { count: 2, q: &[0.0, f64::INFINITY], torque: &[0.0; 2] }).unwrap_err();
+    let error = observer.run(VelocityRecording { count: 2, q: &[0.0, f64::INFINITY], torque: &[0.0; 2] }).unwrap_err();
     assert!(matches!(error, RunError::NotFinite { sample: 1 } | RunError::SingularInertia { sample: 1 }));
 }
 

@@ -25,7 +25,7 @@ from linkside.recording.log import Log
 from linkside.robot import Robot
 
 from .error_tables import tool_table
-from .estimate_logs import Job, estimate_all, naming, output_folder
+from .estimate_logs import EstimateJob, estimate_all, naming, output_folder
 from .failures import Commands
 from .methods import METHODS, Options
 from .terminal import bar, show
@@ -110,7 +110,7 @@ def estimate(
         for output in outputs:
             check_writable(output)
         files = zip(logs, outputs, truths or [None] * len(logs), strict=True)
-        believable = estimate_all([Job(loaded, run, rows, not no_check, *three) for three in files])
+        believable = estimate_all([EstimateJob(loaded, run, rows, not no_check, *three) for three in files])
     return 3 if strict and not believable else 0
 
 

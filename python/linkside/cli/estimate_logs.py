@@ -26,7 +26,7 @@ from .terminal import bar, show
 
 
 @dataclass(frozen=True)
-class Job:
+class EstimateJob:
     """A log to estimate, how, and where the estimate and the truth are."""
 
     robot: Robot
@@ -38,7 +38,7 @@ class Job:
     truth: str | None
 
 
-def estimate_all(jobs: Sequence[Job]) -> bool:
+def estimate_all(jobs: Sequence[EstimateJob]) -> bool:
     """Estimate each log; of several, one that cannot be used does not keep the others waiting.
 
     Returns whether all are to be believed.
@@ -59,7 +59,7 @@ def estimate_all(jobs: Sequence[Job]) -> bool:
     return believable
 
 
-def _estimate_one(job: Job, advance: Callable[[int], None]) -> bool:
+def _estimate_one(job: EstimateJob, advance: Callable[[int], None]) -> bool:
     known = None if job.truth is None else Estimate.read(job.truth)
     tally, kept = Tally(), []
     with EstimateWriter(job.output) as writer:
@@ -79,7 +79,7 @@ def _estimate_one(job: Job, advance: Callable[[int], None]) -> bool:
     return tally.believable
 
 
-def _pieces(job: Job, tally: Tally) -> Iterator[Estimate]:
+def _pieces(job: EstimateJob, tally: Tally) -> Iterator[Estimate]:
     pieces = tally.timed(Log.stream(job.log, job.robot, job.rows, check=job.check), sign=-1)
     estimates = tally.timed(job.run(pieces))
     while True:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from linkside._core import largest_nis
-from linkside.findings import Finding
+from linkside.findings import Fault
 from linkside.kalman.filtering import KalmanEstimate
 from linkside.recording.estimate import Estimate
 
@@ -43,7 +43,7 @@ class Tally:
         Rows by status.
     nis, used : float
         Normalised innovation squared and readings used, where the method is a Kalman filter.
-    findings : tuple of Finding
+    findings : tuple of Fault
         Contradictions between readings and model.
     """
 
@@ -53,7 +53,7 @@ class Tally:
     status: Counter[str] = field(default_factory=Counter)
     nis: float = 0.0
     used: int = 0
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[Fault, ...] = ()
     _first: float | None = None
 
     def add(self, estimate: Estimate) -> None:

@@ -21,7 +21,7 @@ AXES = "xyz"
 
 
 class State(NamedTuple):
-    """What a controller is told of the robot, (n,) each: true, measured or estimated.
+    """What a controller knows of the robot, (n,) each: true, measured or estimated.
 
     Attributes
     ----------

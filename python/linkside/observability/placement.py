@@ -218,13 +218,13 @@ def place(
         Candidates none of which sees some joint, or all of which together cannot tell joints apart; a limit that no
         set meets.
     """
-    search = _Search(robot, _candidates(robot, sensors), *_postures(robot, postures), criterion)
+    search = _PlacementSearch(robot, _candidates(robot, sensors), *_postures(robot, postures), criterion)
     if limit is not None:
         return search.result(search.smallest(limit, count))
     return search.result(search.best(search.fewest if count is None else count))
 
 
-class _Search:
+class _PlacementSearch:
     """Scores of sets; of each candidate the information matrix T_Aᵀ R⁻¹ T_A in each posture, (C, T, e, e)."""
 
     def __init__(

@@ -17,7 +17,7 @@ import pyarrow.csv
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError, LogError
 from linkside.files.tables import numbers, open_table
-from linkside.findings import Finding
+from linkside.findings import Fault
 
 from .times import counterparts
 from .writer import EstimateWriter
@@ -76,7 +76,7 @@ class Estimate:
         Covariance of the method's state. It is kept in memory only: files have the standard deviations.
     nis : (T,), optional
         Normalised innovation squared, where the method has innovations; its mean should be the number of readings used.
-    findings : tuple of Finding
+    findings : tuple of Fault
         Contradictions between readings and model, from the recording's start on; not in files.
     """
 
@@ -93,7 +93,7 @@ class Estimate:
     tool_std: FloatArray | None = None
     covariance: FloatArray | None = None
     nis: FloatArray | None = None
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[Fault, ...] = ()
 
     def __post_init__(self) -> None:
         """Check shapes, once."""

@@ -26,7 +26,7 @@ from linkside.recording.log import Log
 from linkside.robot import Robot
 
 Truth: TypeAlias = dict[str, FloatArray]
-Told: TypeAlias = bool | tuple[_core.ElasticJointFilter, list[int]] | _core.AccelerationObserver
+FeedbackSource: TypeAlias = bool | tuple[_core.ElasticJointFilter, list[int]] | _core.AccelerationObserver
 Feedback: TypeAlias = Literal["truth", "sensors"] | ElasticJointFilter | AccelerationObserver
 
 SIGNALS = {channel.signal: channel for channel in CHANNELS.values()}
@@ -68,14 +68,14 @@ class Simulation:
     truth
         Columns ``t`` (T,), ``q``, ``dq``, ``ddq``, ``theta``, ``dtheta`` (T, n), and ``tool`` (T, 3) if there is one.
         Accelerations are those just before the torque changes.
-    told
-        What the controller was told, (T, n) each.
+    known
+        What the controller knew of the robot, (T, n) each.
     """
 
     robot: Robot
     log: Log
     truth: Truth
-    told: State
+    known: State
     _table: dict[str, FloatArray]
 
     def write(self, folder: str | PathLike[str]) -> None:
@@ -113,7 +113,7 @@ def simulate(
     keep_every: int = 1,
     seed: int = 0,
 ) -> Simulation:
-    """Move a robot under a controller, from rest unless told otherwise.
+    """Move a robot under a controller, from rest unless said otherwise.
 
     Both equations of the elastic-joint model are integrated, torques held between samples: springs and frictions as in
     robot.yaml, coupling included.
@@ -132,9 +132,9 @@ def simulate(
         State and motor torques at the start. Not given: links at zero and at rest; motors where the springs hold
         gravity, as fast as their links; the torques that hold gravity.
     feedback
-        What the controller is told: ``"truth"``, ``"sensors"`` (motors as measured, links taken to be there too), or
-        the estimate of an `ElasticJointFilter` or `AccelerationObserver`, of a robot with other parameters if need
-        be; it starts anew, at the simulation's rate.
+        What the controller knows of the robot: ``"truth"``, ``"sensors"`` (motors as measured, links taken to be
+        there too), or the estimate of an `ElasticJointFilter` or `AccelerationObserver`, of a robot with other
+        parameters if need be; it starts anew, at the simulation's rate.
     sensors
         A `Sensor` of each kind: ``theta``, ``dtheta``, ``acceleration``, ``rate``, ``q``, ``torque``, ``dq``. A kind
         not given is as robot.yaml has it, or exact; link positions and velocities, and joint torques (what the
@@ -175,8 +175,8 @@ def simulate(
         **{name: None if value is None else sized(name, value, robot.n).tolist() for name, value in start.items()},
     }
     channels = [dataclasses.asdict(channel) for kind in SIGNALS for channel in models[kind]]
-    told = _told(feedback, robot, 1.0 / rate)
-    result = _core.simulate(robot.core, settings, channels, told, law_of(controller, robot))
+    source = _feedback_source(feedback, robot, 1.0 / rate)
+    result = _core.simulate(robot.core, settings, channels, source, law_of(controller, robot))
     return _assemble(robot, result, left_out={c.signal for c in CHANNELS.values() if c.extra} - set(sensors or {}))
 
 
@@ -215,8 +215,8 @@ def _assemble(robot: Robot, result: Truth, *, left_out: set[str]) -> Simulation:
         columns = joint_columns(signal, robot.names) if channel is None else channel.columns(robot)
         table |= dict(zip(columns, values.T, strict=True))
     table = {robot.columns.name_in_log(name): np.ascontiguousarray(values) for name, values in table.items()}
-    told = State(*np.split(result.pop("told"), 4, axis=1))
-    return Simulation(robot, Log.from_table(table, robot, "simulation", check=False), result, told, table)
+    known = State(*np.split(result.pop("known"), 4, axis=1))
+    return Simulation(robot, Log.from_table(table, robot, "simulation", check=False), result, known, table)
 
 
 def _models(sensors: Mapping[str, Sensor], robot: Robot) -> dict[str, list[Sensor]]:
@@ -239,7 +239,7 @@ def _models(sensors: Mapping[str, Sensor], robot: Robot) -> dict[str, list[Senso
     return models | {kind: [model] * SIGNALS[kind].width(robot) for kind, model in sensors.items()}
 
 
-def _told(feedback: Feedback, robot: Robot, period: float) -> Told:
+def _feedback_source(feedback: Feedback, robot: Robot, period: float) -> FeedbackSource:
     if isinstance(feedback, AccelerationObserver):
         _same_robot(feedback.robot, robot, "names", "acceleration_channels")
         return feedback.fresh(period)

@@ -145,7 +145,7 @@ def tune(
     logs = [logs] if isinstance(logs, Log) else list(logs)
     _refuse(logs, free, span, settings)
     settings = {"tolerances": False} | settings  # noise is to explain what noise can
-    search = _Search(robot, logs, noise or Noise(), tuple(free), settings, progress)
+    search = _NoiseSearch(robot, logs, noise or Noise(), tuple(free), settings, progress)
     best = search.maximise(span)
     factors = search.widening(best) if widen else np.ones(len(best))
     return search.result(best, factors, span)
@@ -169,7 +169,7 @@ def _refuse(logs: Sequence[Log], free: Sequence[str], span: tuple[float, float],
 
 
 @dataclass
-class _Search:
+class _NoiseSearch:
     """The free values as a vector: logarithms of the factor on each one's start."""
 
     robot: Robot

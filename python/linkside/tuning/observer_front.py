@@ -147,7 +147,9 @@ def tune_observer(
     states = [states] if isinstance(states, Estimate) else list(states)
     if len(states) != len(logs):
         raise EstimatorError(f"states: {len(states)} given, for {len(logs)} recordings")
-    search = _Search(robot, logs, [_known(log, s) for log, s in zip(logs, states, strict=True)], tuple(free), progress)
+    search = _FrontSearch(
+        robot, logs, [_known(log, s) for log, s in zip(logs, states, strict=True)], tuple(free), progress
+    )
     return replace(search.front(bounds, evaluations, seed), smoothed=smoothed)
 
 
@@ -177,7 +179,7 @@ def _known(log: Log, states: Estimate) -> tuple[FloatArray, FloatArray, FloatArr
 
 
 @dataclass
-class _Search:
+class _FrontSearch:
     """Free values as a vector: logarithms of the factor on each one's start."""
 
     robot: Robot
@@ -298,14 +300,14 @@ def _pareto(
     except ImportError:
         raise EstimatorError("tuning an observer needs pymoo: pip install 'linkside[tune]'") from None
 
-    class Tuning(ElementwiseProblem):  # type: ignore[misc]  # pymoo has no types
+    class PoleProblem(ElementwiseProblem):  # type: ignore[misc]  # pymoo has no types
         def _evaluate(self, x: FloatArray, out: dict[str, Any], *_: Any, **__: Any) -> None:
             out["F"] = objectives(x)
 
     rng = np.random.default_rng(seed)
     around = np.clip(seeds[1] + 0.1 * (high - low) * rng.standard_normal((POPULATION // 2, len(low))), low, high)
     anywhere = rng.uniform(low, high, (POPULATION - len(around) - len(seeds), len(low)))
-    problem = Tuning(n_var=len(low), n_obj=len(OBJECTIVES), xl=low, xu=high)
+    problem = PoleProblem(n_var=len(low), n_obj=len(OBJECTIVES), xl=low, xu=high)
     algorithm = NSGA2(pop_size=POPULATION, sampling=np.vstack([seeds, around, anywhere]))
     result = minimize(problem, algorithm, ("n_eval", max(evaluations, POPULATION)), seed=seed)
     return np.atleast_2d(result.X), np.atleast_2d(result.F)

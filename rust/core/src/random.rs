@@ -12,11 +12,11 @@ const WORD: u64 = 0xFFFF_FFFF;
 /// What a number is drawn for; streams of different purposes never meet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Purpose {
-    Start,
-    Motion,
+    Initialise,
+    Process,
     Tail,
     Ancestors,
-    Move,
+    Regularise,
     Reseed,
     Sensors,
 }
@@ -117,7 +117,7 @@ mod tests {
 
     #[test]
     fn lanes_draw_what_one_alone_draws() {
-        let stream = Stream::new(7, 3, Purpose::Motion);
+        let stream = Stream::new(7, 3, Purpose::Process);
         let together = stream.normals([4, 5, 6, 7], 1);
         for l in 0..4 {
             let alone = stream.normals([4 + l as u32], 1);
@@ -127,7 +127,7 @@ mod tests {
 
     #[test]
     fn normals_have_the_moments_of_the_normal_density() {
-        let stream = Stream::new(1, 0, Purpose::Start);
+        let stream = Stream::new(1, 0, Purpose::Initialise);
         let count = 50_000;
         let mut sums = [0.0; 5];
         for item in 0..count {
@@ -150,11 +150,11 @@ mod tests {
     fn steps_purposes_seeds_and_items_have_numbers_of_their_own() {
         let number = |seed, step, purpose, item| Stream::new(seed, step, purpose).uniform(item);
         let all = [
-            number(0, 0, Purpose::Start, 0),
-            number(1, 0, Purpose::Start, 0),
-            number(0, 1, Purpose::Start, 0),
-            number(0, 0, Purpose::Motion, 0),
-            number(0, 0, Purpose::Start, 1),
+            number(0, 0, Purpose::Initialise, 0),
+            number(1, 0, Purpose::Initialise, 0),
+            number(0, 1, Purpose::Initialise, 0),
+            number(0, 0, Purpose::Process, 0),
+            number(0, 0, Purpose::Initialise, 1),
         ];
         for i in 0..all.len() {
             for j in 0..i {

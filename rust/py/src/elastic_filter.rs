@@ -6,7 +6,7 @@ use crate::gil::Release;
 use crate::kalman::{Inside, Matrix, check_step, inside, into_dict, named};
 use crate::robot::Robot;
 use crate::state::State;
-use crate::tolerance::{Told, tolerances};
+use crate::tolerance::{ToleranceTuple, tolerances};
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
     Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterOutput, FilterSettings,
@@ -20,7 +20,7 @@ use std::sync::Arc;
 /// Standard deviations of everything that is random.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
-struct Noise {
+struct ElasticNoiseFields {
     link: Vec<f64>,
     motor: Vec<f64>,
     torque: Vec<f64>,
@@ -33,8 +33,8 @@ struct Noise {
     initial_bias: Vec<f64>,
 }
 
-impl From<Noise> for ElasticNoise {
-    fn from(n: Noise) -> Self {
+impl From<ElasticNoiseFields> for ElasticNoise {
+    fn from(n: ElasticNoiseFields) -> Self {
         Self {
             link: n.link,
             motor: n.motor,
@@ -76,10 +76,10 @@ impl ElasticJointFilter {
         biased: Vec<bool>,
         first_order: bool,
         held: bool,
-        noise: Noise,
+        noise: ElasticNoiseFields,
         gate: Option<f64>,
         iterations: usize,
-        told: Vec<Told>,
+        told: Vec<ToleranceTuple>,
         late: Option<Vec<Inside>>,
     ) -> PyResult<Self> {
         let settings = ElasticSettings {

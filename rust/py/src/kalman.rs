@@ -5,7 +5,7 @@ use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
 use crate::robot::Robot;
 use crate::state::State;
-use crate::tolerance::{Told, tolerances};
+use crate::tolerance::{ToleranceTuple, tolerances};
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
     self, Fault, FilterOutput, FilterSettings, Finding, Gaussian, Inputs, JerkDriven, JerkModel, KalmanRecording,
@@ -20,7 +20,7 @@ use std::sync::Arc;
 /// Standard deviations of everything that is random.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
-pub(crate) struct Noise {
+pub(crate) struct NoiseFields {
     jerk: Vec<f64>,
     link_walk: Vec<f64>,
     reading: Vec<f64>,
@@ -31,9 +31,9 @@ pub(crate) struct Noise {
     initial_bias: Vec<f64>,
 }
 
-impl From<Noise> for kalman::Noise {
-    fn from(n: Noise) -> Self {
-        let Noise { jerk, link_walk, reading, torsion, bias_walk, bias_time, initial, initial_bias } = n;
+impl From<NoiseFields> for kalman::JerkNoise {
+    fn from(n: NoiseFields) -> Self {
+        let NoiseFields { jerk, link_walk, reading, torsion, bias_walk, bias_time, initial, initial_bias } = n;
         Self { jerk, link_walk, reading, torsion, bias_walk, bias_time, initial, initial_bias }
     }
 }
@@ -172,11 +172,11 @@ impl ExtendedKalmanFilter {
         robot: &Robot,
         kinds: Vec<String>,
         biased: Vec<bool>,
-        noise: Noise,
+        noise: NoiseFields,
         gate: Option<f64>,
         iterations: usize,
         damping: bool,
-        told: Vec<Told>,
+        told: Vec<ToleranceTuple>,
         late: Option<Vec<Inside>>,
     ) -> PyResult<Self> {
         let told = tolerances(&told)?;

@@ -3,7 +3,7 @@
 use crate::array::{rows, shaped};
 use crate::error::{EstimatorError, IntoPyErr};
 use crate::gil::Release;
-use crate::kalman::Noise;
+use crate::kalman::NoiseFields;
 use crate::robot::Robot;
 use linkside_core::estimate::likelihood::{self, Evidence, LikelihoodRecording, LikelihoodSettings, Parameter};
 use numpy::{IntoPyArray, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
@@ -17,7 +17,7 @@ type Name = (String, usize, usize);
 /// A recording's signals by name.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
-struct Signals<'py> {
+struct LikelihoodSignals<'py> {
     t: PyReadonlyArray1<'py, f64>,
     theta: Matrix<'py>,
     dtheta: Matrix<'py>,
@@ -28,7 +28,7 @@ struct Signals<'py> {
     period: f64,
 }
 
-impl Signals<'_> {
+impl LikelihoodSignals<'_> {
     fn recording(&self, joints: usize, channels: usize, torque: bool) -> PyResult<LikelihoodRecording> {
         let motors = if torque { joints } else { 0 };
         Ok(LikelihoodRecording {
@@ -86,8 +86,8 @@ impl Likelihood {
     #[pyo3(signature = (robot, signals, *, noise, biased, torque, fixed, huber))]
     fn new(
         robot: &Robot,
-        signals: Signals<'_>,
-        noise: Noise,
+        signals: LikelihoodSignals<'_>,
+        noise: NoiseFields,
         biased: Vec<bool>,
         torque: bool,
         fixed: Vec<(Name, f64)>,

@@ -7,7 +7,8 @@ use crate::robot::Robot;
 use crate::state::State;
 use linkside_core::error::RunError;
 use linkside_core::estimate::observer::{
-    self, AccelerationSource, Complex, Form, JointModel, Poles, Recording, Sample, Settings, Start, Trajectory,
+    self, AccelerationSource, Complex, Form, JointModel, ObserverOutput, ObserverRecording, ObserverSample,
+    ObserverSettings, Poles, Start,
 };
 use numpy::{PyArray1, PyArrayDyn, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -42,7 +43,8 @@ impl AccelerationObserver {
     ) -> PyResult<Self> {
         let source = if joint_accelerations { AccelerationSource::Joints } else { AccelerationSource::Sensors };
         let form = if predictor { Form::Predictor } else { Form::Current };
-        let settings = Settings { period, poles, bias, form, source, start: start(rest), worst_acceleration_std };
+        let settings =
+            ObserverSettings { period, poles, bias, form, source, start: start(rest), worst_acceleration_std };
         let fresh = observer::AccelerationObserver::new(Arc::clone(&robot.0), settings);
         let fresh = fresh.map_err(IntoPyErr::into_py_err)?;
         Ok(Self { live: fresh.clone(), fresh, tool: robot.0.tool.is_some() })
@@ -65,7 +67,7 @@ impl AccelerationObserver {
 
     fn step(&mut self, theta: Signal<'_>, tau: Signal<'_>, acceleration: Signal<'_>) -> PyResult<State> {
         let (n, m) = (self.live.joints(), self.live.channels());
-        let sample = Sample {
+        let sample = ObserverSample {
             theta: theta.readings("theta", n)?,
             tau: tau.readings("tau", n)?,
             acceleration: acceleration.readings("acceleration", m)?,
@@ -110,10 +112,10 @@ pub(crate) fn start(rest: bool) -> Start {
     if rest { Start::Rest } else { Start::Auto }
 }
 
-fn recording<'a>(observer: &observer::AccelerationObserver, arrays: &'a Arrays<'_>) -> PyResult<Recording<'a>> {
+fn recording<'a>(observer: &observer::AccelerationObserver, arrays: &'a Arrays<'_>) -> PyResult<ObserverRecording<'a>> {
     let (theta, tau, acceleration) = arrays;
     let (n, m) = (observer.joints(), observer.channels());
-    Ok(Recording {
+    Ok(ObserverRecording {
         count: theta.shape()[0],
         theta: rows("theta", theta, n)?,
         tau: counted("tau", tau, n, theta.shape()[0])?,
@@ -122,7 +124,7 @@ fn recording<'a>(observer: &observer::AccelerationObserver, arrays: &'a Arrays<'
 }
 
 /// The fields of an estimate, by name, as arrays of one row a sample.
-fn into_dict<'py>(py: Python<'py>, t: Trajectory, n: usize, tool: bool) -> PyResult<Bound<'py, PyDict>> {
+fn into_dict<'py>(py: Python<'py>, t: ObserverOutput, n: usize, tool: bool) -> PyResult<Bound<'py, PyDict>> {
     let out = PyDict::new(py);
     let count = t.status.len();
     for (name, values) in [("q", t.q), ("dq", t.dq), ("ddq", t.ddq), ("theta", t.theta), ("dtheta", t.dtheta)] {

@@ -3,7 +3,7 @@
 use crate::array::{Signal, rows, shaped};
 use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
-use crate::kalman::{Arrays, Live, Matrix, Noise, Signals, check_step, into_dict, named, recording};
+use crate::kalman::{Arrays, Live, Matrix, NoiseFields, Signals, check_step, into_dict, named, recording};
 use crate::robot::Robot;
 use crate::state::State;
 use linkside_core::error::{DesignError, RunError};
@@ -32,10 +32,10 @@ impl From<Outliers> for Density {
     }
 }
 
-/// Settings as Python spells them.
+/// ParticleFields as Python spells them.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
-struct Settings {
+struct ParticleFields {
     particles: usize,
     seed: u64,
     proposal: String,
@@ -55,7 +55,7 @@ fn unknown<T>(what: &str, value: &str) -> PyResult<T> {
     Err(EstimatorError::new_err(format!("{what} {value:?} is not known")))
 }
 
-impl Settings {
+impl ParticleFields {
     fn into_core(self) -> PyResult<ParticleSettings> {
         let proposal = match self.proposal.as_str() {
             "bootstrap" => Proposal::Bootstrap,
@@ -110,10 +110,10 @@ impl ParticleFilter {
         robot: &Robot,
         kinds: Vec<String>,
         biased: Vec<bool>,
-        noise: Noise,
+        noise: NoiseFields,
         damping: bool,
         marginalised: &str,
-        settings: Settings,
+        settings: ParticleFields,
     ) -> PyResult<Self> {
         let settings = settings.into_core()?;
         let marginalised = match marginalised {

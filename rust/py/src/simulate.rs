@@ -7,13 +7,13 @@ use crate::gil::Release;
 use crate::observer::AccelerationObserver;
 use crate::robot::Robot;
 use linkside_core::control::{
-    AdaptiveGains, Controller, JointPd, Reference, Refused, SimpleAdaptive, State, StateFeedback,
+    AdaptiveGains, Controller, JointPd, Reference, Refused, RobotState, SimpleAdaptive, StateFeedback,
 };
 use linkside_core::error::{DesignError, SimulationError};
 use linkside_core::estimate::measurement::Kind;
 use linkside_core::simulate::{
-    self as core, Feedback, FilterFeedback, ObserverFeedback, Plan, Recording, SensorFeedback, SensorModel, Start,
-    Stepping, Suite, Tolerance, TrueState,
+    self as core, Feedback, FilterFeedback, ObserverFeedback, Plan, SensorFeedback, SensorModel, SimulatedRecording,
+    SimulationStart, StepTolerance, Stepping, Suite, TrueState,
 };
 use numpy::PyArray1;
 use pyo3::exceptions::PyException;
@@ -24,7 +24,7 @@ use std::sync::Arc;
 /// How long, how finely, from where.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
-pub(crate) struct Settings {
+pub(crate) struct SimulationFields {
     period: f64,
     count: usize,
     substeps: usize,
@@ -83,7 +83,7 @@ pub(crate) enum Law<'py> {
 
 /// What the controller is told: the truth or what sensors read, or the estimate of a filter from some readings, or of an observer.
 #[derive(FromPyObject)]
-pub(crate) enum Told<'py> {
+pub(crate) enum FeedbackSource<'py> {
     #[pyo3(transparent)]
     Truth(bool),
     Filter(PyRef<'py, ElasticJointFilter>, Vec<usize>),
@@ -98,7 +98,7 @@ struct Callable {
 }
 
 impl Controller for Callable {
-    fn torque(&mut self, t: f64, state: &State, out: &mut [f64]) -> Result<(), Refused> {
+    fn torque(&mut self, t: f64, state: &RobotState, out: &mut [f64]) -> Result<(), Refused> {
         Python::attach(|py| self.call(py, t, state, out)).map_err(|error| {
             self.error = Some(error);
             Refused
@@ -107,7 +107,7 @@ impl Controller for Callable {
 }
 
 impl Callable {
-    fn call(&self, py: Python<'_>, t: f64, state: &State, out: &mut [f64]) -> PyResult<()> {
+    fn call(&self, py: Python<'_>, t: f64, state: &RobotState, out: &mut [f64]) -> PyResult<()> {
         let [q, dq, theta, dtheta] =
             [&state.q, &state.dq, &state.theta, &state.dtheta].map(|values| PyArray1::from_slice(py, values));
         let torque = self.function.call1(py, (t, q, dq, theta, dtheta))?;
@@ -135,23 +135,23 @@ impl Callable {
 pub(crate) fn simulate<'py>(
     py: Python<'py>,
     robot: &Robot,
-    settings: Settings,
+    settings: SimulationFields,
     sensors: Vec<Channel>,
-    told: Told<'_>,
+    source: FeedbackSource<'_>,
     law: Law<'_>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let job = Job::new(robot, settings, sensors).map_err(IntoPyErr::into_py_err)?;
-    let recording = match told {
-        Told::Truth(true) => job.with(py, TrueState, law),
-        Told::Truth(false) => {
+    let recording = match source {
+        FeedbackSource::Truth(true) => job.with(py, TrueState, law),
+        FeedbackSource::Truth(false) => {
             let velocities = Kind::all_channels(&[Kind::Motor, Kind::Acceleration], &robot.0).len();
             job.with(py, SensorFeedback { velocities }, law)
         }
-        Told::Filter(filter, channels) => {
+        FeedbackSource::Filter(filter, channels) => {
             let feedback = FilterFeedback::new(filter.filter.clone(), channels).map_err(IntoPyErr::into_py_err)?;
             job.with(py, feedback, law)
         }
-        Told::Observer(observer) => {
+        FeedbackSource::Observer(observer) => {
             let feedback = ObserverFeedback::new(observer.fresh.clone(), &job.robot);
             job.with(py, feedback.map_err(IntoPyErr::into_py_err)?, law)
         }
@@ -163,25 +163,25 @@ pub(crate) fn simulate<'py>(
 struct Job {
     robot: Arc<linkside_core::robot::Robot>,
     plan: Plan,
-    start: Start,
+    start: SimulationStart,
     suite: Suite,
 }
 
 impl Job {
-    fn new(robot: &Robot, s: Settings, sensors: Vec<Channel>) -> Result<Self, DesignError> {
+    fn new(robot: &Robot, s: SimulationFields, sensors: Vec<Channel>) -> Result<Self, DesignError> {
         let models: Vec<SensorModel> = sensors.into_iter().map(Into::into).collect();
         let stepping = s
             .tolerance
-            .map_or(Stepping::Fixed(s.substeps), |(rtol, atol)| Stepping::Adaptive(Tolerance { rtol, atol }));
+            .map_or(Stepping::Fixed(s.substeps), |(rtol, atol)| Stepping::Adaptive(StepTolerance { rtol, atol }));
         Ok(Self {
             robot: Arc::clone(&robot.0),
             suite: Suite::new(&robot.0, &models, s.period, s.seed)?,
             plan: Plan { period: s.period, count: s.count, stepping, keep_every: s.keep_every },
-            start: Start { q: s.q, dq: s.dq, theta: s.theta, dtheta: s.dtheta, tau: s.tau },
+            start: SimulationStart { q: s.q, dq: s.dq, theta: s.theta, dtheta: s.dtheta, tau: s.tau },
         })
     }
 
-    fn with(self, py: Python<'_>, feedback: impl Feedback + Send, law: Law<'_>) -> PyResult<Recording> {
+    fn with(self, py: Python<'_>, feedback: impl Feedback + Send, law: Law<'_>) -> PyResult<SimulatedRecording> {
         match law {
             Law::StateFeedback { states, gains } => {
                 let controller = states.build().and_then(|reference| StateFeedback::new(reference, gains));
@@ -222,7 +222,7 @@ impl Job {
         py: Python<'_>,
         mut feedback: impl Feedback + Send,
         controller: &mut (dyn Controller + Send),
-    ) -> PyResult<Result<Recording, SimulationError>> {
+    ) -> PyResult<Result<SimulatedRecording, SimulationError>> {
         let Self { robot, plan, start, suite } = self;
         py.release(|| Ok::<_, DesignError>(core::simulate(&robot, start, plan, suite, &mut feedback, controller)))
     }
@@ -243,7 +243,7 @@ impl Knots {
 
 fn into_dict<'py>(
     py: Python<'py>,
-    recording: Recording,
+    recording: SimulatedRecording,
     robot: &linkside_core::robot::Robot,
 ) -> PyResult<Bound<'py, PyDict>> {
     let (n, count) = (robot.len(), recording.t.len());
@@ -255,7 +255,7 @@ fn into_dict<'py>(
     }
     for (name, values, width) in [
         ("readings", recording.readings, channels),
-        ("told", recording.told, 4 * n),
+        ("known", recording.known, 4 * n),
         ("tau", recording.tau, n),
         ("q", recording.q, n),
         ("dq", recording.dq, n),

@@ -5,9 +5,9 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 /// A parameter's kind, its joint or sensor, its axis, and its standard deviation.
-pub(crate) type Told = (String, usize, usize, f64);
+pub(crate) type ToleranceTuple = (String, usize, usize, f64);
 
-pub(crate) fn tolerances(told: &[Told]) -> PyResult<Vec<Tolerance>> {
+pub(crate) fn tolerances(told: &[ToleranceTuple]) -> PyResult<Vec<Tolerance>> {
     told.iter()
         .map(|(kind, i, axis, std)| Ok(Tolerance { parameter: uncertain(kind, *i, *axis)?, std: *std }))
         .collect()

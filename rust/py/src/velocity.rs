@@ -7,7 +7,9 @@ use crate::observer::start;
 use crate::robot::Robot;
 use crate::state::State;
 use linkside_core::error::RunError;
-use linkside_core::estimate::velocity::{self, GainMap, Gains, Logic, Recording, Schedule, Settings, Trajectory};
+use linkside_core::estimate::velocity::{
+    self, GainMap, Gains, Logic, Schedule, VelocityOutput, VelocityRecording, VelocitySettings,
+};
 use numpy::{PyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -87,7 +89,7 @@ impl VelocityObserver {
             (None, Some(map)) => Gains::Mapped(map.into()),
             (None, None) => Gains::Constant(gains),
         };
-        let settings = Settings { period, gains, spring, motors, start: start(rest), wrap };
+        let settings = VelocitySettings { period, gains, spring, motors, start: start(rest), wrap };
         let fresh = velocity::VelocityObserver::new(Arc::clone(&robot.0), settings).map_err(IntoPyErr::into_py_err)?;
         Ok(Self { live: fresh.clone(), fresh, tool: robot.0.tool.is_some() })
     }
@@ -135,11 +137,11 @@ impl VelocityObserver {
     }
 }
 
-fn recording<'a>(n: usize, (q, tau): &'a Arrays<'_>) -> PyResult<Recording<'a>> {
-    Ok(Recording { count: q.shape()[0], q: rows("q", q, n)?, torque: counted("tau", tau, n, q.shape()[0])? })
+fn recording<'a>(n: usize, (q, tau): &'a Arrays<'_>) -> PyResult<VelocityRecording<'a>> {
+    Ok(VelocityRecording { count: q.shape()[0], q: rows("q", q, n)?, torque: counted("tau", tau, n, q.shape()[0])? })
 }
 
-fn into_dict<'py>(py: Python<'py>, t: Trajectory, n: usize, tool: bool) -> PyResult<Bound<'py, PyDict>> {
+fn into_dict<'py>(py: Python<'py>, t: VelocityOutput, n: usize, tool: bool) -> PyResult<Bound<'py, PyDict>> {
     let out = PyDict::new(py);
     let count = t.status.len();
     for (name, values) in [("q", t.q), ("dq", t.dq), ("ddq", t.ddq)] {

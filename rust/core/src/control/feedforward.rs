@@ -6,7 +6,7 @@
 //! rᵢ = τ_J,ᵢ + Σ_{j>i} Sᵢⱼ θ̈ⱼ and τ = B θ̈ + Sᵀ q̈ + r + motor friction, for the models (1) and (2) of De Luca,
 //! Schröder and Thümmel (2007).
 
-use super::transmission::{Moment, SMOOTHEST, advance, damped, undamped};
+use super::transmission::{LoadedTransmission, SMOOTHEST, advance, damped, undamped};
 use crate::dynamics::NewtonEuler;
 use crate::error::DesignError;
 use crate::interrupt::Watch;
@@ -69,8 +69,8 @@ pub fn inverse_dynamics(robot: &Robot, path: Path<'_>) -> Result<Desired, Design
     let further = check(robot, path)?;
     // A motion is designed once: it does not pay to compile series of every length for every instruction set.
     Ok(match derivative_order(robot) + further {
-        ..8 => Run::<8>::new(robot, path, further).run(),
-        _ => Run::<{ HIGHEST + 1 }>::new(robot, path, further).run(),
+        ..8 => FeedforwardPass::<8>::new(robot, path, further).run(),
+        _ => FeedforwardPass::<{ HIGHEST + 1 }>::new(robot, path, further).run(),
     })
 }
 
@@ -108,7 +108,7 @@ fn of_use(robot: &Robot) -> usize {
 }
 
 /// One pass over a path, with P Taylor coefficients a signal.
-struct Run<'a, const P: usize> {
+struct FeedforwardPass<'a, const P: usize> {
     robot: &'a Robot,
     path: Path<'a>,
     /// Derivatives of q that are looked at.
@@ -121,10 +121,10 @@ struct Run<'a, const P: usize> {
     /// τ_J, and then what each transmission carries.
     load: Vec<Series<P>>,
     theta: Vec<Series<P>>,
-    before: Vec<Option<Moment<P>>>,
+    before: Vec<Option<LoadedTransmission<P>>>,
 }
 
-impl<const P: usize> Kernel for Run<'_, P> {
+impl<const P: usize> Kernel for FeedforwardPass<'_, P> {
     type Output = Desired;
 
     #[inline(always)]
@@ -147,7 +147,7 @@ impl<const P: usize> Kernel for Run<'_, P> {
     }
 }
 
-impl<'a, const P: usize> Run<'a, P> {
+impl<'a, const P: usize> FeedforwardPass<'a, P> {
     fn new(robot: &'a Robot, path: Path<'a>, further: usize) -> Self {
         let zero = || vec![Series::default(); robot.len()];
         Self {
@@ -207,7 +207,7 @@ impl<'a, const P: usize> Run<'a, P> {
             Some(before) => advance(drive, before, dt, load, self.known),
             None => drive.torsion(load.value()),
         };
-        self.before[joint] = Some(Moment { load, torsion });
+        self.before[joint] = Some(LoadedTransmission { load, torsion });
         damped(drive, load, torsion)
     }
 

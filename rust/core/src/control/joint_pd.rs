@@ -1,6 +1,6 @@
 //! Proportional and derivative control of each motor.
 
-use super::{Controller, Reference, Refused, State};
+use super::{Controller, Reference, Refused, RobotState};
 use crate::check::{expect_finite, expect_length};
 use crate::error::DesignError;
 
@@ -35,7 +35,7 @@ impl JointPd {
 
 impl Controller for JointPd {
     #[inline(always)]
-    fn torque(&mut self, t: f64, state: &State, out: &mut [f64]) -> Result<(), Refused> {
+    fn torque(&mut self, t: f64, state: &RobotState, out: &mut [f64]) -> Result<(), Refused> {
         let Self { reference, proportional, derivative, constant } = self;
         reference.at(t, |j, position, velocity| {
             let (off, slow) = (position - state.theta[j], velocity - state.dtheta[j]);

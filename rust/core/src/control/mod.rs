@@ -12,9 +12,9 @@ pub use reference::Reference;
 pub use simple_adaptive::{AdaptiveGains, SimpleAdaptive};
 pub use state_feedback::StateFeedback;
 
-/// What a controller is told of the robot, n numbers each.
+/// What a controller knows of the robot, n numbers each.
 #[derive(Clone, Debug, Default)]
-pub struct State {
+pub struct RobotState {
     /// q [rad].
     pub q: Vec<f64>,
     /// q̇ [rad/s].
@@ -25,7 +25,7 @@ pub struct State {
     pub dtheta: Vec<f64>,
 }
 
-impl State {
+impl RobotState {
     /// At rest at zero.
     pub fn new(joints: usize) -> Self {
         let [q, dq, theta, dtheta] = core::array::from_fn(|_| vec![0.0; joints]);
@@ -43,5 +43,5 @@ pub trait Controller {
     ///
     /// # Errors
     /// [`Refused`] ends the run.
-    fn torque(&mut self, t: f64, state: &State, out: &mut [f64]) -> Result<(), Refused>;
+    fn torque(&mut self, t: f64, state: &RobotState, out: &mut [f64]) -> Result<(), Refused>;
 }

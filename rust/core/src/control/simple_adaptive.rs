@@ -1,6 +1,6 @@
 //! Direct adaptive control of the tool by the transposed Jacobian.
 
-use super::{Controller, Reference, Refused, State};
+use super::{Controller, Reference, Refused, RobotState};
 use crate::check::{expect, expect_each, expect_length};
 use crate::dynamics::Kinematics;
 use crate::error::DesignError;
@@ -141,7 +141,7 @@ impl SimpleAdaptive {
 
 impl Controller for SimpleAdaptive {
     #[inline(always)]
-    fn torque(&mut self, t: f64, state: &State, out: &mut [f64]) -> Result<(), Refused> {
+    fn torque(&mut self, t: f64, state: &RobotState, out: &mut [f64]) -> Result<(), Refused> {
         let position = self.locate(&state.q);
         let Self { reference, axes, .. } = self;
         reference.at(t, |i, value, _| axes[i].command = value);

@@ -1,6 +1,6 @@
 //! Linear feedback of the whole state.
 
-use super::{Controller, Reference, Refused, State};
+use super::{Controller, Reference, Refused, RobotState};
 use crate::check::{expect_finite, expect_length};
 use crate::error::DesignError;
 
@@ -29,7 +29,7 @@ impl StateFeedback {
 
 impl Controller for StateFeedback {
     #[inline(always)]
-    fn torque(&mut self, t: f64, state: &State, out: &mut [f64]) -> Result<(), Refused> {
+    fn torque(&mut self, t: f64, state: &RobotState, out: &mut [f64]) -> Result<(), Refused> {
         let Self { reference, gains, desired, error } = self;
         reference.at(t, |i, value, _| desired[i] = value);
         let (states, torque) = desired.split_at(error.len());
@@ -56,7 +56,7 @@ mod tests {
     #[test]
     fn torque_is_that_of_the_law_and_the_last_state_is_held() {
         let mut controller = controller(vec![1.0, 10.0, 100.0, 1000.0]).unwrap();
-        let state = State { theta: vec![0.5], q: vec![1.0], dtheta: vec![1.0], dq: vec![3.0] };
+        let state = RobotState { theta: vec![0.5], q: vec![1.0], dtheta: vec![1.0], dq: vec![3.0] };
         let mut out = [0.0];
         controller.torque(0.0, &state, &mut out).unwrap();
         assert_eq!(out, [10.0 + 0.5 + 10.0 + 200.0 + 1000.0]);

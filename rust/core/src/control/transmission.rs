@@ -29,7 +29,7 @@ pub(super) fn damped<const P: usize>(drive: &Drive, load: Series<P>, torsion: f6
 
 /// A damped transmission at one moment.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Moment<const P: usize> {
+pub(super) struct LoadedTransmission<const P: usize> {
     /// r [N m].
     pub(super) load: Series<P>,
     /// δ [rad].
@@ -46,7 +46,13 @@ type Polynomial = [f64; DEGREE + 1];
 /// The linear part is solved exactly for a load that follows the polynomial through all derivatives at both ends, whatever
 /// K/D·`dt` is. What a nonlinear spring has beyond its slope at `before` is taken to that load, and iterated.
 #[inline(always)]
-pub(super) fn advance<const P: usize>(drive: &Drive, before: Moment<P>, dt: f64, load: Series<P>, known: usize) -> f64 {
+pub(super) fn advance<const P: usize>(
+    drive: &Drive,
+    before: LoadedTransmission<P>,
+    dt: f64,
+    load: Series<P>,
+    known: usize,
+) -> f64 {
     let slope = drive.tangent_stiffness(before.torsion);
     let remainder = |load: Series<P>, torsion: f64| {
         if drive.is_linear() {
@@ -105,13 +111,13 @@ fn binomial(n: usize, k: usize) -> f64 {
 }
 
 /// What is left of a torsion, and ∫₀¹ e^{−z(1−s)} sᵐ ds for every power m.
-struct Moments {
+struct ExponentialMoments {
     decay: f64,
     powers: Polynomial,
 }
 
 #[inline(always)]
-fn moments(z: f64) -> Moments {
+fn moments(z: f64) -> ExponentialMoments {
     let decay = Scalar::exp(-z);
     let mut powers = [0.0; DEGREE + 1];
     if z > 3.0 {
@@ -119,7 +125,7 @@ fn moments(z: f64) -> Moments {
         for m in 1..=DEGREE {
             powers[m] = (1.0 - m as f64 * powers[m - 1]) / z;
         }
-        return Moments { decay, powers };
+        return ExponentialMoments { decay, powers };
     }
     // Upwards the recurrence would cancel: begin at the top with its power series in z.
     let mut term = 1.0 / (DEGREE + 1) as f64;
@@ -130,7 +136,7 @@ fn moments(z: f64) -> Moments {
     for m in (1..=DEGREE).rev() {
         powers[m - 1] = (1.0 - z * powers[m]) / m as f64;
     }
-    Moments { decay, powers }
+    ExponentialMoments { decay, powers }
 }
 
 #[cfg(test)]
@@ -208,7 +214,7 @@ mod tests {
                 let dt = 0.02 / f64::from(steps);
                 (0..steps).fold(0.01, |torsion, i| {
                     let (a, b) = (load(f64::from(i) * dt), load(f64::from(i + 1) * dt));
-                    advance(&d, Moment { load: a, torsion }, dt, b, known)
+                    advance(&d, LoadedTransmission { load: a, torsion }, dt, b, known)
                 })
             };
             let (coarse, fine) = (walk(40), walk(4000));

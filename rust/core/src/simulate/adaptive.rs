@@ -22,14 +22,14 @@ const MOST: usize = 100_000;
 
 /// How large the error of a step may be: `atol` + `rtol` |x| of each number of the state.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Tolerance {
+pub struct StepTolerance {
     /// Relative.
     pub rtol: f64,
     /// Absolute, of positions [rad, m] and velocities [rad/s, m/s] alike.
     pub atol: f64,
 }
 
-impl Tolerance {
+impl StepTolerance {
     /// # Errors
     /// A number out of its range.
     pub(super) fn check(&self) -> Result<(), DesignError> {
@@ -46,7 +46,7 @@ impl Tolerance {
 #[derive(Clone, Debug)]
 pub struct Adaptive {
     method: Rosenbrock,
-    tolerance: Tolerance,
+    tolerance: StepTolerance,
     /// Length of the next step [s].
     step: f64,
     /// Length and error of the last step that was taken.
@@ -58,7 +58,7 @@ impl Adaptive {
     ///
     /// # Errors
     /// Tolerances out of range: `rtol` at least 1e-13 and less than 1, `atol` greater than 0.
-    pub fn new(plant: &Plant, tolerance: Tolerance) -> Result<Self, DesignError> {
+    pub fn new(plant: &Plant, tolerance: StepTolerance) -> Result<Self, DesignError> {
         tolerance.check()?;
         Ok(Self { method: Rosenbrock::new(plant), tolerance, step: f64::INFINITY, taken: None })
     }
@@ -117,7 +117,7 @@ impl simd::Kernel for Advance<'_> {
     #[inline(always)]
     fn run(self) -> Self::Output {
         let Self { adaptive, robot, plant, x, tau, t, span } = self;
-        let Tolerance { rtol, atol } = adaptive.tolerance;
+        let StepTolerance { rtol, atol } = adaptive.tolerance;
         let (mut left, mut again) = (span, false);
         adaptive.method.start(robot, plant, x, tau);
         let watch = Watch::current();
@@ -183,10 +183,10 @@ mod tests {
         for (rtol, atol, name) in
             [(0.0, 1e-9, "rtol"), (1.0, 1e-9, "rtol"), (f64::NAN, 1e-9, "rtol"), (1e-6, 0.0, "atol")]
         {
-            let error = Tolerance { rtol, atol }.check().unwrap_err();
+            let error = StepTolerance { rtol, atol }.check().unwrap_err();
             assert!(error.to_string().starts_with(name), "{error}");
         }
-        assert!(Tolerance { rtol: 1e-13, atol: f64::INFINITY }.check().is_err());
-        assert!(Tolerance { rtol: 1e-13, atol: 1e-15 }.check().is_ok());
+        assert!(StepTolerance { rtol: 1e-13, atol: f64::INFINITY }.check().is_err());
+        assert!(StepTolerance { rtol: 1e-13, atol: 1e-15 }.check().is_ok());
     }
 }

@@ -1,19 +1,19 @@
 //! How a controller comes to know the robot's state.
 
-use super::sensors::Motion;
+use super::sensors::JointMotion;
 use crate::check::expect_length;
-use crate::control::State;
+use crate::control::RobotState;
 use crate::dynamics::ElasticLayout;
 use crate::error::{DesignError, RunError};
 use crate::estimate::kalman::{ElasticModel, ExtendedKalmanFilter, Inputs, KalmanSample};
-use crate::estimate::observer::{AccelerationObserver, Sample};
+use crate::estimate::observer::{AccelerationObserver, ObserverSample};
 use crate::robot::Robot;
 
 /// What is known at a sample.
 #[derive(Clone, Copy, Debug)]
 pub struct Known<'a> {
     /// The truth.
-    pub truth: Motion<'a>,
+    pub truth: JointMotion<'a>,
     /// Readings of all sensors, in the order of [`Kind::ALL`](crate::estimate::measurement::Kind::ALL).
     pub readings: &'a [f64],
     /// Motor torques until now (n) [N m].
@@ -22,13 +22,13 @@ pub struct Known<'a> {
     pub dt: f64,
 }
 
-/// Turns what is known into what the controller is told.
+/// Turns what is known into what the controller knows.
 pub trait Feedback {
     /// Writes the state at a sample, asked for once a sample, in order.
     ///
     /// # Errors
     /// Readings that an estimator cannot start from.
-    fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError>;
+    fn state_into(&mut self, known: Known<'_>, out: &mut RobotState) -> Result<(), DesignError>;
 }
 
 /// The truth.
@@ -36,7 +36,7 @@ pub trait Feedback {
 pub struct TrueState;
 
 impl Feedback for TrueState {
-    fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError> {
+    fn state_into(&mut self, known: Known<'_>, out: &mut RobotState) -> Result<(), DesignError> {
         out.q.copy_from_slice(known.truth.q);
         out.dq.copy_from_slice(known.truth.dq);
         out.theta.copy_from_slice(known.truth.theta);
@@ -53,8 +53,8 @@ pub struct SensorFeedback {
 }
 
 impl Feedback for SensorFeedback {
-    fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError> {
-        let State { q, dq, theta, dtheta } = out;
+    fn state_into(&mut self, known: Known<'_>, out: &mut RobotState) -> Result<(), DesignError> {
+        let RobotState { q, dq, theta, dtheta } = out;
         for (from, motor, link) in [(0, theta, q), (self.velocities, dtheta, dq)] {
             for (value, reading) in motor.iter_mut().zip(&known.readings[from..]).filter(|(_, r)| r.is_finite()) {
                 *value = *reading;
@@ -99,7 +99,7 @@ impl FilterFeedback {
 }
 
 impl Feedback for FilterFeedback {
-    fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError> {
+    fn state_into(&mut self, known: Known<'_>, out: &mut RobotState) -> Result<(), DesignError> {
         for (reading, &channel) in self.readings.iter_mut().zip(&self.channels) {
             *reading = known.readings[channel];
         }
@@ -139,12 +139,12 @@ impl ObserverFeedback {
 }
 
 impl Feedback for ObserverFeedback {
-    fn state_into(&mut self, known: Known<'_>, out: &mut State) -> Result<(), DesignError> {
+    fn state_into(&mut self, known: Known<'_>, out: &mut RobotState) -> Result<(), DesignError> {
         let Self { observer } = self;
         let (theta, others) = known.readings.split_at(observer.joints());
         // The torque was chosen after the last sample, from its estimate.
         observer.hold(known.tau)?;
-        usable(observer.step(Sample { theta, tau: known.tau, acceleration: &others[..observer.channels()] }))?;
+        usable(observer.step(ObserverSample { theta, tau: known.tau, acceleration: &others[..observer.channels()] }))?;
         out.q.copy_from_slice(observer.q());
         out.dq.copy_from_slice(observer.dq());
         for j in 0..observer.joints() {

@@ -11,11 +11,11 @@ mod run;
 mod sensors;
 mod start;
 
-pub use adaptive::{Adaptive, Tolerance};
+pub use adaptive::{Adaptive, StepTolerance};
 pub use feedback::{Feedback, FilterFeedback, Known, ObserverFeedback, SensorFeedback, TrueState};
 pub use integrator::{RungeKutta, largest_stable_step};
 pub use plant::Plant;
-pub use recording::Recording;
+pub use recording::SimulatedRecording;
 pub use run::{Plan, Stepping, simulate};
-pub use sensors::{Motion, SensorModel, Suite};
-pub use start::Start;
+pub use sensors::{JointMotion, SensorModel, Suite};
+pub use start::SimulationStart;

@@ -6,7 +6,7 @@ use crate::robot::Robot;
 
 /// Log and truth of a run, row-major, one row a kept sample.
 #[derive(Clone, Debug, Default)]
-pub struct Recording {
+pub struct SimulatedRecording {
     /// Time [s].
     pub t: Vec<f64>,
     /// Readings in the order of [`Kind::ALL`](crate::estimate::measurement::Kind::ALL).
@@ -23,13 +23,13 @@ pub struct Recording {
     pub theta: Vec<f64>,
     /// Motor velocities (n) [rad/s].
     pub dtheta: Vec<f64>,
-    /// What the controller was told: q, q̇, θ, θ̇ (4 n).
-    pub told: Vec<f64>,
+    /// What the controller knew: q, q̇, θ, θ̇ (4 n).
+    pub known: Vec<f64>,
     /// Tool centre point (3) [m]; empty without a tool.
     pub tool: Vec<f64>,
 }
 
-impl Recording {
+impl SimulatedRecording {
     /// # Errors
     /// [`DesignError::Memory`].
     pub(super) fn with_capacity(robot: &Robot, count: usize, channels: usize) -> Result<Self, DesignError> {
@@ -43,7 +43,7 @@ impl Recording {
             ddq: joints()?,
             theta: joints()?,
             dtheta: joints()?,
-            told: room(count, 4 * robot.len())?,
+            known: room(count, 4 * robot.len())?,
             tool: room(if robot.tool.is_some() { count } else { 0 }, 3)?,
         })
     }

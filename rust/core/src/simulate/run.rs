@@ -1,14 +1,14 @@
 //! The loop: sense, tell, control, move.
 
-use super::adaptive::{Adaptive, Tolerance};
+use super::adaptive::{Adaptive, StepTolerance};
 use super::feedback::{Feedback, Known};
 use super::integrator::{RungeKutta, largest_stable_step};
 use super::plant::Plant;
-use super::recording::Recording;
-use super::sensors::{Motion, Suite};
-use super::start::Start;
+use super::recording::SimulatedRecording;
+use super::sensors::{JointMotion, Suite};
+use super::start::SimulationStart;
 use crate::check::expect;
-use crate::control::{Controller, State};
+use crate::control::{Controller, RobotState};
 use crate::error::{DesignError, SimulationError};
 use crate::interrupt::Watch;
 use crate::robot::Robot;
@@ -20,7 +20,7 @@ pub enum Stepping {
     /// So many steps of [`RungeKutta`] in a period.
     Fixed(usize),
     /// [`Adaptive`] steps, the last of a period ending at the sample.
-    Adaptive(Tolerance),
+    Adaptive(StepTolerance),
 }
 
 /// How long and how finely.
@@ -62,15 +62,15 @@ impl Plan {
 /// controller that refuses or gives no number, a state that is no longer finite.
 pub fn simulate(
     robot: &Robot,
-    start: Start,
+    start: SimulationStart,
     plan: Plan,
     suite: Suite,
     feedback: &mut dyn Feedback,
     controller: &mut dyn Controller,
-) -> Result<Recording, SimulationError> {
+) -> Result<SimulatedRecording, SimulationError> {
     plan.check()?;
     let mut world = World::new(robot, start, plan.stepping)?;
-    world.out = Recording::with_capacity(robot, plan.count.div_ceil(plan.keep_every), suite.readings.len())?;
+    world.out = SimulatedRecording::with_capacity(robot, plan.count.div_ceil(plan.keep_every), suite.readings.len())?;
     let limit = largest_stable_step(robot, &world.x, &world.tau)?;
     if limit.is_nan() {
         return Err(SimulationError::Singular);
@@ -81,7 +81,7 @@ pub fn simulate(
             return Err(SimulationError::Step { step, limit, substeps: (plan.period / limit).ceil() });
         }
     }
-    let mut run = Run { robot, plan, world, suite, feedback, controller };
+    let mut run = SimulationRun { robot, plan, world, suite, feedback, controller };
     let watch = Watch::current();
     for sample in 0..plan.count {
         run.sample(sample, &watch)?;
@@ -110,16 +110,16 @@ struct World {
     tau: Vec<f64>,
     plant: Plant,
     mover: Mover,
-    told: State,
+    known: RobotState,
     theta: Vec<f64>,
     dtheta: Vec<f64>,
-    out: Recording,
+    out: SimulatedRecording,
 }
 
 impl World {
-    fn new(robot: &Robot, start: Start, stepping: Stepping) -> Result<Self, DesignError> {
+    fn new(robot: &Robot, start: SimulationStart, stepping: Stepping) -> Result<Self, DesignError> {
         let n = robot.len();
-        let (State { q, dq, theta, dtheta }, tau) = start.complete(robot)?;
+        let (RobotState { q, dq, theta, dtheta }, tau) = start.complete(robot)?;
         let plant = Plant::new(robot)?;
         let mover = Mover::new(&plant, stepping)?;
         let mut x = vec![0.0; plant.layout.dense];
@@ -128,8 +128,17 @@ impl World {
         }
         x[..n].copy_from_slice(&q);
         x[n..2 * n].copy_from_slice(&dq);
-        let told = State::new(n);
-        Ok(Self { x, tau, plant, mover, told, theta: vec![0.0; n], dtheta: vec![0.0; n], out: Recording::default() })
+        let known = RobotState::new(n);
+        Ok(Self {
+            x,
+            tau,
+            plant,
+            mover,
+            known,
+            theta: vec![0.0; n],
+            dtheta: vec![0.0; n],
+            out: SimulatedRecording::default(),
+        })
     }
 
     /// Accelerations, motor positions and the kinematics at the present state.
@@ -145,9 +154,9 @@ impl World {
     }
 
     #[inline(always)]
-    fn motion(&self) -> Motion<'_> {
+    fn motion(&self) -> JointMotion<'_> {
         let n = self.theta.len();
-        Motion { q: &self.x[..n], dq: &self.x[n..2 * n], theta: &self.theta, dtheta: &self.dtheta }
+        JointMotion { q: &self.x[..n], dq: &self.x[n..2 * n], theta: &self.theta, dtheta: &self.dtheta }
     }
 
     /// Moves from one sample to the next.
@@ -170,10 +179,10 @@ impl World {
 
     fn keep(&mut self, robot: &Robot, t: f64, readings: &[f64]) {
         let n = robot.len();
-        let Self { x, tau, plant, told, theta, dtheta, out, .. } = self;
+        let Self { x, tau, plant, known, theta, dtheta, out, .. } = self;
         out.t.push(t);
-        let told = [&told.q, &told.dq, &told.theta, &told.dtheta];
-        told.into_iter().for_each(|values| out.told.extend_from_slice(values));
+        let known = [&known.q, &known.dq, &known.theta, &known.dtheta];
+        known.into_iter().for_each(|values| out.known.extend_from_slice(values));
         for (all, values) in [
             (&mut out.readings, readings),
             (&mut out.tau, tau),
@@ -224,7 +233,7 @@ impl Kernel for Read<'_> {
     }
 }
 
-struct Run<'a> {
+struct SimulationRun<'a> {
     robot: &'a Robot,
     plan: Plan,
     world: World,
@@ -233,7 +242,7 @@ struct Run<'a> {
     controller: &'a mut dyn Controller,
 }
 
-impl Run<'_> {
+impl SimulationRun<'_> {
     fn sample(&mut self, sample: usize, watch: &Watch) -> Result<(), SimulationError> {
         let Self { robot, plan, world, suite, feedback, controller } = self;
         let (dt, t) = (plan.period, sample as f64 * plan.period);
@@ -242,11 +251,11 @@ impl Run<'_> {
             return Err(SimulationError::NotFinite { time: t });
         }
         simd::phase(Read { suite, robot, world, sample });
-        let mut told = core::mem::take(&mut world.told);
+        let mut state = core::mem::take(&mut world.known);
         let known = Known { truth: world.motion(), readings: &suite.readings, tau: &world.tau, dt };
-        feedback.state_into(known, &mut told)?;
-        world.told = told;
-        controller.torque(t, &world.told, &mut world.tau).map_err(|_| SimulationError::Refused { time: t })?;
+        feedback.state_into(known, &mut state)?;
+        world.known = state;
+        controller.torque(t, &world.known, &mut world.tau).map_err(|_| SimulationError::Refused { time: t })?;
         if let Some(joint) = world.tau.iter().position(|value| !value.is_finite()) {
             return Err(SimulationError::Torque { joint, value: world.tau[joint], time: t });
         }

@@ -129,7 +129,7 @@ impl Suite {
 
 /// Joint positions and velocities of links and motors, n each.
 #[derive(Clone, Copy, Debug)]
-pub struct Motion<'a> {
+pub struct JointMotion<'a> {
     /// q [rad].
     pub q: &'a [f64],
     /// q̇ [rad/s].

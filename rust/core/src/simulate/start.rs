@@ -1,14 +1,14 @@
 //! Where a run begins.
 
 use crate::check::{expect_finite, expect_length};
-use crate::control::State;
+use crate::control::RobotState;
 use crate::dynamics::{Kinematics, Loads};
 use crate::error::DesignError;
 use crate::robot::Robot;
 
 /// State and motor torques at the start, n numbers each; what is None holds the robot at rest where its links are.
 #[derive(Clone, Debug, Default)]
-pub struct Start {
+pub struct SimulationStart {
     /// Link positions [rad]; else zero.
     pub q: Option<Vec<f64>>,
     /// Link velocities [rad/s]; else zero.
@@ -21,12 +21,12 @@ pub struct Start {
     pub tau: Option<Vec<f64>>,
 }
 
-impl Start {
+impl SimulationStart {
     /// The whole state and the torques.
     ///
     /// # Errors
     /// Not n finite numbers.
-    pub(super) fn complete(self, robot: &Robot) -> Result<(State, Vec<f64>), DesignError> {
+    pub(super) fn complete(self, robot: &Robot) -> Result<(RobotState, Vec<f64>), DesignError> {
         let n = robot.len();
         let given = [("q", &self.q), ("dq", &self.dq), ("theta", &self.theta), ("dtheta", &self.dtheta)];
         for (what, values) in given.into_iter().chain([("tau", &self.tau)]) {
@@ -42,7 +42,7 @@ impl Start {
         let theta = self.theta.unwrap_or_else(|| q.iter().enumerate().map(hold).collect());
         let dtheta = self.dtheta.unwrap_or_else(|| dq.clone());
         let tau = self.tau.unwrap_or(gravity);
-        Ok((State { q, dq, theta, dtheta }, tau))
+        Ok((RobotState { q, dq, theta, dtheta }, tau))
     }
 }
 

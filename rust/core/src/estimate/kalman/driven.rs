@@ -1,11 +1,11 @@
 //! The acceleration-driven model as a filter runs it: its channels, and what they say of the motors.
 
-use super::jerk::{JerkModel, Noise};
+use super::jerk::{JerkModel, JerkNoise};
 use super::jerk_process::JerkProcess;
 use super::model::{Linearised, Measurement, Paired, Report};
+use super::motor_velocity::MotorVelocity;
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample};
-use super::slope::Slope;
 use super::uncertain::Tolerance;
 use crate::error::DesignError;
 use crate::estimate::measurement::{Channel, Evaluation};
@@ -20,7 +20,7 @@ impl JerkDriven {
     ///
     /// # Errors
     /// Noise that does not fit the model.
-    pub fn new(model: JerkModel, noise: Noise, damping: bool) -> Result<Self, DesignError> {
+    pub fn new(model: JerkModel, noise: JerkNoise, damping: bool) -> Result<Self, DesignError> {
         model.check(&noise)?;
         let measurement = JerkMeasurement::new(model.clone(), noise.clone(), damping);
         Ok(Self::of(JerkProcess { model, noise }, measurement))
@@ -43,7 +43,7 @@ impl JerkDriven {
     }
 
     /// The noise.
-    pub(crate) fn noise(&self) -> &Noise {
+    pub(crate) fn noise(&self) -> &JerkNoise {
         &self.process.noise
     }
 
@@ -57,7 +57,7 @@ impl JerkDriven {
 #[derive(Clone, Debug)]
 pub struct JerkMeasurement {
     model: JerkModel,
-    noise: Noise,
+    noise: JerkNoise,
     /// Whether the damping torque D(θ̇ − q̇) is predicted.
     damping: bool,
     evaluation: Evaluation<f64>,
@@ -69,14 +69,14 @@ pub struct JerkMeasurement {
     dtheta: Vec<f64>,
     /// Their variances where they come of motor positions; else that is in the motors' noise.
     dtheta_variance: Vec<f64>,
-    slope: Slope,
+    slope: MotorVelocity,
     jerk: Vec<f64>,
     dt: f64,
     tolerances: Vec<Tolerance>,
 }
 
 impl JerkMeasurement {
-    fn new(model: JerkModel, noise: Noise, damping: bool) -> Self {
+    fn new(model: JerkModel, noise: JerkNoise, damping: bool) -> Self {
         let (n, m) = (model.joints(), model.channels());
         Self {
             evaluation: Evaluation::new(&model.robot, m),
@@ -84,7 +84,7 @@ impl JerkMeasurement {
             reference: vec![0.0; 3 * n],
             dtheta: vec![f64::NAN; n],
             dtheta_variance: vec![0.0; n],
-            slope: Slope::new(n),
+            slope: MotorVelocity::new(n),
             jerk: vec![0.0; n],
             dt: 0.0,
             tolerances: Vec::new(),

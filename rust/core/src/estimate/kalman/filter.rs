@@ -5,7 +5,7 @@ use super::correction::Correction;
 use super::gaussian::{Gaussian, Symmetric};
 use super::monitor::{Finding, Monitor};
 use super::output::{FilterOutput, Keep, Tool};
-use super::phases::{Judge, Linearise, Phases, Predict, Report, Update};
+use super::phases::{Judge, Linearise, Phases, Predict, Update, WriteReport};
 use super::recording::{KalmanRecording, KalmanSample};
 use super::smoother::{History, Smoother};
 use crate::check::{expect, expect_length};
@@ -351,6 +351,6 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
             (&consider.total[..rows * rows], rows)
         });
         let (covariance, stride) = (&covariance.data, covariance.stride);
-        M::report_phase(Report { model, memory, mean, covariance, stride, more, tool, i, out, whole });
+        M::report_phase(WriteReport { model, memory, mean, covariance, stride, more, tool, i, out, whole });
     }
 }

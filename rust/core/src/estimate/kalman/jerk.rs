@@ -23,7 +23,7 @@ pub struct JerkModel {
 
 /// Standard deviations of everything that is random.
 #[derive(Clone, Debug)]
-pub struct Noise {
+pub struct JerkNoise {
     /// Density of each joint's jerk (n) [rad/s³/√Hz]: its acceleration wanders by this in one second.
     pub jerk: Vec<f64>,
     /// By how much each joint's position, and each one's velocity, wanders in one second beside its acceleration (2n)
@@ -44,7 +44,7 @@ pub struct Noise {
     pub initial_bias: Vec<f64>,
 }
 
-impl Noise {
+impl JerkNoise {
     /// How a channel's bias moves over `dt` [s].
     #[inline(always)]
     pub(crate) fn bias_step(&self, channel: usize, dt: f64) -> BiasStep<f64> {
@@ -95,7 +95,7 @@ impl JerkModel {
     }
 
     /// Links at `q`, at rest, with the initial uncertainty of `noise`.
-    pub(crate) fn initial(&self, q: &[f64], noise: &Noise) -> Gaussian {
+    pub(crate) fn initial(&self, q: &[f64], noise: &JerkNoise) -> Gaussian {
         let mut std = noise.initial.clone();
         for (bias, value) in self.biases.iter().zip(&noise.initial_bias) {
             std.extend(bias.map(|_| *value));
@@ -106,7 +106,7 @@ impl JerkModel {
     }
 
     /// What the biases do in time.
-    pub(super) fn drift<'a>(&'a self, noise: &'a Noise) -> Biases<'a> {
+    pub(super) fn drift<'a>(&'a self, noise: &'a JerkNoise) -> Biases<'a> {
         Biases { states: &self.biases, walk: &noise.bias_walk, time: &noise.bias_time }
     }
 
@@ -115,7 +115,7 @@ impl JerkModel {
     /// F is three blocks wide, so the product is a few row and column sums in place of two dense products. Process
     /// noise is the integral of white jerk over the step, where eq. (10) has one kick at its start.
     #[inline(always)]
-    pub(crate) fn predict(&self, belief: &mut Gaussian, noise: &Noise, dt: f64, jerk: &[f64]) {
+    pub(crate) fn predict(&self, belief: &mut Gaussian, noise: &JerkNoise, dt: f64, jerk: &[f64]) {
         let n = self.joints();
         let half = 0.5 * dt * dt;
         for j in 0..n {
@@ -140,7 +140,7 @@ impl JerkModel {
     }
 
     #[inline(always)]
-    fn add_process_noise(&self, p: &mut Symmetric, noise: &Noise, dt: f64) {
+    fn add_process_noise(&self, p: &mut Symmetric, noise: &JerkNoise, dt: f64) {
         let (n, stride, white_jerk) = (self.joints(), p.stride, jerk_noise::covariance(dt));
         for j in 0..n {
             let density = noise.jerk[j] * noise.jerk[j];
@@ -157,7 +157,7 @@ impl JerkModel {
 
     /// Rows Gᵀ with G Gᵀ = Q, what [`predict`](Self::predict) adds to P over `dt`, one a state; `rows` are zero.
     #[inline(always)]
-    pub(super) fn noise_rows(&self, rows: &mut [f64], stride: usize, noise: &Noise, dt: f64) {
+    pub(super) fn noise_rows(&self, rows: &mut [f64], stride: usize, noise: &JerkNoise, dt: f64) {
         let (n, white_jerk) = (self.joints(), jerk_noise::covariance(dt));
         let rest = self.drift(noise).noise_rows(rows, stride, dt);
         for (j, rows) in rest.chunks_exact_mut(3 * stride).take(n).enumerate() {
@@ -182,7 +182,7 @@ impl JerkModel {
 
     /// The adjoint of [`predict`](Self::predict): λ ← Fᵀ λ, Λ ← Fᵀ Λ F.
     #[inline(always)]
-    pub(crate) fn retreat(&self, lambda: &mut [f64], big: &mut Symmetric, noise: &Noise, dt: f64) {
+    pub(crate) fn retreat(&self, lambda: &mut [f64], big: &mut Symmetric, noise: &JerkNoise, dt: f64) {
         self.drift(noise).retreat(lambda, big, dt);
         let n = self.joints();
         let half = 0.5 * dt * dt;
@@ -210,9 +210,9 @@ impl JerkModel {
     /// # Errors
     /// A length that does not fit the model, a standard deviation that is negative or not a number, and a reading
     /// without noise.
-    pub(crate) fn check(&self, noise: &Noise) -> Result<(), DesignError> {
+    pub(crate) fn check(&self, noise: &JerkNoise) -> Result<(), DesignError> {
         let (n, m) = (self.joints(), self.channels());
-        let Noise { jerk, link_walk, reading, torsion, bias_walk, bias_time, initial, initial_bias } = noise;
+        let JerkNoise { jerk, link_walk, reading, torsion, bias_walk, bias_time, initial, initial_bias } = noise;
         let lengths = [
             ("jerk", jerk, n),
             ("link_walk", link_walk, 2 * n),

@@ -1,7 +1,7 @@
 //! The process of the acceleration-driven model: links moved by commanded and random jerk, biases that wander.
 
 use super::gaussian::{Gaussian, Symmetric};
-use super::jerk::{JerkModel, Noise};
+use super::jerk::{JerkModel, JerkNoise};
 use super::model::Process;
 use super::recording::{KalmanRecording, KalmanSample};
 use crate::error::DesignError;
@@ -12,7 +12,7 @@ use crate::robot::Robot;
 #[derive(Clone, Debug)]
 pub struct JerkProcess {
     pub(crate) model: JerkModel,
-    pub(crate) noise: Noise,
+    pub(crate) noise: JerkNoise,
 }
 
 impl Process for JerkProcess {

@@ -9,7 +9,7 @@ use super::model::Model;
 use super::monitor::Monitor;
 use super::output::{FilterOutput, Tool};
 use super::recording::KalmanSample;
-use super::smoother::{Back, Retreat};
+use super::smoother::{Retreat, SmoothBack};
 use crate::simd::{self, Kernel};
 
 /// A model whose phases are compiled in this crate: what a crate that uses a filter has to compile is then little more
@@ -25,9 +25,9 @@ pub trait Phases: Model {
     #[doc(hidden)]
     fn judge_phase(phase: Judge<'_, '_, Self>);
     #[doc(hidden)]
-    fn report_phase(phase: Report<'_, Self>);
+    fn report_phase(phase: WriteReport<'_, Self>);
     #[doc(hidden)]
-    fn back_phase(phase: Back<'_, Self>);
+    fn back_phase(phase: SmoothBack<'_, Self>);
     #[doc(hidden)]
     fn retreat_phase(phase: Retreat<'_, Self>);
 }
@@ -53,11 +53,11 @@ macro_rules! phases {
                 simd::phase(phase);
             }
 
-            fn report_phase(phase: Report<'_, Self>) {
+            fn report_phase(phase: WriteReport<'_, Self>) {
                 simd::phase(phase);
             }
 
-            fn back_phase(phase: Back<'_, Self>) {
+            fn back_phase(phase: SmoothBack<'_, Self>) {
                 simd::phase(phase);
             }
 
@@ -147,7 +147,7 @@ impl<M: Model> Kernel for Judge<'_, '_, M> {
 }
 
 /// Row `i` of the output, with the whole state where asked for.
-pub(super) struct Report<'a, M> {
+pub(super) struct WriteReport<'a, M> {
     pub(super) model: &'a mut M,
     pub(super) memory: &'a [f64],
     pub(super) mean: &'a [f64],
@@ -162,7 +162,7 @@ pub(super) struct Report<'a, M> {
     pub(super) whole: bool,
 }
 
-impl<M: Model> Kernel for Report<'_, M> {
+impl<M: Model> Kernel for WriteReport<'_, M> {
     type Output = ();
 
     #[inline(always)]

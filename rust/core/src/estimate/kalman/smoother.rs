@@ -13,7 +13,7 @@ use super::gaussian::{Gaussian, Innovation};
 use super::information::Information;
 use super::model::Model;
 use super::output::{FilterOutput, Keep};
-use super::phases::{Phases, Report};
+use super::phases::{Phases, WriteReport};
 use super::recording::KalmanRecording;
 use crate::error::{DesignError, RunError};
 use crate::interrupt::Watch;
@@ -116,14 +116,14 @@ pub struct Smoother<M> {
 }
 
 /// Past sample `i`'s readings, and the smoothed estimate there.
-pub(super) struct Back<'a, M> {
+pub(super) struct SmoothBack<'a, M> {
     smoother: &'a mut Smoother<M>,
     history: &'a History,
     i: usize,
     whole: bool,
 }
 
-impl<M: Phases> Kernel for Back<'_, M> {
+impl<M: Phases> Kernel for SmoothBack<'_, M> {
     type Output = ();
 
     #[inline(always)]
@@ -249,7 +249,7 @@ impl<M: Phases> Smoother<M> {
             if watch.stops() {
                 return Err(RunError::Interrupted { sample: i });
             }
-            M::back_phase(Back { smoother: &mut *self, history, i, whole: keep.covariance });
+            M::back_phase(SmoothBack { smoother: &mut *self, history, i, whole: keep.covariance });
             self.report(history, i, &mut out, keep.covariance);
             M::retreat_phase(Retreat { smoother: &mut *self, history, i });
         }
@@ -321,6 +321,6 @@ impl<M: Phases> Smoother<M> {
         let Self { filter, mean, smoothed: covariance, lambda, .. } = self;
         let ExtendedKalmanFilter { model, tool, .. } = filter;
         let (memory, stride) = (history.memory(i), lambda.len());
-        M::report_phase(Report { model, memory, mean, covariance, stride, more: None, tool, i, out, whole });
+        M::report_phase(WriteReport { model, memory, mean, covariance, stride, more: None, tool, i, out, whole });
     }
 }

@@ -1,11 +1,11 @@
 //! Readings against their predictions, over a scalar: the channels of a robot whose numbers are parameters.
 
-use super::moments::{Lateness, Moment};
+use super::instants::{Instant, SampledLag};
 use super::parameters::Parameters;
 use super::recording::LikelihoodRecording;
 use super::spring::torsion;
 use crate::dynamics::Placed;
-use crate::estimate::kalman::{JerkModel, Noise};
+use crate::estimate::kalman::{JerkModel, JerkNoise};
 use crate::estimate::measurement::{Channel, Driven, Jacobian, LinkMotion, Loading, Sensing, Springs, Wanted, read};
 use crate::robot::{Drive, MotorFriction, Robot};
 use crate::scalar::Scalar;
@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 /// One reading against its prediction.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Reading<T> {
+pub(super) struct ParametricReading<T> {
     pub(super) channel: usize,
     /// What was read, none where it is missing.
     pub(super) value: Option<f64>,
@@ -26,30 +26,30 @@ pub(super) struct Reading<T> {
 
 /// Everything of a robot that does not change along a recording, and scratch.
 #[derive(Clone, Debug)]
-pub(super) struct Evaluation<T> {
+pub(super) struct ParametricMeasurement<T> {
     robot: Arc<Robot>,
     channels: Vec<Channel>,
     parameters: Parameters<T>,
-    noise: Noise,
-    pub(super) lateness: Vec<Lateness<T>>,
-    /// Whether an accelerometer has moments of its own.
+    noise: JerkNoise,
+    pub(super) lateness: Vec<SampledLag<T>>,
+    /// Whether an accelerometer has instants of its own.
     late: Vec<bool>,
     turns: Vec<Mat3<T>>,
     /// Each joint's drive with a dry friction of one: the direction in which friction acts.
     directions: Vec<Drive>,
     motion: LinkMotion<T>,
-    pub(super) readings: Vec<Reading<T>>,
+    pub(super) readings: Vec<ParametricReading<T>>,
     prediction: Vec<T>,
     /// ∂h/∂(q, q̇, q̈) of each channel (channels × 3n); of those that were read.
     pub(super) jacobian: Vec<T>,
 }
 
-impl<T: Scalar> Evaluation<T> {
+impl<T: Scalar> ParametricMeasurement<T> {
     pub(super) fn new(
         model: &JerkModel,
-        noise: Noise,
+        noise: JerkNoise,
         parameters: Parameters<T>,
-        lateness: Vec<Lateness<T>>,
+        lateness: Vec<SampledLag<T>>,
         late: Vec<bool>,
     ) -> Self {
         let (robot, n, m) = (model.robot.clone(), model.joints(), model.channels.len());
@@ -100,20 +100,20 @@ impl<T: Scalar> Evaluation<T> {
         q
     }
 
-    /// Readings of a moment against their predictions at `state` = (q, q̇, q̈).
+    /// Readings of an instant against their predictions at `state` = (q, q̇, q̈).
     #[inline(always)]
-    pub(super) fn evaluate(&mut self, log: &LikelihoodRecording, moment: Moment, state: &[T]) {
+    pub(super) fn evaluate(&mut self, log: &LikelihoodRecording, instant: Instant, state: &[T]) {
         self.motion.set_kinematics(&self.robot, state);
-        if moment.late.is_none() {
+        if instant.late.is_none() {
             self.motion.set_loads(&self.robot);
         }
         self.readings.clear();
         let mut channel = 0;
         while channel < self.channels.len() {
             channel += match self.channels[channel] {
-                Channel::Motor(j) if moment.late.is_none() => self.motor(log, moment, channel, j, state),
-                Channel::Torque(j) if moment.late.is_none() => self.motor_torque(log, moment, channel, j, state),
-                Channel::Acceleration { sensor, .. } => self.acceleration(log, moment, channel, sensor, state),
+                Channel::Motor(j) if instant.late.is_none() => self.motor(log, instant, channel, j, state),
+                Channel::Torque(j) if instant.late.is_none() => self.motor_torque(log, instant, channel, j, state),
+                Channel::Acceleration { sensor, .. } => self.acceleration(log, instant, channel, sensor, state),
                 _ => 1,
             };
         }
@@ -121,29 +121,29 @@ impl<T: Scalar> Evaluation<T> {
 
     /// Row of a channel, or rows of all axes of a sensor.
     #[inline(always)]
-    fn row(&mut self, log: &LikelihoodRecording, moment: Moment, channel: usize, width: usize, state: &[T]) {
+    fn row(&mut self, log: &LikelihoodRecording, instant: Instant, channel: usize, width: usize, state: &[T]) {
         let Self { robot, channels, motion, parameters, turns, prediction, jacobian, .. } = self;
         let n = robot.len();
         jacobian[channel * 3 * n..][..width * 3 * n].fill(T::default());
         let links = Calibrated { motion, parameters, turns };
-        let dtheta = &log.dtheta[moment.row * n..][..n];
+        let dtheta = &log.dtheta[instant.row * n..][..n];
         let view = Driven { links: &links, state, dtheta, springs: &*parameters };
         let mut wanted = Jacobian { prediction, rows: jacobian, joints: n };
         read(robot, channels[channel], channel, &view, &mut wanted);
     }
 
     #[inline(always)]
-    fn motor(&mut self, log: &LikelihoodRecording, moment: Moment, channel: usize, j: usize, state: &[T]) -> usize {
-        let theta = log.theta[moment.row * self.robot.len() + j];
+    fn motor(&mut self, log: &LikelihoodRecording, instant: Instant, channel: usize, j: usize, state: &[T]) -> usize {
+        let theta = log.theta[instant.row * self.robot.len() + j];
         if theta.is_nan() {
             return 1;
         }
-        self.row(log, moment, channel, 1, state);
+        self.row(log, instant, channel, 1, state);
         let prediction = self.prediction[channel];
         let own = self.parameters.joints[j].motor_noise * self.noise.reading[channel];
         let relative = (prediction - state[j]) * self.noise.torsion;
         let variance = own * own + relative * relative;
-        self.readings.push(Reading { channel, value: Some(theta), prediction, variance });
+        self.readings.push(ParametricReading { channel, value: Some(theta), prediction, variance });
         1
     }
 
@@ -153,18 +153,18 @@ impl<T: Scalar> Evaluation<T> {
     fn motor_torque(
         &mut self,
         log: &LikelihoodRecording,
-        moment: Moment,
+        instant: Instant,
         channel: usize,
         j: usize,
         state: &[T],
     ) -> usize {
         let n = self.robot.len();
-        let row = moment.row * n..moment.row * n + n;
+        let row = instant.row * n..instant.row * n + n;
         let (tau, dtheta, ddtheta) = (log.tau[row.start + j], log.dtheta[row.start + j], &log.ddtheta[row]);
         if tau.is_nan() || dtheta.is_nan() || ddtheta.iter().any(|x| x.is_nan()) {
             return 1;
         }
-        self.row(log, moment, channel, 1, state);
+        self.row(log, instant, channel, 1, state);
         let Self { parameters, jacobian, .. } = self;
         let joint = &parameters.joints[j];
         let direction = self.directions[j].dry_friction(dtheta);
@@ -176,7 +176,7 @@ impl<T: Scalar> Evaluation<T> {
             jacobian[channel * 3 * n + 2 * n + k] += parameters.coupling[k * n + j];
         }
         let own = joint.torque_noise * self.noise.reading[channel];
-        self.readings.push(Reading { channel, value: Some(tau), prediction, variance: own * own });
+        self.readings.push(ParametricReading { channel, value: Some(tau), prediction, variance: own * own });
         1
     }
 
@@ -184,22 +184,22 @@ impl<T: Scalar> Evaluation<T> {
     fn acceleration(
         &mut self,
         log: &LikelihoodRecording,
-        moment: Moment,
+        instant: Instant,
         first: usize,
         s: usize,
         state: &[T],
     ) -> usize {
         let (n, width) = (self.robot.len(), self.robot.accelerometers[s].axes.len());
-        if moment.late != self.late[s].then_some(s) {
+        if instant.late != self.late[s].then_some(s) {
             return width;
         }
-        self.row(log, moment, first, width, state);
+        self.row(log, instant, first, width, state);
         let m = self.robot.acceleration_channels();
         for channel in first..first + width {
-            let value = Some(log.acceleration[moment.row * m + channel - n]).filter(|y| !y.is_nan());
+            let value = Some(log.acceleration[instant.row * m + channel - n]).filter(|y| !y.is_nan());
             let noise = self.parameters.sensors[s].noise * self.noise.reading[channel];
             let prediction = self.prediction[channel];
-            self.readings.push(Reading { channel, value, prediction, variance: noise * noise });
+            self.readings.push(ParametricReading { channel, value, prediction, variance: noise * noise });
         }
         width
     }

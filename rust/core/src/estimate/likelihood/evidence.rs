@@ -1,13 +1,13 @@
 //! The likelihood of a recording, its gradient and its information.
 
-use super::evaluation::Evaluation;
-use super::filter::{Filter, Innovation};
-use super::moments::{Lateness, moments};
+use super::evaluation::ParametricMeasurement;
+use super::filter::{Filter, SequentialInnovation};
+use super::instants::{SampledLag, instants};
 use super::parameters::{Parameter, Parameters};
 use super::recording::LikelihoodRecording;
 use crate::check::{expect, expect_length};
 use crate::error::{DesignError, RunError};
-use crate::estimate::kalman::{JerkModel, Noise};
+use crate::estimate::kalman::{JerkModel, JerkNoise};
 use crate::estimate::measurement::Kind;
 use crate::interrupt::Watch;
 use crate::memory::filled;
@@ -18,14 +18,14 @@ use std::sync::Arc;
 
 /// Derivatives that one pass through a recording carries.
 const DIRECTIONS: usize = 4;
-/// Moments between two exchanges of derivatives: what bounds memory.
+/// Instants between two exchanges of derivatives: what bounds memory.
 const STRETCH: usize = 1024;
 
 /// How a recording is looked at.
 #[derive(Clone, Debug)]
 pub struct LikelihoodSettings {
     /// Standard deviations; channels are motor positions, accelerometer axes and, where they are used, motor torques.
-    pub noise: Noise,
+    pub noise: JerkNoise,
     /// Which channels have a bias that is a state.
     pub biased: Vec<bool>,
     /// Whether motor torques are readings, too.
@@ -144,12 +144,12 @@ impl Likelihood {
         }
         let period = self.recording.period;
         let lateness: Vec<_> =
-            parameters.sensors.iter().zip(&filtered).map(|(s, &f)| Lateness::of(s, period, f)).collect();
+            parameters.sensors.iter().zip(&filtered).map(|(s, &f)| SampledLag::of(s, period, f)).collect();
         let lags: Vec<_> = lateness.iter().zip(&late).map(|(l, &late)| late.then(|| l.lag.value())).collect();
-        let moments = moments(&self.recording.t, &lags);
+        let instants = instants(&self.recording.t, &lags);
         let noise = &self.settings.noise;
-        let evaluation = Evaluation::new(&self.model, noise.clone(), parameters, lateness, late);
-        Ok(Filter::new(&self.model, noise.clone(), evaluation, moments))
+        let evaluation = ParametricMeasurement::new(&self.model, noise.clone(), parameters, lateness, late);
+        Ok(Filter::new(&self.model, noise.clone(), evaluation, instants))
     }
 
     fn accumulate<T: Seeded>(&self, mut filters: Vec<Filter<T>>, p: usize, detail: bool) -> Result<Evidence, RunError> {
@@ -184,7 +184,7 @@ impl Likelihood {
     fn add<T: Seeded>(
         &self,
         evidence: &mut Evidence,
-        innovation: &Innovation<T>,
+        innovation: &SequentialInnovation<T>,
         [by_value, by_variance]: &[Vec<f64>; 2],
     ) -> Result<(), RunError> {
         let (value, variance) = (innovation.value.value(), innovation.variance.value());
@@ -228,7 +228,7 @@ impl Likelihood {
 /// The derivatives of innovation `i` and of its variance, over all passes.
 fn slopes_of<T: Seeded>(filters: &[Filter<T>], i: usize) -> impl Iterator<Item = (f64, f64)> {
     filters.iter().flat_map(move |filter| {
-        let Innovation { value, variance, .. } = &filter.innovations[i];
+        let SequentialInnovation { value, variance, .. } = &filter.innovations[i];
         value.slopes().iter().copied().zip(variance.slopes().iter().copied())
     })
 }

@@ -4,12 +4,12 @@
 //! here each reading changes it at once, so that a filter inside a sensor can take its next value between two readings,
 //! and no derivative number is computed for padding or for a gain that only a smoother needs. A test holds both equal.
 
-use super::evaluation::{Evaluation, Reading};
-use super::moments::Moment;
+use super::evaluation::{ParametricMeasurement, ParametricReading};
+use super::instants::Instant;
 use super::recording::LikelihoodRecording;
 use crate::estimate::bias::bias_step;
 use crate::estimate::jerk_noise;
-use crate::estimate::kalman::{JerkModel, Noise};
+use crate::estimate::kalman::{JerkModel, JerkNoise};
 use crate::estimate::measurement::Channel;
 use crate::interrupt::Watch;
 use crate::scalar::Scalar;
@@ -17,7 +17,7 @@ use crate::simd::{self, Kernel};
 
 /// A reading less its prediction by all readings before it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Innovation<T> {
+pub(super) struct SequentialInnovation<T> {
     pub(super) value: T,
     pub(super) variance: T,
     /// The sample of the reading.
@@ -28,23 +28,28 @@ pub(super) struct Innovation<T> {
 /// A filter on its way through a recording.
 #[derive(Clone, Debug)]
 pub(super) struct Filter<T> {
-    evaluation: Evaluation<T>,
+    evaluation: ParametricMeasurement<T>,
     biases: Vec<Option<usize>>,
     /// The state that is each channel's filter, and α.
     memories: Vec<Option<(usize, T)>>,
-    noise: Noise,
-    moments: Vec<Moment>,
+    noise: JerkNoise,
+    instants: Vec<Instant>,
     next: usize,
     mean: Vec<T>,
     /// n × n, symmetric.
     covariance: Vec<T>,
     reference: Vec<T>,
     gain: Vec<T>,
-    pub(super) innovations: Vec<Innovation<T>>,
+    pub(super) innovations: Vec<SequentialInnovation<T>>,
 }
 
 impl<T: Scalar> Filter<T> {
-    pub(super) fn new(model: &JerkModel, noise: Noise, evaluation: Evaluation<T>, moments: Vec<Moment>) -> Self {
+    pub(super) fn new(
+        model: &JerkModel,
+        noise: JerkNoise,
+        evaluation: ParametricMeasurement<T>,
+        instants: Vec<Instant>,
+    ) -> Self {
         let n = model.joints();
         let mut states = model.states();
         let mut memory = |channel: &Channel| match *channel {
@@ -59,7 +64,7 @@ impl<T: Scalar> Filter<T> {
             evaluation,
             biases: model.biases.clone(),
             noise,
-            moments,
+            instants,
             next: 0,
             mean: vec![T::default(); states],
             covariance: vec![T::default(); states * states],
@@ -69,27 +74,27 @@ impl<T: Scalar> Filter<T> {
         }
     }
 
-    /// In how many calls of [`advance`](Self::advance) with `count` moments each the recording is done.
+    /// In how many calls of [`advance`](Self::advance) with `count` instants each the recording is done.
     pub(super) fn stretches(&self, count: usize) -> usize {
-        self.moments.len().div_ceil(count)
+        self.instants.len().div_ceil(count)
     }
 
-    /// Innovations of the next `count` moments.
+    /// Innovations of the next `count` instants.
     pub(super) fn advance(&mut self, recording: &LikelihoodRecording, count: usize) {
         self.innovations.clear();
         let watch = Watch::current();
-        for i in self.next..(self.next + count).min(self.moments.len()) {
+        for i in self.next..(self.next + count).min(self.instants.len()) {
             if watch.stops() {
                 return;
             }
-            let moment = self.moments[i];
+            let instant = self.instants[i];
             if i == 0 {
                 self.start(recording);
             } else {
-                let from = self.moments[i - 1];
-                simd::phase(Predict { filter: self, recording, from, to: moment });
+                let from = self.instants[i - 1];
+                simd::phase(PredictSequential { filter: self, recording, from, to: instant });
             }
-            self.correct(recording, moment);
+            self.correct(recording, instant);
         }
         self.next += count;
     }
@@ -108,11 +113,11 @@ impl<T: Scalar> Filter<T> {
         }
     }
 
-    /// When a moment was, from the recording's first sample [s].
+    /// When an instant was, from the recording's first sample [s].
     #[inline(always)]
-    fn time(&self, recording: &LikelihoodRecording, moment: Moment) -> T {
-        let stamp = T::constant(recording.t[moment.row] - recording.t[0]);
-        match moment.late {
+    fn time(&self, recording: &LikelihoodRecording, instant: Instant) -> T {
+        let stamp = T::constant(recording.t[instant.row] - recording.t[0]);
+        match instant.late {
             Some(s) => stamp - self.evaluation.lateness[s].lag,
             None => stamp,
         }
@@ -120,7 +125,7 @@ impl<T: Scalar> Filter<T> {
 
     /// Axelsson, Karlsson and Norrlöf 2012, eqs. (9)–(11).
     #[inline(always)]
-    fn predict(&mut self, recording: &LikelihoodRecording, from: Moment, to: Moment) {
+    fn predict(&mut self, recording: &LikelihoodRecording, from: Instant, to: Instant) {
         let (n, states) = (self.reference.len() / 3, self.mean.len());
         let dt = self.time(recording, to) - self.time(recording, from);
         let half = dt * dt * 0.5;
@@ -178,13 +183,18 @@ impl<T: Scalar> Filter<T> {
         }
     }
 
-    /// One reading after the other, all linearised where the moment was predicted.
-    fn correct(&mut self, recording: &LikelihoodRecording, moment: Moment) {
+    /// One reading after the other, all linearised where the instant was predicted.
+    fn correct(&mut self, recording: &LikelihoodRecording, instant: Instant) {
         let d = self.reference.len();
         self.reference.copy_from_slice(&self.mean[..d]);
-        simd::phase(Evaluate { evaluation: &mut self.evaluation, recording, moment, state: &self.reference });
+        simd::phase(EvaluateParametric {
+            evaluation: &mut self.evaluation,
+            recording,
+            instant,
+            state: &self.reference,
+        });
         for i in 0..self.evaluation.readings.len() {
-            simd::phase(UseReading { filter: self, i, row: moment.row });
+            simd::phase(UseReading { filter: self, i, row: instant.row });
         }
     }
 
@@ -208,12 +218,12 @@ impl<T: Scalar> Filter<T> {
             variance += self.gain[b];
         }
         self.apply(value, variance);
-        self.innovations.push(Innovation { value, variance, row, channel: reading.channel });
+        self.innovations.push(SequentialInnovation { value, variance, row, channel: reading.channel });
     }
 
     /// A prediction h(x) without bias at the present mean, and its variance h P hᵀ; leaves P hᵀ in the gain.
     #[inline(always)]
-    fn project(&mut self, reading: &Reading<T>) -> (T, T) {
+    fn project(&mut self, reading: &ParametricReading<T>) -> (T, T) {
         let (d, states) = (self.reference.len(), self.mean.len());
         let h = &self.evaluation.jacobian[reading.channel * d..][..d];
         let (mut predicted, mut spread) = (reading.prediction, T::default());
@@ -275,14 +285,14 @@ impl<T: Scalar> Filter<T> {
 }
 
 /// [`Filter::predict`], to be compiled for each instruction set.
-struct Predict<'a, T> {
+struct PredictSequential<'a, T> {
     filter: &'a mut Filter<T>,
     recording: &'a LikelihoodRecording,
-    from: Moment,
-    to: Moment,
+    from: Instant,
+    to: Instant,
 }
 
-impl<T: Scalar> Kernel for Predict<'_, T> {
+impl<T: Scalar> Kernel for PredictSequential<'_, T> {
     type Output = ();
 
     #[inline(always)]
@@ -291,20 +301,20 @@ impl<T: Scalar> Kernel for Predict<'_, T> {
     }
 }
 
-/// [`Evaluation::evaluate`], likewise.
-struct Evaluate<'a, T> {
-    evaluation: &'a mut Evaluation<T>,
+/// [`ParametricMeasurement::evaluate`], likewise.
+struct EvaluateParametric<'a, T> {
+    evaluation: &'a mut ParametricMeasurement<T>,
     recording: &'a LikelihoodRecording,
-    moment: Moment,
+    instant: Instant,
     state: &'a [T],
 }
 
-impl<T: Scalar> Kernel for Evaluate<'_, T> {
+impl<T: Scalar> Kernel for EvaluateParametric<'_, T> {
     type Output = ();
 
     #[inline(always)]
     fn run(self) {
-        self.evaluation.evaluate(self.recording, self.moment, self.state);
+        self.evaluation.evaluate(self.recording, self.instant, self.state);
     }
 }
 

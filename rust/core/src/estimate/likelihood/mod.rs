@@ -8,7 +8,7 @@
 mod evaluation;
 mod evidence;
 mod filter;
-mod moments;
+mod instants;
 mod parameters;
 mod recording;
 mod spring;

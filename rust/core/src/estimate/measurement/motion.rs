@@ -175,12 +175,12 @@ impl<T: Scalar> PlainMotion<T> {
         dtheta: &[f64],
         prediction: &mut [T],
     ) {
-        simd::phase(Predict { motion: self, robot, channels, state, dtheta, prediction });
+        simd::phase(PredictReadings { motion: self, robot, channels, state, dtheta, prediction });
     }
 }
 
 /// [`PlainMotion::predict`], to be compiled for each instruction set.
-struct Predict<'a, T> {
+struct PredictReadings<'a, T> {
     motion: &'a mut PlainMotion<T>,
     robot: &'a Robot,
     channels: &'a [Channel],
@@ -189,7 +189,7 @@ struct Predict<'a, T> {
     prediction: &'a mut [T],
 }
 
-impl<T: Scalar> Kernel for Predict<'_, T> {
+impl<T: Scalar> Kernel for PredictReadings<'_, T> {
     type Output = ();
     const LANES: bool = T::LANES;
 

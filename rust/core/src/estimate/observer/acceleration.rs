@@ -6,17 +6,17 @@ use crate::robot::Robot;
 
 /// How well the sensors saw the joints at a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sight {
+pub enum Observability {
     /// Every joint acceleration is determined.
-    Clear,
+    Full,
     /// Some combination is determined so badly that it was damped.
     Damped,
     /// Some combination is not seen at all.
-    Blind,
+    Unobservable,
 }
 
 /// A combination of accelerations with a hundredth of the accepted certainty counts as not seen.
-const BLIND: f64 = 1e-2;
+const UNOBSERVABLE: f64 = 1e-2;
 
 /// T_A(q) and W_A(q, q̇) of eqs. (8)–(11) in De Luca, Schröder and Thümmel (2007), and their inverse.
 ///
@@ -77,12 +77,18 @@ impl AccelerationMap {
     /// ones. `ddq` (n) holds the prior on entry, for what is not seen, and the estimate on return; entries of rigid
     /// joints are left alone.
     #[inline(always)]
-    pub fn solve(&mut self, robot: &Robot, kinematics: &Kinematics<f64>, reading: &[f64], ddq: &mut [f64]) -> Sight {
+    pub fn solve(
+        &mut self,
+        robot: &Robot,
+        kinematics: &Kinematics<f64>,
+        reading: &[f64],
+        ddq: &mut [f64],
+    ) -> Observability {
         self.load(robot, kinematics, reading, ddq);
         self.triangularise();
-        let sight = if self.invert_triangle() {
+        let observability = if self.invert_triangle() {
             self.back_substitute();
-            Sight::Clear
+            Observability::Full
         } else {
             self.damped()
         };
@@ -91,7 +97,7 @@ impl AccelerationMap {
                 ddq[joint] += self.solution[c];
             }
         }
-        sight
+        observability
     }
 
     /// Whitened map, and whitened reading less W_A and what the prior already explains.
@@ -177,7 +183,7 @@ impl AccelerationMap {
 
     /// Singular value by singular value: one-sided Jacobi rotations turn the triangle's columns orthogonal.
     #[cold]
-    fn damped(&mut self) -> Sight {
+    fn damped(&mut self) -> Observability {
         let (m, stride) = (self.unknowns, self.stride);
         self.square.fill(0.0);
         for c in 0..m {
@@ -196,11 +202,11 @@ impl AccelerationMap {
             least = least.min(squared.sqrt());
         }
         if least >= self.threshold {
-            Sight::Clear
-        } else if least >= BLIND * self.threshold {
-            Sight::Damped
+            Observability::Full
+        } else if least >= UNOBSERVABLE * self.threshold {
+            Observability::Damped
         } else {
-            Sight::Blind
+            Observability::Unobservable
         }
     }
 

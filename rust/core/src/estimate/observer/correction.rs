@@ -1,7 +1,7 @@
 //! How a motor position corrects its joint, and whether the two go together.
 
-use super::late::{Late, READING, Spread};
-use super::sampled::{ORDER, Sampled, State};
+use super::late::{JointCovariance, READING, VaryingGain};
+use super::sampled::{JointState, ORDER, Sampled};
 use super::settings::Start;
 
 /// An observer bridges a motor position that is missing for up to this long [s].
@@ -14,31 +14,31 @@ const NOISE: f64 = 5.0;
 
 /// The gain of one joint as it depends on when its position was last read.
 #[derive(Clone, Debug)]
-pub(super) struct Correction {
-    late: Late,
+pub(super) struct JointCorrection {
+    late: VaryingGain,
     /// Gains for positions 2, 3, … samples apart; NaN where not yet asked for.
-    gains: Vec<State>,
+    gains: Vec<JointState>,
     /// Samples since the last position.
     since: usize,
     /// Samples and positions of a start that is under way.
     begun: Option<(u32, u32)>,
-    spread: Spread,
+    spread: JointCovariance,
     /// Share of a new innovation in the mean of their squares, that mean, and what it is at most.
     share: f64,
     square: f64,
     limit: f64,
 }
 
-impl Correction {
+impl JointCorrection {
     /// For a joint whose innovations are at most about `most` [rad] where the model is about right, beside noise.
-    pub(super) fn new(late: Late, period: f64, most: f64) -> Self {
+    pub(super) fn new(late: VaryingGain, period: f64, most: f64) -> Self {
         let longest = ((LONGEST / period).round() as usize).clamp(1, 1 << 16);
         Self {
             late,
             gains: vec![[f64::NAN; ORDER]; longest],
             since: 0,
             begun: None,
-            spread: Spread::default(),
+            spread: JointCovariance::default(),
             share: (period / WINDOW).min(1.0),
             square: 0.0,
             limit: (NOISE * READING).powi(2) + most.powi(2),
@@ -59,7 +59,7 @@ impl Correction {
 
     /// Takes an innovation into a predicted state; NaN where there is no position.
     #[inline(always)]
-    pub(super) fn apply(&mut self, joint: &Sampled, x: &mut State, innovation: f64) {
+    pub(super) fn apply(&mut self, joint: &Sampled, x: &mut JointState, innovation: f64) {
         if self.begun.is_some() {
             return self.apply_at_start(joint, x, innovation);
         }
@@ -78,7 +78,7 @@ impl Correction {
     }
 
     #[cold]
-    fn gain_after_gap(&mut self, joint: &Sampled) -> &State {
+    fn gain_after_gap(&mut self, joint: &Sampled) -> &JointState {
         let gap = self.since.min(self.gains.len() + 1);
         let kept = &mut self.gains[gap - 2];
         if kept[0].is_nan() {
@@ -88,7 +88,7 @@ impl Correction {
     }
 
     #[cold]
-    fn apply_at_start(&mut self, joint: &Sampled, x: &mut State, innovation: f64) {
+    fn apply_at_start(&mut self, joint: &Sampled, x: &mut JointState, innovation: f64) {
         let (samples, readings) = self.begun.unwrap_or_default();
         let reads = !innovation.is_nan();
         // The first innovation is zero, and the spread that of after it.

@@ -9,7 +9,7 @@
 //! [`READING`].
 
 use super::gains::JointModel;
-use super::sampled::{ORDER, State};
+use super::sampled::{JointState, ORDER};
 use crate::robot::Drive;
 
 /// What a position reading may be off by [rad]; sets the scale for what is not known at the start.
@@ -29,7 +29,7 @@ const START_READINGS: u32 = 8;
 
 /// A joint's model in the units of this module.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Late {
+pub(super) struct VaryingGain {
     model: JointModel,
     /// K/B, by which q moves θ̈.
     reach: f64,
@@ -39,9 +39,9 @@ pub(super) struct Late {
 }
 
 /// Covariance of a joint's state.
-pub(super) type Spread = [State; ORDER];
+pub(super) type JointCovariance = [JointState; ORDER];
 
-impl Late {
+impl VaryingGain {
     pub(super) fn new(model: JointModel, drive: &Drive, speed: f64, period: f64) -> Self {
         Self { model, reach: drive.stiffness / drive.motor_inertia, speed, period }
     }
@@ -57,7 +57,7 @@ impl Late {
     }
 
     /// What to multiply each state by.
-    fn scale(&self, speed: f64) -> State {
+    fn scale(&self, speed: f64) -> JointState {
         let reach = self.reach / speed.powi(2);
         match self.model {
             JointModel::Rigid => [1.0, 1.0 / speed, 1.0 / speed.powi(2), 0.0, 0.0],
@@ -66,7 +66,7 @@ impl Late {
     }
 
     /// The transition in units of `scale`, zero beyond the model's order.
-    fn scaled(&self, transition: &[State; ORDER], scale: &State) -> [State; ORDER] {
+    fn scaled(&self, transition: &[JointState; ORDER], scale: &JointState) -> [JointState; ORDER] {
         let n = self.model.order();
         core::array::from_fn(|i| {
             core::array::from_fn(|j| if i < n && j < n { transition[i][j] * scale[i] / scale[j] } else { 0.0 })
@@ -83,8 +83,8 @@ impl Late {
     }
 
     /// One sample on.
-    fn predict(&self, spread: &mut Spread, transition: &[State; ORDER], noise: f64) {
-        let product: Spread = multiply(transition, spread);
+    fn predict(&self, spread: &mut JointCovariance, transition: &[JointState; ORDER], noise: f64) {
+        let product: JointCovariance = multiply(transition, spread);
         for i in 0..ORDER {
             for j in 0..ORDER {
                 spread[i][j] = (0..ORDER).map(|k| product[i][k] * transition[j][k]).sum();
@@ -96,20 +96,20 @@ impl Late {
     }
 
     /// The gain for positions `gap` samples apart.
-    pub(super) fn gain(&self, transition: &[State; ORDER], gap: usize) -> State {
+    pub(super) fn gain(&self, transition: &[JointState; ORDER], gap: usize) -> JointState {
         // Nothing between two readings can be followed that is faster than they are.
         let interval = gap as f64 * self.period;
         let speed = self.speed.min(1.0 / interval);
         let scale = self.scale(speed);
         let transition = self.scaled(transition, &scale);
-        let mut spread = Spread::default();
+        let mut spread = JointCovariance::default();
         let mut whole = identity();
-        let mut added = Spread::default();
+        let mut added = JointCovariance::default();
         for _ in 0..gap {
             self.predict(&mut added, &transition, speed * self.period);
             whole = multiply(&transition, &whole);
         }
-        let mut gain = State::default();
+        let mut gain = JointState::default();
         for _ in 0..SETTLED {
             self.predict(&mut spread, &whole, 0.0);
             for (row, more) in spread.iter_mut().zip(&added) {
@@ -123,10 +123,10 @@ impl Late {
     }
 
     /// What is not known when the first position has been read.
-    pub(super) fn first(&self) -> Spread {
+    pub(super) fn first(&self) -> JointCovariance {
         let scale = self.scale(self.speed);
         let known = |i: usize, value: f64| (scale[i] * value / READING).powi(2);
-        let mut spread = Spread::default();
+        let mut spread = JointCovariance::default();
         spread[0][0] = 1.0 / (self.speed * self.period);
         if self.model == JointModel::Rigid {
             (spread[1][1], spread[2][2]) = (known(1, VELOCITY), known(2, ACCELERATION));
@@ -146,16 +146,21 @@ impl Late {
     }
 
     /// One sample further into a start: the gain for its position, if there is one.
-    pub(super) fn start(&self, transition: &[State; ORDER], spread: &mut Spread, reads: bool) -> State {
+    pub(super) fn start(
+        &self,
+        transition: &[JointState; ORDER],
+        spread: &mut JointCovariance,
+        reads: bool,
+    ) -> JointState {
         let scale = self.scale(self.speed);
         let pace = self.speed * self.period;
         self.predict(spread, &self.scaled(transition, &scale), pace);
-        if reads { unscaled(&correct(spread, 1.0 / pace), &scale) } else { State::default() }
+        if reads { unscaled(&correct(spread, 1.0 / pace), &scale) } else { JointState::default() }
     }
 }
 
 /// Takes a reading of the first state of variance `noise`; returns the gain.
-fn correct(spread: &mut Spread, noise: f64) -> State {
+fn correct(spread: &mut JointCovariance, noise: f64) -> JointState {
     let row = spread[0];
     let gain = row.map(|entry| entry / (row[0] + noise));
     for i in 0..ORDER {
@@ -166,14 +171,14 @@ fn correct(spread: &mut Spread, noise: f64) -> State {
     gain
 }
 
-fn unscaled(gain: &State, scale: &State) -> State {
+fn unscaled(gain: &JointState, scale: &JointState) -> JointState {
     core::array::from_fn(|i| if scale[i] > 0.0 { gain[i] / scale[i] } else { 0.0 })
 }
 
-fn identity() -> [State; ORDER] {
+fn identity() -> [JointState; ORDER] {
     core::array::from_fn(|i| core::array::from_fn(|j| f64::from(u8::from(i == j))))
 }
 
-fn multiply(a: &[State; ORDER], b: &[State; ORDER]) -> [State; ORDER] {
+fn multiply(a: &[JointState; ORDER], b: &[JointState; ORDER]) -> [JointState; ORDER] {
     core::array::from_fn(|i| core::array::from_fn(|j| (0..ORDER).map(|k| a[i][k] * b[k][j]).sum()))
 }

@@ -5,7 +5,7 @@ use crate::memory::room;
 
 /// One sample of a log; NaN where a reading is missing.
 #[derive(Clone, Copy, Debug)]
-pub struct Sample<'a> {
+pub struct ObserverSample<'a> {
     /// Motor positions θ (n) [rad].
     pub theta: &'a [f64],
     /// Motor torques τ (n) [N m], held until the next sample.
@@ -16,7 +16,7 @@ pub struct Sample<'a> {
 
 /// A recording: `count` samples of θ, τ and acceleration, row-major.
 #[derive(Clone, Copy, Debug)]
-pub struct Recording<'a> {
+pub struct ObserverRecording<'a> {
     /// Number of samples.
     pub count: usize,
     /// θ, n columns.
@@ -29,7 +29,7 @@ pub struct Recording<'a> {
 
 /// Estimates of a recording, row-major, one row a sample.
 #[derive(Clone, Debug, Default)]
-pub struct Trajectory {
+pub struct ObserverOutput {
     /// Link positions (n).
     pub q: Vec<f64>,
     /// Link velocities (n).
@@ -46,7 +46,7 @@ pub struct Trajectory {
     pub status: Vec<u8>,
 }
 
-impl Trajectory {
+impl ObserverOutput {
     /// # Errors
     /// [`DesignError::Memory`].
     pub(super) fn with_capacity(count: usize, n: usize, tool: bool) -> Result<Self, DesignError> {

@@ -1,14 +1,14 @@
 //! The observer itself: one step, and whole recordings.
 
-use super::acceleration::{AccelerationMap, Sight};
-use super::correction::{Correction, LONGEST};
+use super::acceleration::{AccelerationMap, Observability};
+use super::correction::{JointCorrection, LONGEST};
 use super::gains::JointModel;
-use super::late::Late;
+use super::late::VaryingGain;
 use super::poles::Poles;
-use super::recording::{Recording, Sample, Trajectory};
+use super::recording::{ObserverOutput, ObserverRecording, ObserverSample};
 use super::rest::link_position_at_rest;
-use super::sampled::{Sampled, State};
-use super::settings::{AccelerationSource, Form, Settings, Start, check};
+use super::sampled::{JointState, Sampled};
+use super::settings::{AccelerationSource, Form, ObserverSettings, Start, check};
 use crate::check::{expect_length, refuse_infinite};
 use crate::dynamics::Kinematics;
 use crate::error::{DesignError, RunError};
@@ -27,15 +27,15 @@ use std::sync::Arc;
 #[derive(Clone, Debug)]
 pub struct AccelerationObserver {
     robot: Arc<Robot>,
-    settings: Settings,
+    settings: ObserverSettings,
     models: Vec<JointModel>,
     joints: Vec<Sampled>,
-    corrections: Vec<Correction>,
+    corrections: Vec<JointCorrection>,
     map: AccelerationMap,
     kinematics: Kinematics<f64>,
-    state: Vec<State>,
+    state: Vec<JointState>,
     /// The state before the last innovation.
-    predicted: Vec<State>,
+    predicted: Vec<JointState>,
     /// Torque on each motor's row over the coming period, less what the linear model has, and without coupling.
     torque: Vec<f64>,
     /// Measured link accelerations, bias and all.
@@ -59,7 +59,7 @@ impl AccelerationObserver {
     ///
     /// # Errors
     /// Poles that are unstable, unpaired, too many or too fast for the period; fewer accelerations than elastic joints.
-    pub fn new(robot: Arc<Robot>, settings: Settings) -> Result<Self, DesignError> {
+    pub fn new(robot: Arc<Robot>, settings: ObserverSettings) -> Result<Self, DesignError> {
         let n = robot.len();
         check(&robot, &settings)?;
         let models: Vec<_> = robot
@@ -79,16 +79,16 @@ impl AccelerationObserver {
                 return Err(DesignError::FastPole { joint, speed, period: settings.period, limit });
             }
             let sampled = Sampled::new(*model, &robot.drives[joint], &poles, settings.period);
-            let late = Late::new(*model, &robot.drives[joint], speed, settings.period);
+            let late = VaryingGain::new(*model, &robot.drives[joint], speed, settings.period);
             let most = sampled.innovation(model.order(), settings.worst_acceleration_std);
-            corrections.push(Correction::new(late, settings.period, most));
+            corrections.push(JointCorrection::new(late, settings.period, most));
             joints.push(sampled);
         }
         Ok(Self {
             map: AccelerationMap::new(&robot, settings.worst_acceleration_std),
             kinematics: Kinematics::new(&robot.tree),
-            state: vec![State::default(); n],
-            predicted: vec![State::default(); n],
+            state: vec![JointState::default(); n],
+            predicted: vec![JointState::default(); n],
             torque: vec![0.0; n],
             measured: vec![0.0; n],
             previous: vec![0.0; n],
@@ -144,7 +144,7 @@ impl AccelerationObserver {
     /// A sample that cannot be used, of wrong lengths or with an infinite reading; a first one without every motor position,
     /// or without a static equilibrium; a motor position that has been missing for more than [`LONGEST`]. The state then
     /// stays as it was. [`RunError::NotFinite`]: readings so absurd that nothing is left; the next sample starts anew.
-    pub fn step(&mut self, sample: Sample<'_>) -> Result<(), RunError> {
+    pub fn step(&mut self, sample: ObserverSample<'_>) -> Result<(), RunError> {
         self.check(sample)?;
         self.take(sample)?;
         let sample = self.taken - 1;
@@ -155,14 +155,14 @@ impl AccelerationObserver {
         Ok(())
     }
 
-    fn check(&self, sample: Sample<'_>) -> Result<(), DesignError> {
-        let Sample { theta, tau, acceleration } = sample;
+    fn check(&self, sample: ObserverSample<'_>) -> Result<(), DesignError> {
+        let ObserverSample { theta, tau, acceleration } = sample;
         let (n, m) = (self.joints(), self.channels());
         for (what, values, expected) in [("theta", theta, n), ("tau", tau, n), ("acceleration", acceleration, m)] {
             expect_length(what, values.len(), expected)?;
             refuse_infinite(what, values)?;
         }
-        let late = |(correction, theta): (&Correction, &f64)| theta.is_nan() && correction.is_at_limit();
+        let late = |(correction, theta): (&JointCorrection, &f64)| theta.is_nan() && correction.is_at_limit();
         match self.corrections.iter().zip(theta).position(late) {
             Some(joint) if self.started => Err(DesignError::Late { joint, longest: LONGEST }),
             _ => Ok(()),
@@ -174,12 +174,12 @@ impl AccelerationObserver {
     }
 
     /// [`step`](Self::step) with a sample that has been checked.
-    fn take(&mut self, sample: Sample<'_>) -> Result<(), DesignError> {
-        simd::phase(Step { observer: self, sample })
+    fn take(&mut self, sample: ObserverSample<'_>) -> Result<(), DesignError> {
+        simd::phase(ObserverStep { observer: self, sample })
     }
 
     #[inline(always)]
-    fn take_here(&mut self, sample: Sample<'_>) -> Result<(), DesignError> {
+    fn take_here(&mut self, sample: ObserverSample<'_>) -> Result<(), DesignError> {
         self.status = 0;
         if self.started {
             self.predict();
@@ -267,9 +267,9 @@ impl AccelerationObserver {
         }
         self.kinematics.set_motion(&self.robot.tree, &self.q, &self.dq, &self.ddq);
         self.status |= match self.map.solve(&self.robot, &self.kinematics, reading, &mut self.measured) {
-            Sight::Clear => 0,
-            Sight::Damped => Status::DAMPED,
-            Sight::Blind => Status::DAMPED | Status::UNSEEN,
+            Observability::Full => 0,
+            Observability::Damped => Status::DAMPED,
+            Observability::Unobservable => Status::DAMPED | Status::UNSEEN,
         };
     }
 
@@ -341,7 +341,7 @@ impl AccelerationObserver {
     }
 
     #[inline(always)]
-    fn reported(&self, joint: usize) -> State {
+    fn reported(&self, joint: usize) -> JointState {
         match self.settings.form {
             Form::Current => self.state[joint],
             Form::Predictor => self.predicted[joint],
@@ -353,7 +353,7 @@ impl AccelerationObserver {
         self.joints.len()
     }
 
-    /// Number of acceleration channels that [`Sample::acceleration`] must have.
+    /// Number of acceleration channels that [`ObserverSample::acceleration`] must have.
     pub fn channels(&self) -> usize {
         match self.settings.source {
             AccelerationSource::Joints => self.joints.len(),
@@ -404,19 +404,19 @@ impl AccelerationObserver {
     ///
     /// # Errors
     /// As [`step`](Self::step), wrong lengths, or a sample after which the estimate is not finite.
-    pub fn run(&mut self, recording: Recording<'_>) -> Result<Trajectory, RunError> {
-        let Recording { count, theta, tau, acceleration } = recording;
+    pub fn run(&mut self, recording: ObserverRecording<'_>) -> Result<ObserverOutput, RunError> {
+        let ObserverRecording { count, theta, tau, acceleration } = recording;
         let (n, m) = (self.joints(), self.channels());
         for (what, given, width) in [("theta", theta, n), ("tau", tau, n), ("acceleration", acceleration, m)] {
             expect_length(what, given.len(), count * width)?;
         }
-        let mut out = Trajectory::with_capacity(count, n, self.robot.tool.is_some())?;
+        let mut out = ObserverOutput::with_capacity(count, n, self.robot.tool.is_some())?;
         let watch = Watch::current();
         for i in 0..count {
             if watch.stops() {
                 return Err(RunError::Interrupted { sample: self.taken });
             }
-            self.take(Sample {
+            self.take(ObserverSample {
                 theta: &theta[i * n..][..n],
                 tau: &tau[i * n..][..n],
                 acceleration: &acceleration[i * m..][..m],
@@ -430,17 +430,17 @@ impl AccelerationObserver {
     }
 
     /// Runs each of `recordings` from a fresh copy of this observer, on all cores.
-    pub fn run_all(&self, recordings: &[Recording<'_>]) -> Vec<Result<Trajectory, RunError>> {
+    pub fn run_all(&self, recordings: &[ObserverRecording<'_>]) -> Vec<Result<ObserverOutput, RunError>> {
         let jobs: Vec<_> = recordings.iter().map(|&recording| (self, recording)).collect();
         Self::run_each(&jobs)
     }
 
     /// As [`run_all`](Self::run_all), each recording with an observer of its own.
-    pub fn run_each(jobs: &[(&Self, Recording<'_>)]) -> Vec<Result<Trajectory, RunError>> {
+    pub fn run_each(jobs: &[(&Self, ObserverRecording<'_>)]) -> Vec<Result<ObserverOutput, RunError>> {
         parallel::map(jobs, |&(observer, recording)| observer.clone().run(recording))
     }
 
-    fn append(&self, out: &mut Trajectory) {
+    fn append(&self, out: &mut ObserverOutput) {
         out.q.extend_from_slice(&self.q);
         out.dq.extend_from_slice(&self.dq);
         out.ddq.extend_from_slice(&self.ddq);
@@ -457,12 +457,12 @@ impl AccelerationObserver {
 }
 
 /// An observer's step, to be compiled for each instruction set.
-struct Step<'a, 'b> {
+struct ObserverStep<'a, 'b> {
     observer: &'a mut AccelerationObserver,
-    sample: Sample<'b>,
+    sample: ObserverSample<'b>,
 }
 
-impl Kernel for Step<'_, '_> {
+impl Kernel for ObserverStep<'_, '_> {
     type Output = Result<(), DesignError>;
 
     #[inline(always)]

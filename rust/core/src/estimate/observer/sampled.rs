@@ -13,18 +13,18 @@ use nalgebra::{DMatrix, DVector};
 /// The largest order of a joint's model.
 pub(super) const ORDER: usize = 5;
 /// A joint's state, padded with zeros.
-pub(super) type State = [f64; ORDER];
+pub(super) type JointState = [f64; ORDER];
 
 /// Exact one-period map of a joint's model, and the gain that maps the poles exactly, z = e^{λh}.
 #[derive(Clone, Debug)]
 pub struct Sampled {
-    transition: [State; ORDER],
+    transition: [JointState; ORDER],
     /// Response to a torque and an acceleration held over the period…
-    held: [State; 2],
+    held: [JointState; 2],
     /// …and to their change over it, on a straight line.
-    ramp: [State; 2],
+    ramp: [JointState; 2],
     /// Φ⁻¹L_d: what an innovation adds to the predicted state.
-    gain: State,
+    gain: JointState,
 }
 
 impl Sampled {
@@ -40,7 +40,7 @@ impl Sampled {
         let response = augmented.exp();
         let column = |j: usize| padded(response.view((0, j), (n, 1)).iter());
         let transition = response.view((0, 0), (n, n)).into_owned();
-        let mut rows = [State::default(); ORDER];
+        let mut rows = [JointState::default(); ORDER];
         for (row, values) in rows.iter_mut().zip(transition.row_iter()) {
             *row = padded(values.iter());
         }
@@ -54,8 +54,8 @@ impl Sampled {
 
     /// State one period on, under a held torque and acceleration.
     #[inline(always)]
-    pub(super) fn predict(&self, x: &State, torque: f64, acceleration: f64) -> State {
-        let mut out = State::default();
+    pub(super) fn predict(&self, x: &JointState, torque: f64, acceleration: f64) -> JointState {
+        let mut out = JointState::default();
         for (i, out) in out.iter_mut().enumerate() {
             *out = self.held[0][i] * torque + self.held[1][i] * acceleration;
             for j in 0..ORDER {
@@ -67,7 +67,7 @@ impl Sampled {
 
     /// Adds what the torque's and the acceleration's change over the period does to a held prediction.
     #[inline(always)]
-    pub(super) fn interpolate(&self, x: &mut State, torque: f64, acceleration: f64) {
+    pub(super) fn interpolate(&self, x: &mut JointState, torque: f64, acceleration: f64) {
         for i in 0..ORDER {
             x[i] += self.ramp[0][i] * torque + self.ramp[1][i] * acceleration;
         }
@@ -75,13 +75,13 @@ impl Sampled {
 
     /// What an innovation adds to a predicted state, where there is a position in every sample.
     #[inline(always)]
-    pub(super) fn gain(&self) -> &State {
+    pub(super) fn gain(&self) -> &JointState {
         &self.gain
     }
 
     /// From one sample to the next.
     #[inline(always)]
-    pub(super) fn transition(&self) -> &[State; ORDER] {
+    pub(super) fn transition(&self) -> &[JointState; ORDER] {
         &self.transition
     }
 
@@ -103,8 +103,8 @@ impl Sampled {
     }
 }
 
-fn padded<'a>(values: impl Iterator<Item = &'a f64>) -> State {
-    let mut out = State::default();
+fn padded<'a>(values: impl Iterator<Item = &'a f64>) -> JointState {
+    let mut out = JointState::default();
     for (slot, value) in out.iter_mut().zip(values) {
         *slot = *value;
     }

@@ -35,7 +35,7 @@ pub enum Start {
 
 /// What an [`AccelerationObserver`] is made with.
 #[derive(Clone, Debug)]
-pub struct Settings {
+pub struct ObserverSettings {
     /// Sampling period [s].
     pub period: f64,
     /// Error poles [1/s] of each joint: four, five with a bias state, three for a rigid joint.
@@ -54,8 +54,8 @@ pub struct Settings {
 
 /// # Errors
 /// A setting out of its range, or fewer accelerations than elastic joints.
-pub(super) fn check(robot: &Robot, settings: &Settings) -> Result<(), DesignError> {
-    let Settings { period, worst_acceleration_std: worst, .. } = *settings;
+pub(super) fn check(robot: &Robot, settings: &ObserverSettings) -> Result<(), DesignError> {
+    let ObserverSettings { period, worst_acceleration_std: worst, .. } = *settings;
     for (what, value) in [("the sampling period", period), ("worst_acceleration_std", worst)] {
         expect(value > 0.0 && value.is_finite(), what, value, "a positive number")?;
     }

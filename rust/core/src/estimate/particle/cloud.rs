@@ -1,6 +1,6 @@
 //! Where the particles are kept: blocks of fixed size, a row of numbers for each entry of the state.
 
-use super::accelerations::{Densities, covariance_entries};
+use super::rao_blackwell::{Densities, covariance_entries};
 use super::settings::Marginalised;
 use crate::error::DesignError;
 use crate::estimate::kalman::JerkModel;
@@ -21,9 +21,9 @@ pub(super) type Wide = Lanes<WIDE>;
 /// One group more than there are particles: rows a whole page apart would all want the same few lines of the cache.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
-pub(super) struct Row(pub(super) [[f64; WIDE]; BLOCK / WIDE + 1]);
+pub(super) struct ParticleRow(pub(super) [[f64; WIDE]; BLOCK / WIDE + 1]);
 
-impl Row {
+impl ParticleRow {
     fn of(value: f64) -> Self {
         Self([[value; WIDE]; BLOCK / WIDE + 1])
     }
@@ -48,11 +48,11 @@ pub(super) struct Block {
     /// Particles in use.
     pub(super) count: usize,
     /// Entries of the state; after them, where accelerations are marginalised, of a covariance.
-    pub(super) state: Vec<Row>,
+    pub(super) state: Vec<ParticleRow>,
     /// Logarithms of weights, −∞ for what is not in use.
-    pub(super) log_weights: Row,
+    pub(super) log_weights: ParticleRow,
     /// Weights as multiples of the block's largest.
-    pub(super) weights: Row,
+    pub(super) weights: ParticleRow,
     pub(super) sums: Sums,
     pub(super) scratch: Scratch,
     /// There where accelerations are marginalised.
@@ -117,9 +117,9 @@ impl Block {
         Ok(Self {
             first,
             count,
-            state: filled(Row::of(0.0), d + more, 1)?,
-            log_weights: Row::of(f64::NEG_INFINITY),
-            weights: Row::of(0.0),
+            state: filled(ParticleRow::of(0.0), d + more, 1)?,
+            log_weights: ParticleRow::of(f64::NEG_INFINITY),
+            weights: ParticleRow::of(0.0),
             sums: Sums {
                 largest: f64::NEG_INFINITY,
                 best: 0,
@@ -152,7 +152,7 @@ impl Block {
 pub(super) struct Cloud {
     pub(super) blocks: Vec<Block>,
     /// Where chosen particles are copied to.
-    pub(super) next: Vec<Vec<Row>>,
+    pub(super) next: Vec<Vec<ParticleRow>>,
 }
 
 impl Cloud {
@@ -160,10 +160,10 @@ impl Cloud {
         let count = particles.div_ceil(BLOCK);
         let (mut blocks, mut next) = (room(count, 1)?, room(count, 1)?);
         // All at once first, so that what does not fit is refused before any of it is taken, and with its size.
-        drop(room::<Row>(count, 2 * model.states())?);
+        drop(room::<ParticleRow>(count, 2 * model.states())?);
         for first in (0..particles).step_by(BLOCK) {
             let block = Block::new(model, marginalised, first, BLOCK.min(particles - first))?;
-            next.push(filled(Row::of(0.0), block.state.len(), 1)?);
+            next.push(filled(ParticleRow::of(0.0), block.state.len(), 1)?);
             blocks.push(block);
         }
         Ok(Self { blocks, next })

@@ -5,8 +5,8 @@
 //! the other, the measurements q̇₊ − q̇ = T q̈ + noise give n as a triangular map of standard normal numbers ζ without ever
 //! forming n's covariance, whose positions hardly differ from T/2 times its velocities.
 
-use super::motion::Motion;
 use super::output::packed;
+use super::process_noise::ProcessNoise;
 use crate::scalar::Scalar;
 
 /// The covariance of l, and how l and n change with the numbers ζ (2n) by which n is drawn.
@@ -26,7 +26,7 @@ pub(super) struct Conditional<T> {
 
 /// How a reading depends on the state.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Slope<'a, T> {
+pub(super) struct ReadingSlope<'a, T> {
     /// ∂h/∂(q, q̇, q̈) (3n).
     pub(super) links: &'a [T],
     /// Which entry of l adds to it.
@@ -56,7 +56,7 @@ impl<T: Scalar> Conditional<T> {
 
     /// P ← F P Fᵀ + Q, biases alone decaying, less what is known when n is known, and how l then follows ζ.
     #[inline(always)]
-    pub(super) fn follow(&mut self, motion: &Motion) {
+    pub(super) fn follow(&mut self, motion: &ProcessNoise) {
         let (n, dt) = (self.joints, motion.dt);
         for (i, bias) in motion.biases.iter().enumerate() {
             self.scale(n + i, bias.decay);
@@ -85,7 +85,7 @@ impl<T: Scalar> Conditional<T> {
 
     /// `to` ← (n, l) of `from` moved by ζ, for a slope that nothing was [observed](Self::observe) with.
     #[inline(always)]
-    pub(super) fn displace(&self, motion: &Motion, from: &[T], noise: &[T], to: &mut [T]) {
+    pub(super) fn displace(&self, motion: &ProcessNoise, from: &[T], noise: &[T], to: &mut [T]) {
         let n = self.joints;
         let (own, moves) = noise.split_at(n);
         to.copy_from_slice(from);
@@ -107,7 +107,7 @@ impl<T: Scalar> Conditional<T> {
 
     /// How a reading, by l's mean as it now is, changes with ζ.
     #[inline(always)]
-    pub(super) fn by_noise(&self, motion: &Motion, row: Slope<'_, T>, out: &mut [T]) {
+    pub(super) fn by_noise(&self, motion: &ProcessNoise, row: ReadingSlope<'_, T>, out: &mut [T]) {
         let n = self.joints;
         let (q, dq) = (&row.links[..n], &row.links[n..2 * n]);
         for (j, joint) in motion.joints.iter().enumerate() {
@@ -132,7 +132,7 @@ impl<T: Scalar> Conditional<T> {
 
     /// Takes a reading h l + noise of `variance`: P ← P − K s Kᵀ; returns s, and leaves the gain K.
     #[inline(always)]
-    pub(super) fn observe(&mut self, row: Slope<'_, T>, variance: f64) -> T {
+    pub(super) fn observe(&mut self, row: ReadingSlope<'_, T>, variance: f64) -> T {
         let by_ddq = &row.links[2 * self.joints..];
         for r in 0..self.size {
             let mut sum = row.bias.map_or(T::default(), |b| self.at(r, b));

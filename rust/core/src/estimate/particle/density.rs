@@ -50,7 +50,7 @@ impl Density {
     }
 
     /// At one `variance`, ready to be evaluated.
-    pub(super) fn of_variance(self, variance: f64) -> Noise {
+    pub(super) fn of_variance(self, variance: f64) -> NoiseDensity {
         let constant = match self {
             Self::Normal => -0.5 * ln(TAU * variance),
             Self::Student { freedom } => {
@@ -58,7 +58,7 @@ impl Density {
             }
             Self::Mixture { share, .. } => ln(1.0 - share) - 0.5 * ln(TAU * variance),
         };
-        Noise { density: self, variance, constant, odds: self.log_odds() }
+        NoiseDensity { density: self, variance, constant, odds: self.log_odds() }
     }
 
     /// Logarithm of an outlier's density over that of its contrary, at zero.
@@ -72,7 +72,7 @@ impl Density {
 
 /// A density of given variance.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Noise {
+pub(super) struct NoiseDensity {
     density: Density,
     pub(super) variance: f64,
     /// Logarithm of the density's factor; of a mixture that of its first part.
@@ -80,7 +80,7 @@ pub(super) struct Noise {
     odds: f64,
 }
 
-impl Noise {
+impl NoiseDensity {
     #[inline(always)]
     pub(super) fn log_density(&self, error: Wide) -> Wide {
         let square = error * error * (1.0 / self.variance);

@@ -1,16 +1,16 @@
 //! The particle filter: one step, and whole recordings.
 
-use super::accelerations;
 use super::cloud::Cloud;
 use super::density::Density;
 use super::guard::Guard;
-use super::motion::Motion;
-use super::moves::Moments;
+use super::initialise::InitialCloud;
 use super::output::{ParticleOutput, Summary, packed};
-use super::proposal::{Advance, Reading, Sample, Walk};
+use super::process_noise::ProcessNoise;
+use super::proposal::{ParticleReading, ParticleSample, Propagate, Walk};
+use super::rao_blackwell;
+use super::regularise::Moments;
 use super::settings::{Marginalised, ParticleSettings, Proposal};
 use super::shared::{Probe, Shared};
-use super::start::Start;
 use super::sums::Deviations;
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
@@ -37,12 +37,12 @@ pub struct ParticleFilter {
     /// The cloud's mean as it would move, and where motors and biases were last linearised.
     pub(super) belief: Gaussian,
     pub(super) cloud: Cloud,
-    pub(super) sample: Sample,
+    pub(super) sample: ParticleSample,
     shared: Shared,
     /// Whether the shared linearisation is that of each particle.
     pub(super) sharing: bool,
     /// There where accelerations are marginalised.
-    motion: Option<Motion>,
+    motion: Option<ProcessNoise>,
     /// Variance of each channel's bias for a given path of the links (channels), where biases alone are marginalised.
     pub(super) bias_variance: Vec<f64>,
     pub(super) summary: Summary,
@@ -67,7 +67,7 @@ impl ParticleFilter {
         let jerk = model.jerk_model();
         settings.check(jerk, marginalised)?;
         let (n, m, d) = (jerk.joints(), jerk.channels(), jerk.states());
-        let sample = Sample {
+        let sample = ParticleSample {
             seed: settings.seed,
             step: 0,
             dt: 0.0,
@@ -89,7 +89,7 @@ impl ParticleFilter {
             guard: Guard::new(&model, &settings)?,
             shared: Shared::new(jerk),
             sharing: false,
-            motion: (marginalised == Marginalised::Accelerations).then(|| Motion::new(jerk)),
+            motion: (marginalised == Marginalised::Accelerations).then(|| ProcessNoise::new(jerk)),
             bias_variance: vec![0.0; m],
             summary: Summary::new(jerk, settings.particles),
             wanted: Moments::new(d),
@@ -210,15 +210,15 @@ impl ParticleFilter {
         let Self { model, settings, belief, sample, cloud, .. } = self;
         let n = model.jerk_model().joints();
         if self.motion.is_some() {
-            Start::blind(belief, 0).scatter(cloud, &settings.initial, n, settings.seed);
-            accelerations::start(cloud, belief, n);
+            InitialCloud::blind(belief, 0).scatter(cloud, &settings.initial, n, settings.seed);
+            rao_blackwell::start(cloud, belief, n);
             return;
         }
         let blind = settings.proposal == Proposal::Bootstrap || !settings.initial.is_empty();
         let start = if blind {
-            Start::blind(belief, 3 * n)
+            InitialCloud::blind(belief, 3 * n)
         } else {
-            Start::informed(belief, sample, model.linearised(), 3 * n)
+            InitialCloud::informed(belief, sample, model.linearised(), 3 * n)
         };
         start.scatter(cloud, &settings.initial, n, settings.seed);
     }
@@ -292,7 +292,7 @@ impl ParticleFilter {
             let noise = density.of_variance(variance);
             let draw = sample.draws;
             sample.draws += usize::from(rest > 0.0);
-            sample.readings.push(Reading { channel, value, bias, noise, gain, rest, draw });
+            sample.readings.push(ParticleReading { channel, value, bias, noise, gain, rest, draw });
         }
         if summary.used == 0 {
             summary.status |= Status::PREDICTED;
@@ -317,12 +317,12 @@ impl ParticleFilter {
         let (model, sample, level) = (model.jerk_model(), &*sample, simd::level());
         if let Some(motion) = &*motion {
             cloud.each(*threads, |block| {
-                simd::dispatch_lanes(level, accelerations::Advance { model, sample, motion, block });
+                simd::dispatch_lanes(level, rao_blackwell::PropagateMarginalised { model, sample, motion, block });
             });
             return;
         }
         let shared = sharing.then_some(&*shared);
-        cloud.each(*threads, |block| simd::dispatch_lanes(level, Advance { model, sample, shared, block }));
+        cloud.each(*threads, |block| simd::dispatch_lanes(level, Propagate { model, sample, shared, block }));
     }
 
     /// Mean, spread, likelihood and effective number; false when no particle has a weight.

@@ -4,9 +4,9 @@
 //! nothing of it. Beside a Kalman filter it shows: in the evidence, the sum of log p(yₖ | y₁ … yₖ₋₁), by which two filters of
 //! the same readings compare as models do; and in spread and place.
 
-use super::accelerations;
 use super::filter::ParticleFilter;
 use super::output::{Summary, packed};
+use super::rao_blackwell;
 use super::settings::{Collapse, Marginalised, ParticleSettings};
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
@@ -148,7 +148,7 @@ impl ParticleFilter {
         for reading in self.sample.readings.iter().filter(|_| self.marginalised == Marginalised::Biases) {
             self.bias_variance[reading.channel] = reading.gain * reading.noise.variance;
         }
-        self.level();
+        self.equalise_weights();
         self.summarise();
         (self.summary.used, self.summary.log_likelihood) = (0, 0.0);
         self.summary.status |= Status::PREDICTED | Status::CONTRADICTED | self.guard.kalman.status() & Status::FAULTY;
@@ -175,12 +175,12 @@ impl ParticleFilter {
         let log_likelihood = self.summary.log_likelihood;
         self.want_belief();
         self.found.factor.fill(0.0); // of the cloud that is nothing is taken over, not even times zero
-        self.move_apart(Purpose::Reseed, 1.0);
-        self.level();
+        self.regularise(Purpose::Reseed, 1.0);
+        self.equalise_weights();
         if self.settings.particles > 2 * self.belief.mean.len() {
             self.take_moments(false);
-            self.move_apart(Purpose::Reseed, 0.0);
-            self.level();
+            self.regularise(Purpose::Reseed, 0.0);
+            self.equalise_weights();
         }
         self.summarise();
         self.summary.log_likelihood = log_likelihood;
@@ -206,7 +206,7 @@ impl ParticleFilter {
         }
         wanted.factorise(&summary.products, 1.0);
         if *marginalised == Marginalised::Accelerations {
-            accelerations::condition(cloud, &mut wanted.factor, d, 2 * model.jerk_model().joints());
+            rao_blackwell::condition(cloud, &mut wanted.factor, d, 2 * model.jerk_model().joints());
         }
     }
 }

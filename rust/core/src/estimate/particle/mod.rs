@@ -1,21 +1,21 @@
 //! Particle filters: beliefs that are not normal, states with limits, readings with outliers.
 
-mod accelerations;
 mod cloud;
 mod conditional;
 mod density;
 mod filter;
 mod guard;
-mod motion;
-mod moves;
+mod initialise;
 mod output;
+mod process_noise;
 mod proposal;
-mod renewal;
+mod rao_blackwell;
+mod regularise;
+mod renew;
 mod resample;
 mod settings;
 mod shared;
 mod smoother;
-mod start;
 mod sums;
 
 pub use density::Density;

@@ -1,7 +1,7 @@
 //! One step of a block of particles: where they go, and what that does to their weights.
 
 use super::cloud::{Block, Scratch, WIDE, Wide};
-use super::density::{Noise, log_gamma};
+use super::density::{NoiseDensity, log_gamma};
 use super::settings::Proposal;
 use super::shared::Shared;
 use super::sums::Weigh;
@@ -14,7 +14,7 @@ use crate::simd::{self, Kernel};
 
 /// What all particles share at a sample.
 #[derive(Clone, Debug)]
-pub(super) struct Sample {
+pub(super) struct ParticleSample {
     pub(super) seed: u64,
     pub(super) step: u32,
     pub(super) dt: f64,
@@ -23,7 +23,7 @@ pub(super) struct Sample {
     pub(super) dtheta: Vec<f64>,
     /// How each joint's (q, q̇, q̈) follow from its three standard normal numbers, see [`jerk_noise::factor`].
     pub(super) factors: Vec<[[f64; 3]; 3]>,
-    pub(super) readings: Vec<Reading>,
+    pub(super) readings: Vec<ParticleReading>,
     pub(super) walks: Vec<Walk>,
     /// What is left of each bias after the step, by entry of the state.
     pub(super) decays: Vec<(usize, f64)>,
@@ -37,12 +37,12 @@ pub(super) struct Sample {
 
 /// One channel's reading, and what its bias, if it has one, does with the innovation.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Reading {
+pub(super) struct ParticleReading {
     pub(super) channel: usize,
     pub(super) value: f64,
     pub(super) bias: Option<usize>,
     /// Of the reading for a given path of the links: its own noise, and a marginalised or undrawn bias.
-    pub(super) noise: Noise,
+    pub(super) noise: NoiseDensity,
     /// By which part of the innovation the bias moves, and the standard deviation of what is then drawn around it.
     pub(super) gain: f64,
     pub(super) rest: f64,
@@ -60,15 +60,15 @@ pub(super) struct Walk {
 }
 
 /// Moves a block by one sample.
-pub(super) struct Advance<'a> {
+pub(super) struct Propagate<'a> {
     pub(super) model: &'a JerkModel,
-    pub(super) sample: &'a Sample,
+    pub(super) sample: &'a ParticleSample,
     /// None where each particle linearises its own readings.
     pub(super) shared: Option<&'a Shared>,
     pub(super) block: &'a mut Block,
 }
 
-impl Kernel for Advance<'_> {
+impl Kernel for Propagate<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -109,9 +109,15 @@ pub(super) fn store(block: &mut Block, group: usize, increment: Wide, offset: f6
 impl Scratch {
     /// From `before` to `after`; returns by how much the logarithms of the weights change.
     #[inline(always)]
-    fn step(&mut self, model: &JerkModel, sample: &Sample, shared: Option<&Shared>, items: [u32; WIDE]) -> Wide {
+    fn step(
+        &mut self,
+        model: &JerkModel,
+        sample: &ParticleSample,
+        shared: Option<&Shared>,
+        items: [u32; WIDE],
+    ) -> Wide {
         let n = model.joints();
-        let motion = Stream::new(sample.seed, sample.step, Purpose::Motion);
+        let motion = Stream::new(sample.seed, sample.step, Purpose::Process);
         draw(&motion, items, 0, &mut self.normal[..sample.draws]);
         self.coast(n, sample);
         self.walk(sample);
@@ -131,7 +137,7 @@ impl Scratch {
 
     /// Zero, or −∞ for particles beyond limits.
     #[inline(always)]
-    pub(super) fn within_limits(&self, sample: &Sample) -> Wide {
+    pub(super) fn within_limits(&self, sample: &ParticleSample) -> Wide {
         let mut change = Wide::default();
         for (j, &(low, high)) in sample.limits.iter().enumerate() {
             let outside = |q: f64| if q < low || q > high { f64::NEG_INFINITY } else { 0.0 };
@@ -155,7 +161,7 @@ impl Scratch {
 
     /// Motion without noise: x ← F x + G u (Axelsson, Karlsson and Norrlöf 2012, eq. (10)).
     #[inline(always)]
-    pub(super) fn coast(&mut self, n: usize, sample: &Sample) {
+    pub(super) fn coast(&mut self, n: usize, sample: &ParticleSample) {
         let (dt, half) = (sample.dt, 0.5 * sample.dt * sample.dt);
         for j in 0..n {
             let (dq, ddq, u) = (self.before[n + j], self.before[2 * n + j], sample.jerk[j]);
@@ -170,7 +176,7 @@ impl Scratch {
 
     /// Biases that wander whatever the readings say.
     #[inline(always)]
-    fn walk(&mut self, sample: &Sample) {
+    fn walk(&mut self, sample: &ParticleSample) {
         for walk in &sample.walks {
             self.before[walk.entry] += self.normal[walk.draw] * walk.std;
         }
@@ -185,7 +191,7 @@ impl Scratch {
     fn propose(
         &mut self,
         model: &JerkModel,
-        sample: &Sample,
+        sample: &ParticleSample,
         shared: Option<&Shared>,
         items: [u32; WIDE],
         iterations: usize,
@@ -203,7 +209,7 @@ impl Scratch {
     pub(super) fn draw_proposal(
         &mut self,
         shared: Option<&Shared>,
-        sample: &Sample,
+        sample: &ParticleSample,
         items: [u32; WIDE],
         tail: Option<u32>,
     ) -> Wide {
@@ -213,7 +219,7 @@ impl Scratch {
 
     /// ŵ into `mode` and L with Λ = L Lᵀ into `factor`, of this particle's own readings.
     #[inline(always)]
-    fn linearise(&mut self, model: &JerkModel, sample: &Sample, iterations: usize) {
+    fn linearise(&mut self, model: &JerkModel, sample: &ParticleSample, iterations: usize) {
         let n = self.mode.len();
         self.mode.fill(Wide::default());
         for iteration in 0..iterations {
@@ -229,7 +235,7 @@ impl Scratch {
 
     /// Λ into `factor` and AᵀS⁻¹(ε + A ŵ) into `mode`, ε taken at ŵ.
     #[inline(always)]
-    fn gather_information(&mut self, sample: &Sample, again: bool) {
+    fn gather_information(&mut self, sample: &ParticleSample, again: bool) {
         let Self { evaluation, after, mode, noise, factor, row, .. } = self;
         let n = mode.len();
         factor.fill(Wide::default());
@@ -286,7 +292,7 @@ impl Scratch {
 
     /// x = x⁻ + G w.
     #[inline(always)]
-    fn apply_noise(&mut self, sample: &Sample) {
+    fn apply_noise(&mut self, sample: &ParticleSample) {
         let n = sample.factors.len();
         self.after.copy_from_slice(&self.before);
         for (j, [q, dq, ddq]) in sample.factors.iter().enumerate() {
@@ -299,7 +305,7 @@ impl Scratch {
 
     /// log p(y | x), and what the biases learn from y.
     #[inline(always)]
-    fn weigh_and_learn(&mut self, sample: &Sample) -> Wide {
+    fn weigh_and_learn(&mut self, sample: &ParticleSample) -> Wide {
         let mut change = Wide::default();
         for reading in &sample.readings {
             let error = reading.error(&self.after, &self.evaluation.prediction);
@@ -364,7 +370,7 @@ impl Kernel for Draw<'_> {
 
 /// √(ν/χ²) of each particle, χ² of an even ν degrees of freedom being −2 ln of a product of ν/2 uniform numbers.
 #[inline(always)]
-fn stretch(sample: &Sample, items: [u32; WIDE], dof: u32) -> Wide {
+fn stretch(sample: &ParticleSample, items: [u32; WIDE], dof: u32) -> Wide {
     let stream = Stream::new(sample.seed, sample.step, Purpose::Tail);
     let mut log = Wide::default();
     for k in 0..dof / 2 {
@@ -382,9 +388,9 @@ fn student_term(square: Wide, dof: f64, n: usize) -> Wide {
     (square * (1.0 / dof) + 1.0).map(ln) * (0.5 * (dof + n)) + -constant
 }
 
-impl Sample {
+impl ParticleSample {
     /// The links' noise over `dt`, or none at a first sample.
-    pub(super) fn set_noise(&mut self, noise: &kalman::Noise) {
+    pub(super) fn set_noise(&mut self, noise: &kalman::JerkNoise) {
         let n = self.factors.len();
         for (j, factor) in self.factors.iter_mut().enumerate() {
             *factor = jerk_noise::factor(noise.jerk[j], [noise.link_walk[j], noise.link_walk[n + j]], self.dt);
@@ -404,7 +410,7 @@ impl Sample {
     }
 }
 
-impl Reading {
+impl ParticleReading {
     /// y − h(x) − b.
     #[inline(always)]
     pub(super) fn error(&self, state: &[Wide], prediction: &[Wide]) -> Wide {

@@ -1,7 +1,7 @@
 //! One linearisation for all particles, where the cloud is narrow enough that each has the same.
 
 use super::cloud::{Cloud, Scratch, WIDE, Wide};
-use super::proposal::Sample;
+use super::proposal::ParticleSample;
 use crate::estimate::kalman::{JerkModel, Linearised};
 use crate::linear;
 use crate::scalar::{Lanes, ln};
@@ -47,7 +47,7 @@ impl Shared {
     }
 
     /// Takes over readings linearised at `centre`.
-    pub(super) fn set(&mut self, sample: &Sample, linearised: Linearised<'_>, centre: &[f64]) {
+    pub(super) fn set(&mut self, sample: &ParticleSample, linearised: Linearised<'_>, centre: &[f64]) {
         let Self { mode, gain, factor, inverse, rows, .. } = self;
         let (n, d) = (mode.len(), centre.len());
         self.centre.copy_from_slice(centre);
@@ -90,7 +90,7 @@ impl Shared {
 /// Whether some particles from all over the cloud find what the shared linearisation says.
 pub(super) struct Probe<'a> {
     pub(super) model: &'a JerkModel,
-    pub(super) sample: &'a Sample,
+    pub(super) sample: &'a ParticleSample,
     pub(super) linearised: Linearised<'a>,
     pub(super) cloud: &'a Cloud,
     pub(super) shared: &'a mut Shared,

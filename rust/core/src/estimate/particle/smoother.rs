@@ -6,21 +6,21 @@
 //! (1965) takes a cloud's two moments as they are; nothing of the sensors comes into it again.
 
 use super::filter::ParticleFilter;
-use super::moves::Moments;
 use super::output::{ParticleOutput, packed};
+use super::regularise::Moments;
 use crate::error::{DesignError, RunError};
-use crate::estimate::kalman::{Gaussian, JerkModel, KalmanRecording, Keep, Model, Noise, Symmetric};
+use crate::estimate::kalman::{Gaussian, JerkModel, JerkNoise, KalmanRecording, Keep, Model, Symmetric};
 use crate::interrupt::Watch;
 use crate::memory::room;
 
 /// What was found at every sample: the mean, the covariance's upper triangle by rows, and how the motors were linearised.
-struct History {
+struct CloudHistory {
     means: Vec<f64>,
     products: Vec<f64>,
     motors: Vec<f64>,
 }
 
-impl History {
+impl CloudHistory {
     fn with_capacity(count: usize, d: usize, motors: usize) -> Result<Self, DesignError> {
         Ok(Self { means: room(count, d)?, products: room(count, d * (d + 1) / 2)?, motors: room(count, motors)? })
     }
@@ -46,7 +46,7 @@ impl History {
 }
 
 /// One sample on the way back.
-struct Back {
+struct BackwardPass {
     filtered: Gaussian,
     predicted: Gaussian,
     smoothed: Gaussian,
@@ -64,7 +64,7 @@ struct Back {
     unused: Symmetric,
 }
 
-impl Back {
+impl BackwardPass {
     fn new(d: usize) -> Self {
         let belief = || Gaussian::independent(&vec![0.0; d]);
         Self {
@@ -88,7 +88,7 @@ impl Back {
     ///
     /// each part the square of a factor. The usual P − G (P₋ − P̂₊) Gᵀ is the same number, but where P₋ is large it is the
     /// difference of two that hardly differ, and may turn out negative.
-    fn step(&mut self, model: &JerkModel, noise: &Noise, dt: f64, jerk: &[f64]) {
+    fn step(&mut self, model: &JerkModel, noise: &JerkNoise, dt: f64, jerk: &[f64]) {
         self.predicted.copy_from(&self.filtered);
         model.predict(&mut self.predicted, noise, dt, jerk);
         self.noise.covariance.data.fill(0.0);
@@ -111,7 +111,7 @@ impl Back {
     }
 
     /// G and 1 − G F, by the adjoint of the motion alone.
-    fn look_back(&mut self, model: &JerkModel, noise: &Noise, dt: f64) {
+    fn look_back(&mut self, model: &JerkModel, noise: &JerkNoise, dt: f64) {
         let Self { filtered, predicted, factor, products, gain, left, column, unused, .. } = self;
         let d = column.len();
         pack(&[&predicted.covariance], products);
@@ -181,13 +181,13 @@ impl ParticleFilter {
     pub fn smooth(&mut self, recording: KalmanRecording<'_>, keep: Keep) -> Result<ParticleOutput, RunError> {
         self.reset();
         let (count, d) = (recording.dt.len(), self.belief.mean.len());
-        let mut history = History::with_capacity(count, d, self.model.memory())?;
+        let mut history = CloudHistory::with_capacity(count, d, self.model.memory())?;
         let mut out = self.run_with(recording, keep, |filter| {
             filter.take_covariance();
             history.push(&filter.belief, &filter.memory);
         })?;
         (out.best, out.quantiles) = (Vec::new(), Vec::new());
-        let mut back = Back::new(d);
+        let mut back = BackwardPass::new(d);
         let watch = Watch::current();
         for i in (0..count).rev() {
             if watch.stops() {

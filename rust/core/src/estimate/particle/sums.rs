@@ -1,6 +1,6 @@
 //! Sums over the particles of a block, always in the same order, and copies of them.
 
-use super::cloud::{BLOCK, Block, Row, WIDE, Wide};
+use super::cloud::{BLOCK, Block, ParticleRow, WIDE, Wide};
 use crate::scalar::{Lanes, Scalar};
 use crate::simd::Kernel;
 
@@ -64,7 +64,7 @@ pub(super) struct Gather<'a> {
     pub(super) source: &'a [Block],
     pub(super) ancestors: &'a [u32],
     /// As [`Block::state`].
-    pub(super) next: &'a mut [Row],
+    pub(super) next: &'a mut [ParticleRow],
 }
 
 impl Kernel for Gather<'_> {
@@ -89,12 +89,12 @@ impl Kernel for Gather<'_> {
 }
 
 /// Gives all particles of a block one weight.
-pub(super) struct Level<'a> {
+pub(super) struct EqualWeights<'a> {
     pub(super) block: &'a mut Block,
     pub(super) log_weight: f64,
 }
 
-impl Kernel for Level<'_> {
+impl Kernel for EqualWeights<'_> {
     type Output = ();
 
     #[inline(always)]

@@ -11,7 +11,7 @@ pub(super) struct Encoder {
 
 /// A reading against what was predicted.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Reading {
+pub(super) struct EncoderReading {
     /// Position, without wraps; the predicted one where the reading is missing [rad].
     pub(super) position: f64,
     /// How far it is from the predicted one, for each period since the last reading [rad].
@@ -32,10 +32,10 @@ impl Encoder {
 
     /// Takes a reading, NaN where it is missing, of an encoder that wraps after `turn`.
     #[inline(always)]
-    pub(super) fn read(&mut self, reading: f64, predicted: f64, turn: f64) -> Reading {
+    pub(super) fn read(&mut self, reading: f64, predicted: f64, turn: f64) -> EncoderReading {
         if reading.is_nan() {
             self.missing = self.missing.saturating_add(1);
-            return Reading { position: predicted, innovation: 0.0, periods: 0, wrapped: false, missing: true };
+            return EncoderReading { position: predicted, innovation: 0.0, periods: 0, wrapped: false, missing: true };
         }
         let turns = ((predicted - reading - self.offset) / turn).round();
         let wrapped = turns != 0.0;
@@ -46,6 +46,6 @@ impl Encoder {
         let periods = self.missing.saturating_add(1);
         let innovation = (position - predicted) / f64::from(periods);
         self.missing = 0;
-        Reading { position, innovation, periods, wrapped, missing: false }
+        EncoderReading { position, innovation, periods, wrapped, missing: false }
     }
 }

@@ -19,6 +19,6 @@ mod settings;
 
 pub use map::GainMap;
 pub use observer::VelocityObserver;
-pub use run::{Recording, Trajectory};
+pub use run::{VelocityOutput, VelocityRecording};
 pub use schedule::{Logic, Schedule};
-pub use settings::{FASTEST, Gains, Settings};
+pub use settings::{FASTEST, Gains, VelocitySettings};

@@ -4,7 +4,7 @@ use super::encoder::Encoder;
 use super::map::Mapped;
 use super::rigid::RigidDynamics;
 use super::schedule::Logic;
-use super::settings::{Gains, Settings};
+use super::settings::{Gains, VelocitySettings};
 use crate::check::{expect_length, refuse_infinite};
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
@@ -24,7 +24,7 @@ use std::sync::Arc;
 /// the robot starts.
 #[derive(Clone, Debug)]
 pub struct VelocityObserver {
-    settings: Settings,
+    settings: VelocitySettings,
     dynamics: RigidDynamics,
     /// (1 − e^(−kT))/T of each joint [1/s], and the gain k behind it; zeros beside a map.
     weights: Vec<f64>,
@@ -59,7 +59,7 @@ impl VelocityObserver {
     ///
     /// # Errors
     /// A setting out of its range, or gains that are too fast for the period.
-    pub fn new(robot: Arc<Robot>, settings: Settings) -> Result<Self, DesignError> {
+    pub fn new(robot: Arc<Robot>, settings: VelocitySettings) -> Result<Self, DesignError> {
         let n = robot.len();
         settings.check(n)?;
         let (level, gains) = match &settings.gains {
@@ -166,7 +166,7 @@ impl VelocityObserver {
 
     /// [`step`](Self::step) with a sample that has been checked.
     pub(super) fn take(&mut self, q: &[f64], torque: &[f64]) -> Result<(), RunError> {
-        simd::phase(Step { observer: self, q, torque })
+        simd::phase(VelocityStep { observer: self, q, torque })
     }
 
     #[inline(always)]
@@ -377,13 +377,13 @@ impl VelocityObserver {
 }
 
 /// An observer's step, to be compiled for each instruction set.
-struct Step<'a> {
+struct VelocityStep<'a> {
     observer: &'a mut VelocityObserver,
     q: &'a [f64],
     torque: &'a [f64],
 }
 
-impl Kernel for Step<'_> {
+impl Kernel for VelocityStep<'_> {
     type Output = Result<(), RunError>;
 
     #[inline(always)]

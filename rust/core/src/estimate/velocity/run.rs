@@ -8,7 +8,7 @@ use crate::parallel;
 
 /// A recording: `count` samples of positions and torques, row-major.
 #[derive(Clone, Copy, Debug)]
-pub struct Recording<'a> {
+pub struct VelocityRecording<'a> {
     /// Number of samples.
     pub count: usize,
     /// Positions, n columns [rad]; NaN where missing.
@@ -19,7 +19,7 @@ pub struct Recording<'a> {
 
 /// Estimates of a recording, row-major, one row a sample.
 #[derive(Clone, Debug, Default)]
-pub struct Trajectory {
+pub struct VelocityOutput {
     /// Positions without wraps (n).
     pub q: Vec<f64>,
     /// Velocities (n).
@@ -34,7 +34,7 @@ pub struct Trajectory {
     pub status: Vec<u8>,
 }
 
-impl Trajectory {
+impl VelocityOutput {
     fn with_capacity(count: usize, n: usize, tool: bool) -> Result<Self, DesignError> {
         Ok(Self {
             q: room(count, n)?,
@@ -52,10 +52,10 @@ impl VelocityObserver {
     ///
     /// # Errors
     /// As [`step`](Self::step), and when the estimate is no longer finite; names the sample.
-    pub fn run(&mut self, recording: Recording<'_>) -> Result<Trajectory, RunError> {
+    pub fn run(&mut self, recording: VelocityRecording<'_>) -> Result<VelocityOutput, RunError> {
         let n = self.joints();
         let tool = self.has_tool();
-        let mut out = Trajectory::with_capacity(recording.count, n, tool)?;
+        let mut out = VelocityOutput::with_capacity(recording.count, n, tool)?;
         let watch = Watch::current();
         for (q, torque) in recording.q.chunks_exact(n).zip(recording.torque.chunks_exact(n)) {
             if watch.stops() {
@@ -71,11 +71,11 @@ impl VelocityObserver {
     }
 
     /// Runs each recording from a copy of its observer, on all cores.
-    pub fn run_each(jobs: &[(&Self, Recording<'_>)]) -> Vec<Result<Trajectory, RunError>> {
+    pub fn run_each(jobs: &[(&Self, VelocityRecording<'_>)]) -> Vec<Result<VelocityOutput, RunError>> {
         parallel::map(jobs, |&(observer, recording)| observer.clone().run(recording))
     }
 
-    fn report(&self, out: &mut Trajectory, tool: bool) {
+    fn report(&self, out: &mut VelocityOutput, tool: bool) {
         out.q.extend_from_slice(self.q());
         out.dq.extend_from_slice(self.dq());
         out.ddq.extend_from_slice(self.ddq());

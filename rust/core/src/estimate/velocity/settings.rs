@@ -25,7 +25,7 @@ pub enum Gains {
 
 /// What a [`VelocityObserver`](super::VelocityObserver) is made with.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Settings {
+pub struct VelocitySettings {
     /// Sampling period T [s].
     pub period: f64,
     /// K.
@@ -40,7 +40,7 @@ pub struct Settings {
     pub wrap: Vec<f64>,
 }
 
-impl Settings {
+impl VelocitySettings {
     /// # Errors
     /// A setting out of its range, a gain too fast for the period, arrays that do not fit `n` joints.
     pub(super) fn check(&self, n: usize) -> Result<(), DesignError> {

@@ -1,6 +1,6 @@
 //! Against the joint density of path, accelerations, biases and readings, formed whole.
 
-use super::super::motion::JointNoise;
+use super::super::process_noise::JointNoise;
 use super::*;
 use crate::estimate::bias::BiasStep;
 use crate::estimate::jerk_noise;
@@ -46,11 +46,11 @@ fn cases() -> impl Strategy<Value = Case> {
 }
 
 impl Case {
-    fn motion(&self) -> Motion {
+    fn motion(&self) -> ProcessNoise {
         let walks = |j: usize| [self.walks[j].powi(2), self.walks[N + j].powi(2)];
         let joints = (0..N).map(|j| JointNoise::new(self.jerk[j], walks(j), DT)).collect();
         let step = |(&variance, decay)| BiasStep { decay, variance };
-        Motion { dt: DT, joints, biases: self.gained.iter().zip(DECAYS).map(step).collect() }
+        ProcessNoise { dt: DT, joints, biases: self.gained.iter().zip(DECAYS).map(step).collect() }
     }
 
     fn conditional(&self) -> Conditional<f64> {
@@ -100,7 +100,7 @@ impl Case {
 }
 
 /// ∂(n, l)/∂ζ.
-fn map(conditional: &Conditional<f64>, motion: &Motion) -> DMatrix<f64> {
+fn map(conditional: &Conditional<f64>, motion: &ProcessNoise) -> DMatrix<f64> {
     let mut out = DMatrix::zeros(D, 2 * N);
     for (k, mut column) in out.column_iter_mut().enumerate() {
         let mut noise = [0.0; 2 * N];
@@ -138,7 +138,7 @@ proptest! {
         let (mut pull, mut volume) = (DVector::zeros(2 * N), 1.0);
         for (i, bias) in BIASES.into_iter().enumerate() {
             let links: Vec<f64> = case.rows.row(i).iter().copied().collect();
-            let row = Slope { links: &links, bias };
+            let row = ReadingSlope { links: &links, bias };
             let known: f64 = bias.map_or(0.0, |b| mean[b]) + (0..N).map(|j| links[2 * N + j] * mean[j]).sum::<f64>();
             let mut by_noise = DVector::zeros(2 * N);
             conditional.by_noise(&motion, row, by_noise.as_mut_slice());

@@ -1,7 +1,7 @@
 //! Clouds that share, and clouds that do not.
 
 use super::super::{Collapse, Density, Marginalised, ParticleFilter, ParticleSettings, Proposal, Resampling};
-use crate::estimate::kalman::{Inputs, JerkDriven, JerkModel, KalmanSample, Noise};
+use crate::estimate::kalman::{Inputs, JerkDriven, JerkModel, JerkNoise, KalmanSample};
 use crate::estimate::measurement::Kind;
 use crate::robot::{BodySpec, Drive, JointKind, MotorFriction, Robot, Sensor, SoftWindup, Tree};
 use crate::spatial::{Mat3, Vec3};
@@ -34,7 +34,7 @@ fn model() -> JerkDriven {
     };
     let sensor = Sensor { frame, axes: vec![0, 2], noise_std: 0.05 };
     let robot = Robot::new(tree, vec![drive], vec![0.0], vec![sensor], vec![], None).unwrap();
-    let noise = Noise {
+    let noise = JerkNoise {
         jerk: vec![50.0],
         reading: vec![1e-5, 0.05, 0.05],
         torsion: 0.0,

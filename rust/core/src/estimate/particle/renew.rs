@@ -1,10 +1,10 @@
 //! A new cloud in place of one of which few particles carry all weight.
 
-use super::cloud::{BLOCK, Cloud, Row};
+use super::cloud::{BLOCK, Cloud, ParticleRow};
 use super::filter::ParticleFilter;
-use super::moves::Spread;
+use super::regularise::Regularise;
 use super::resample;
-use super::sums::{Gather, Level};
+use super::sums::{EqualWeights, Gather};
 use crate::parallel;
 use crate::random::{Purpose, Stream};
 use crate::scalar::ln;
@@ -27,7 +27,7 @@ impl ParticleFilter {
         self.copy_ancestors();
         if let Some(kernel) = kernel {
             self.take_moments(false);
-            self.move_apart(Purpose::Move, kernel);
+            self.regularise(Purpose::Regularise, kernel);
         }
     }
 
@@ -55,7 +55,7 @@ impl ParticleFilter {
     fn copy_ancestors(&mut self) {
         let Self { cloud: Cloud { blocks, next }, ancestors, threads, .. } = self;
         let (source, level) = (&*blocks, simd::level());
-        let copy = |(next, ancestors): (&mut Vec<Row>, &[u32])| {
+        let copy = |(next, ancestors): (&mut Vec<ParticleRow>, &[u32])| {
             simd::dispatch_lanes(level, Gather { source, ancestors, next })
         };
         let count = if *threads { next.len() } else { 1 };
@@ -63,22 +63,22 @@ impl ParticleFilter {
         for (block, next) in blocks.iter_mut().zip(next) {
             core::mem::swap(&mut block.state, next);
         }
-        self.level();
+        self.equalise_weights();
     }
 
     /// Gives all particles the same weight.
-    pub(super) fn level(&mut self) {
+    pub(super) fn equalise_weights(&mut self) {
         let Self { cloud, settings, sample, threads, .. } = self;
         let (log_weight, level) = (-ln(settings.particles as f64), simd::level());
-        cloud.each(*threads, |block| simd::dispatch_lanes(level, Level { block, log_weight }));
+        cloud.each(*threads, |block| simd::dispatch_lanes(level, EqualWeights { block, log_weight }));
         sample.offset = 0.0;
     }
 
     /// Moves the particles from the moments that were found to those that are wanted.
-    pub(super) fn move_apart(&mut self, purpose: Purpose, kernel: f64) {
+    pub(super) fn regularise(&mut self, purpose: Purpose, kernel: f64) {
         let Self { cloud, wanted, found, settings, threads, .. } = self;
         let stream = Stream::new(settings.seed, self.taken as u32, purpose);
         let (wanted, found, level) = (&*wanted, &*found, simd::level());
-        cloud.each(*threads, |block| simd::dispatch(level, Spread { block, wanted, found, kernel, stream }));
+        cloud.each(*threads, |block| simd::dispatch(level, Regularise { block, wanted, found, kernel, stream }));
     }
 }

@@ -71,7 +71,7 @@ impl Moments {
 }
 
 /// Spreads a block's particles.
-pub(super) struct Spread<'a> {
+pub(super) struct Regularise<'a> {
     pub(super) block: &'a mut Block,
     /// What the cloud's moments should be.
     pub(super) wanted: &'a Moments,
@@ -82,7 +82,7 @@ pub(super) struct Spread<'a> {
     pub(super) stream: Stream,
 }
 
-impl Kernel for Spread<'_> {
+impl Kernel for Regularise<'_> {
     type Output = ();
 
     #[inline(always)]

@@ -5,7 +5,7 @@
 //! acceleration, and goes together with what is left of w_q̈.
 
 use crate::estimate::bias::BiasStep;
-use crate::estimate::kalman::{JerkModel, Noise, Symmetric};
+use crate::estimate::kalman::{JerkModel, JerkNoise, Symmetric};
 
 /// Noise of one joint over a sample.
 #[derive(Clone, Copy, Debug, Default)]
@@ -48,14 +48,14 @@ impl JointNoise {
 
 /// What is random in the motion over a sample, the same for all particles.
 #[derive(Clone, Debug)]
-pub(super) struct Motion {
+pub(super) struct ProcessNoise {
     pub(super) dt: f64,
     pub(super) joints: Vec<JointNoise>,
     /// How biases move.
     pub(super) biases: Vec<BiasStep<f64>>,
 }
 
-impl Motion {
+impl ProcessNoise {
     pub(super) fn new(model: &JerkModel) -> Self {
         let n = model.joints();
         Self {
@@ -66,7 +66,7 @@ impl Motion {
     }
 
     /// Over `dt`, or at the first sample, where nothing has moved and n is as uncertain as `first` says.
-    pub(super) fn prepare(&mut self, model: &JerkModel, noise: &Noise, dt: f64, first: Option<&Symmetric>) {
+    pub(super) fn prepare(&mut self, model: &JerkModel, noise: &JerkNoise, dt: f64, first: Option<&Symmetric>) {
         let n = model.joints();
         self.dt = if first.is_some() { 0.0 } else { dt };
         let gained = |i: usize| first.map_or(noise.link_walk[i].powi(2) * dt, |covariance| covariance.at(i, i));

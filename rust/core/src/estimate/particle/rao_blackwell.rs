@@ -1,9 +1,9 @@
 //! One step of particles of positions and velocities, each with a normal density of accelerations and biases.
 
-use super::cloud::{Block, Cloud, Row, Scratch, WIDE, Wide};
-use super::conditional::{Conditional, Slope};
-use super::motion::Motion;
-use super::proposal::{Reading, Sample, draw, load, store};
+use super::cloud::{Block, Cloud, ParticleRow, Scratch, WIDE, Wide};
+use super::conditional::{Conditional, ReadingSlope};
+use super::process_noise::ProcessNoise;
+use super::proposal::{ParticleReading, ParticleSample, draw, load, store};
 use super::settings::Proposal;
 use super::sums::Weigh;
 use crate::estimate::kalman::{Gaussian, JerkModel};
@@ -77,14 +77,14 @@ pub(super) fn condition(cloud: &mut Cloud, factor: &mut [f64], d: usize, first: 
 }
 
 /// Moves a block by one sample.
-pub(super) struct Advance<'a> {
+pub(super) struct PropagateMarginalised<'a> {
     pub(super) model: &'a JerkModel,
-    pub(super) sample: &'a Sample,
-    pub(super) motion: &'a Motion,
+    pub(super) sample: &'a ParticleSample,
+    pub(super) motion: &'a ProcessNoise,
     pub(super) block: &'a mut Block,
 }
 
-impl Kernel for Advance<'_> {
+impl Kernel for PropagateMarginalised<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -112,21 +112,21 @@ impl Kernel for Advance<'_> {
 
 impl Densities {
     #[inline(always)]
-    fn load(&mut self, rows: &[Row], group: usize) {
+    fn load(&mut self, rows: &[ParticleRow], group: usize) {
         for (entry, row) in self.path.covariance.iter_mut().zip(rows) {
             *entry = Lanes(row.0[group]);
         }
     }
 
     #[inline(always)]
-    fn store(&self, rows: &mut [Row], group: usize) {
+    fn store(&self, rows: &mut [ParticleRow], group: usize) {
         for (entry, row) in self.path.covariance.iter().zip(rows) {
             row.0[group] = entry.0;
         }
     }
 
     /// Particles that went out of the numbers have learnt nothing from the readings.
-    fn bring_back(&mut self, after: &[Wide], rows: &[Row], group: usize, motion: &Motion) {
+    fn bring_back(&mut self, after: &[Wide], rows: &[ParticleRow], group: usize, motion: &ProcessNoise) {
         self.trial.copy_from(&self.path);
         self.load(rows, group);
         self.path.follow(motion);
@@ -145,11 +145,11 @@ impl Densities {
         &mut self,
         scratch: &mut Scratch,
         model: &JerkModel,
-        sample: &Sample,
-        motion: &Motion,
+        sample: &ParticleSample,
+        motion: &ProcessNoise,
         items: [u32; WIDE],
     ) -> Wide {
-        let stream = Stream::new(sample.seed, sample.step, Purpose::Motion);
+        let stream = Stream::new(sample.seed, sample.step, Purpose::Process);
         draw(&stream, items, 0, &mut scratch.normal[..sample.draws]);
         scratch.coast(model.joints(), sample);
         self.path.follow(motion);
@@ -184,7 +184,13 @@ impl Densities {
 
     /// Λ = 1 + BᵀS⁻¹B, factorised, and ζ̂ = Λ⁻¹BᵀS⁻¹ε, with S the covariance of the readings given n, linearised at `after`.
     #[inline(always)]
-    fn gather_information(&mut self, scratch: &mut Scratch, model: &JerkModel, sample: &Sample, motion: &Motion) {
+    fn gather_information(
+        &mut self,
+        scratch: &mut Scratch,
+        model: &JerkModel,
+        sample: &ParticleSample,
+        motion: &ProcessNoise,
+    ) {
         let Scratch { before, after, mode, factor, .. } = scratch;
         let count = mode.len();
         self.trial.copy_from(&self.path);
@@ -213,7 +219,7 @@ impl Densities {
 
     /// log p(y | path), and what accelerations and biases learn from y.
     #[inline(always)]
-    fn weigh_and_learn(&mut self, after: &mut [Wide], model: &JerkModel, sample: &Sample) -> Wide {
+    fn weigh_and_learn(&mut self, after: &mut [Wide], model: &JerkModel, sample: &ParticleSample) -> Wide {
         self.mean.copy_from_slice(after);
         let mut change = Wide::default();
         for reading in &sample.readings {
@@ -229,7 +235,7 @@ impl Densities {
 
     /// y − h at the density's mean, h linearised at `at`; its bias enters as it is.
     #[inline(always)]
-    fn error(&self, model: &JerkModel, reading: &Reading, at: &[Wide]) -> Wide {
+    fn error(&self, model: &JerkModel, reading: &ParticleReading, at: &[Wide]) -> Wide {
         let row = slope(&self.evaluation, model, reading);
         let mut error = reading.error(&self.mean, &self.evaluation.prediction);
         for ((h, at), mean) in row.links.iter().zip(at).zip(&self.mean) {
@@ -240,10 +246,10 @@ impl Densities {
 }
 
 #[inline(always)]
-fn slope<'a>(evaluation: &'a Evaluation<Wide>, model: &JerkModel, reading: &Reading) -> Slope<'a, Wide> {
+fn slope<'a>(evaluation: &'a Evaluation<Wide>, model: &JerkModel, reading: &ParticleReading) -> ReadingSlope<'a, Wide> {
     let n = model.joints();
     let links = &evaluation.jacobian[reading.channel * 3 * n..][..3 * n];
-    Slope { links, bias: reading.bias.map(|b| b - 2 * n) }
+    ReadingSlope { links, bias: reading.bias.map(|b| b - 2 * n) }
 }
 
 #[inline(always)]

@@ -1,7 +1,7 @@
 //! The first cloud.
 
 use super::cloud::{Cloud, Wide};
-use super::proposal::{Sample, draw};
+use super::proposal::{ParticleSample, draw};
 use crate::estimate::kalman::{Gaussian, Linearised};
 use crate::linear;
 use crate::random::{Purpose, Stream};
@@ -10,14 +10,14 @@ use crate::scalar::{Lanes, Scalar, ln};
 /// Where the first particles come from: N(mode, (Λ⁻¹)) in units of the first belief's standard deviations.
 ///
 /// Drawn blindly, the first belief's 3n independent entries would leave hardly one particle near the first readings.
-pub(super) struct Start<'a> {
+pub(super) struct InitialCloud<'a> {
     belief: &'a Gaussian,
     mode: Vec<f64>,
     /// Lower factor of Λ by rows.
     factor: Vec<f64>,
 }
 
-impl<'a> Start<'a> {
+impl<'a> InitialCloud<'a> {
     /// The belief as it is.
     pub(super) fn blind(belief: &'a Gaussian, entries: usize) -> Self {
         let mut factor = vec![0.0; entries * entries];
@@ -26,7 +26,12 @@ impl<'a> Start<'a> {
     }
 
     /// The belief after the readings of `sample`, linearised at its mean.
-    pub(super) fn informed(belief: &'a Gaussian, sample: &Sample, linearised: Linearised<'_>, entries: usize) -> Self {
+    pub(super) fn informed(
+        belief: &'a Gaussian,
+        sample: &ParticleSample,
+        linearised: Linearised<'_>,
+        entries: usize,
+    ) -> Self {
         let mut start = Self::blind(belief, entries);
         let std = |d: usize| belief.covariance.at(d, d).sqrt();
         for reading in &sample.readings {
@@ -50,7 +55,7 @@ impl<'a> Start<'a> {
     /// Draws the cloud, with weights as if it came from the belief; the mean of its positions is `origins`' where there
     /// are any (rows of `joints`, one particle after the other), and entries of the state beyond are the belief's mean.
     pub(super) fn scatter(&self, cloud: &mut Cloud, origins: &[f64], joints: usize, seed: u64) {
-        let stream = Stream::new(seed, 0, Purpose::Start);
+        let stream = Stream::new(seed, 0, Purpose::Initialise);
         let n = self.mode.len();
         let even = -ln(cloud.blocks.iter().map(|b| b.count).sum::<usize>() as f64);
         let determinant: f64 = (0..n).map(|i| ln(self.factor[i * n + i])).sum();

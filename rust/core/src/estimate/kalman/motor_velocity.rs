@@ -9,7 +9,7 @@ const LASTING: f64 = 16.0;
 ///
 /// Causal: a filter gives the same live as over a recording.
 #[derive(Clone, Debug)]
-pub(super) struct Slope {
+pub(super) struct MotorVelocity {
     motors: usize,
     /// Times before the latest sample, and positions, the latest first.
     ages: [f64; SAMPLES],
@@ -22,7 +22,7 @@ pub(super) struct Slope {
     pending: f64,
 }
 
-impl Slope {
+impl MotorVelocity {
     pub(super) fn new(motors: usize) -> Self {
         Self {
             motors,
@@ -120,7 +120,7 @@ mod tests {
 
     #[test]
     fn a_parabola_is_differentiated_exactly_at_uneven_times_though_some_are_missing() {
-        let mut slope = Slope::new(1);
+        let mut slope = MotorVelocity::new(1);
         let (mut t, at) = (0.0, |t: f64| 1.0 - 3.0 * t + 7.0 * t * t);
         for k in 0..20 {
             let dt = 1e-3 * (1.0 + 0.3 * f64::from(k % 7) / 7.0);
@@ -137,7 +137,7 @@ mod tests {
 
     #[test]
     fn a_slope_is_as_uncertain_as_encoder_steps_make_it() {
-        let (mut slope, step, dt) = (Slope::new(1), 1e-4, 1e-3);
+        let (mut slope, step, dt) = (MotorVelocity::new(1), 1e-4, 1e-3);
         let (mut squares, mut variances) = (0.0, 0.0);
         for k in 0..4000 {
             let t = f64::from(k) * dt;
