@@ -20,7 +20,7 @@ LAYERS = (
     ("robot",),
     ("recording",),
     ("observers", "kalman", "observability", "velocity"),
-    ("particle", "consistency", "control"),
+    ("particle", "comparison", "consistency", "control"),
     ("tuning", "calibration", "simulation", "demo"),
     ("linkside", "cli"),
 )

@@ -245,6 +245,67 @@ def _look_at(robot: Robot, path: str) -> None:
         raise LogError(f"{path}: {refused}")
 
 
+class Shift(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.4 only
+    """Seconds, or ``auto``."""
+
+    name = "seconds|auto"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | str:
+        """Read it."""
+        try:
+            return "auto" if value == "auto" else float(value)
+        except ValueError:
+            self.fail(f"{value!r} is neither a time in seconds nor auto", param, ctx)
+
+
+@main.command()
+@click.argument("reference", type=click.Path())
+@click.argument("estimates", metavar="ESTIMATE...", type=click.Path(), nargs=-1, required=True)
+@click.option("--robot", type=click.Path(), help="A robot.yaml: the tool's path where a file has none.")
+@click.option("--names", help="What to call the estimates, a,b,c.  [default: their files]")
+@click.option(
+    "--align",
+    type=click.Choice(["time", "start"]),
+    default="time",
+    show_default=True,
+    help="By time, or both from their first row.",
+)
+@click.option(
+    "--shift", type=Shift(), default="0", show_default=True, help="What estimates are late by [s]; auto finds it."
+)
+@click.option("--segments", help="A CSV file with start, end, name; or rests, for the parts between rests.")
+@click.option("--repeats", is_flag=True, help="Estimates are repeats of one motion: their mean and spread as well.")
+@click.option("--out", type=click.Path(), help="Write it: a file that ends in .json, .csv, .tex or .txt.")
+@click.option("--figure", type=click.Path(), help="Draw it: a file that ends in .png, .pdf or .svg.")
+def compare(reference: str, estimates: tuple[str, ...], **options: Any) -> None:
+    """Measure how far ESTIMATEs are from REFERENCE: a truth, another estimate, or a log, for its commanded path."""
+    from linkside import comparison as module
+    from linkside.comparison.output import SUFFIXES, tables
+
+    out, figure, segments = options["out"], options["figure"], options["segments"]
+    inputs = [reference, *estimates, options["robot"]]
+    if out is not None:
+        check_writable(out, SUFFIXES)
+        _refuse_clashes([Path(out)], inputs)
+    _check_figure(figure, [*inputs, out])
+    result = module.compare_files(
+        reference,
+        estimates,
+        robot=None if options["robot"] is None else Robot.load(options["robot"]),
+        names=None if options["names"] is None else options["names"].split(","),
+        shift=options["shift"],
+        align=options["align"],
+        segments="rests" if segments == "rests" else () if segments is None else module.read_segments(segments),
+        repeats=options["repeats"],
+    )
+    show(tables(result))
+    if out is not None:
+        result.write(out)
+        click.echo(f"written: {out}")
+    if figure is not None:
+        _draw(result.figure(), figure)
+
+
 @main.command()
 @click.option("--figure", type=click.Path(), default="linkside-demo.png", show_default=True, help="Where to draw it.")
 def demo(figure: str) -> None:

@@ -1,0 +1,227 @@
+"""Comparing motions with a reference: by time, in segments, and as repeats of one motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from linkside.arrays import FloatArray
+from linkside.errors import EstimatorError
+from linkside.recording import Estimate
+from linkside.robot import Robot
+from linkside.robot.workspace import prismatic
+
+from . import output
+from .alignment import ALIGNMENTS, find_shift, sampled
+from .measures import Difference, Measure
+from .reading import read_motion
+from .result import Result
+from .segments import Segment, between_rests
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+KINDS = {"q": "rad", "dq": "rad/s", "ddq": "rad/s²", "theta": "rad", "dtheta": "rad/s"}
+"""Signals of joints that are compared, and their units; m in place of rad for joints that slide."""
+
+RATES = {"q": "dq", "dq": "ddq", "theta": "dtheta"}
+"""The signal that is another's rate of change."""
+
+WHOLE = "all"
+"""The segment that is the whole motion."""
+
+
+class Comparison(Result):
+    """A result that can be written and drawn."""
+
+    def to_text(self) -> str:
+        """Give tables of the tool and of the joints."""
+        return output.to_text(self)
+
+    def to_json(self) -> str:
+        """Give everything but the differences over time, SI units."""
+        return output.to_json(self)
+
+    def to_csv(self) -> str:
+        """Give a row a measure, SI units."""
+        return output.to_csv(self)
+
+    def to_latex(self) -> str:
+        """Give a table for a paper: tool, or joints where there is no tool."""
+        return output.to_latex(self)
+
+    def write(self, path: str | Path) -> None:
+        """Write as the suffix says, ``.json``, ``.csv``, ``.tex`` or ``.txt``, whole or not at all."""
+        output.write(self, path)
+
+    def figure(self) -> Figure:
+        """Draw the differences over time."""
+        from .figure import draw
+
+        return draw(self)
+
+
+def compare_files(
+    reference: str | Path,
+    estimates: Sequence[str | Path],
+    *,
+    robot: Robot | None = None,
+    names: Sequence[str] | None = None,
+    shift: float | Literal["auto"] = 0.0,
+    align: Literal["time", "start"] = "time",
+    segments: Sequence[Segment] | Literal["rests"] = (),
+    repeats: bool = False,
+) -> Comparison:
+    """Compare files of estimates with one of a truth, an estimate or a log, whose command is the reference then.
+
+    Names are those given, or of the files; the rest as in `compare`.
+    """
+    named = list(names or distinct([Path(path) for path in estimates]))
+    if len(named) != len(estimates):
+        raise EstimatorError(f"{len(named)} names for {len(estimates)} estimates")
+    motions = {name: read_motion(path, robot) for name, path in zip(named, estimates, strict=True)}
+    if len(motions) != len(estimates):
+        raise EstimatorError("two estimates have the same name; give names that differ")
+    options = {"shift": shift, "align": align, "segments": segments, "repeats": repeats, "robot": robot}
+    return compare(read_motion(reference, robot), motions, name=str(reference), **options)  # type: ignore[arg-type]
+
+
+def distinct(paths: Sequence[Path]) -> list[str]:
+    """Shortest names of files that tell them apart: the stem, or as many folders as are needed."""
+    for depth in range(1, max((len(path.parts) for path in paths), default=1) + 1):
+        names = ["/".join((*path.parts[-depth:-1], path.name.split(".")[0])) for path in paths]
+        if len(set(names)) == len(names):
+            return names
+    return [str(path) for path in paths]
+
+
+def compare(
+    reference: Estimate,
+    estimates: Mapping[str, Estimate],
+    *,
+    name: str = "reference",
+    robot: Robot | None = None,
+    shift: float | Literal["auto"] = 0.0,
+    align: Literal["time", "start"] = "time",
+    segments: Sequence[Segment] | Literal["rests"] = (),
+    repeats: bool = False,
+) -> Comparison:
+    """Measure how far estimates are from a reference of the same motion.
+
+    The reference is interpolated at each estimate's times, not over gaps; what it does not cover is left out.
+
+    Parameters
+    ----------
+    reference, estimates
+        Motions, the latter by name.
+    robot
+        Tells which joints slide, so that they are in metres.
+    shift
+        What the estimates' clocks are late by [s]; ``"auto"`` finds it for each, see `find_shift`.
+    align
+        ``"time"``, or ``"start"`` for motions that were recorded at different times: each begins at its first row.
+    segments
+        Parts to measure apart, or ``"rests"`` for those between the reference's rests.
+    repeats
+        The estimates are repeats of one motion: their mean is compared as well, and their spread given.
+
+    Raises
+    ------
+    EstimatorError
+        Nothing in common, in time or in signals; or an argument out of range.
+    """
+    if align not in ALIGNMENTS:
+        raise EstimatorError(f"align is {align!r}, expected one of {', '.join(ALIGNMENTS)}")
+    if shift != "auto" and not math.isfinite(shift):
+        raise EstimatorError(f"shift is {shift}, expected a finite time in seconds, or 'auto'")
+    if not estimates:
+        raise EstimatorError("there is no estimate to compare")
+    origin = reference.t[0] if align == "start" and len(reference) else 0.0
+    differences = []
+    for label, estimate in estimates.items():
+        moved = _from_start(estimate, origin) if align == "start" else estimate
+        late = find_shift(reference, moved) if shift == "auto" else float(shift)
+        differences.append(_difference(label, reference, moved, late))
+    spread = None
+    if repeats and len(differences) > 1:
+        mean, spread = _repeats(differences)
+        differences.append(mean)
+    parts = between_rests(reference) if segments == "rests" else tuple(segments)
+    units = _units(reference, robot)
+    measures = [m for d in differences for m in _measures(d, parts, units)]
+    return Comparison(name, tuple(measures), tuple(differences), parts, spread)
+
+
+def _from_start(motion: Estimate, origin: float) -> Estimate:
+    return replace(motion, t=motion.t - motion.t[0] + origin) if len(motion) else motion
+
+
+def _difference(name: str, reference: Estimate, estimate: Estimate, shift: float) -> Difference:
+    t = estimate.t - shift
+    signals = {}
+    for kind in KINDS:
+        for joint in estimate.names:
+            ours, theirs = _column(estimate, kind, joint), _column(reference, kind, joint)
+            if ours is not None and theirs is not None:
+                rates = _column(reference, RATES[kind], joint) if kind in RATES else None
+                signals[f"{kind}_{joint}"] = ours - sampled(reference.t, theirs, rates, t)
+    if estimate.tool_position is not None and reference.tool_position is not None:
+        signals["tool"] = estimate.tool_position - sampled(reference.t, reference.tool_position, None, t)
+    known = {s: e for s, e in signals.items() if np.isfinite(e).all(axis=1).any()}
+    if not known:
+        what = "no time" if signals else "no signal"
+        raise EstimatorError(
+            f"{name} has {what} in common with the reference, which goes {_span(reference)}; it goes {_span(estimate)}"
+        )
+    return Difference(name, t, shift, known)
+
+
+def _span(motion: Estimate) -> str:
+    return f"from {motion.t[0]:.6g} to {motion.t[-1]:.6g} s" if len(motion) else "nowhere"
+
+
+def _column(motion: Estimate, kind: str, joint: str) -> FloatArray | None:
+    """A signal of a joint, (T, 1), where it is known at all."""
+    array = getattr(motion, kind)
+    if array is None or joint not in motion.names:
+        return None
+    column = array[:, [motion.names.index(joint)]]
+    return None if np.isnan(column).all() else column
+
+
+def _repeats(differences: Sequence[Difference]) -> tuple[Difference, dict[str, float]]:
+    """The mean of repeats at the first one's times, and the standard deviation between them, RMS over time."""
+    first = differences[0]
+    signals, spread = {}, {}
+    for signal, error in first.signals.items():
+        others = [d for d in differences[1:] if signal in d.signals]
+        all_of_them = np.stack([error, *(sampled(d.t, d.signals[signal], None, first.t) for d in others)])
+        signals[signal] = all_of_them.mean(axis=0)
+        scatter = all_of_them.std(axis=0, ddof=1) if len(others) else np.full(error.shape, np.nan)
+        size = (scatter**2).sum(axis=1)
+        if np.isfinite(size).any():
+            spread[signal] = float(np.sqrt(np.nanmean(size)))
+    return Difference("mean of repeats", first.t, 0.0, signals), spread
+
+
+def _measures(difference: Difference, segments: Sequence[Segment], units: dict[str, str]) -> list[Measure]:
+    found = list(difference.measures(WHOLE, np.ones(len(difference.t), bool), units))
+    for segment in segments:
+        inside = (difference.t >= segment.start) & (difference.t <= segment.end)
+        found += difference.measures(segment.name, inside, units)
+    return found
+
+
+def _units(reference: Estimate, robot: Robot | None) -> dict[str, str]:
+    slides = dict(zip(robot.names, prismatic(robot), strict=True)) if robot is not None else {}
+    units = {
+        f"{kind}_{joint}": unit.replace("rad", "m") if slides.get(joint, False) else unit
+        for kind, unit in KINDS.items()
+        for joint in reference.names
+    }
+    return units | {"tool": "m"}

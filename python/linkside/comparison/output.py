@@ -1,0 +1,122 @@
+"""Results as text, JSON, CSV and LaTeX."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, fields
+from pathlib import Path
+
+from rich.console import RenderableType
+
+from linkside.files.writing import check_writable, write_text
+from linkside.text import Titled, as_text
+
+from .measures import Measure
+from .result import Result
+
+SUFFIXES = (".json", ".csv", ".tex", ".txt")
+
+HEADS = ("RMS", "largest", "median", "95 %", "RMS, offset out", "largest, offset out")
+SHOWN = ("rms", "max", "p50", "p95", "rms_centred", "max_centred")
+
+SCALES = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "rad/s": (1e3, "mrad/s"), "m/s": (1e3, "mm/s")}
+"""Units of tables that people read."""
+
+WIDTH = 160
+
+
+def tables(comparison: Result) -> Iterator[RenderableType]:
+    """A table of the tool, then one of the joints for each estimate, then the spread of repeats."""
+    tool = [m for m in comparison.measures if m.signal == "tool"]
+    if tool:
+        yield _table(f"tool, distance from {comparison.reference} [mm]", tool, lambda m: (m.estimate, m.segment))
+    for difference in comparison.differences:
+        joints = [m for m in comparison.measures if m.estimate == difference.name and m.signal.startswith("q_")]
+        if joints:
+            unit = SCALES[joints[0].unit][1]
+            title = f"{difference.name}, joints [{unit}]"
+            yield _table(title, joints, lambda m: (m.signal.removeprefix("q_"), m.segment))
+    for difference in comparison.differences:
+        if difference.shift:
+            yield f"{difference.name}: its clock is {1e3 * difference.shift:.4g} ms late, which is taken out."
+    if comparison.spread:
+        spread = Titled("standard deviation between repeats, RMS over time", ("signal", "spread", "unit"))
+        units = {m.signal: m.unit for m in comparison.measures}
+        for signal, value in comparison.spread.items():
+            scale, unit = SCALES.get(units[signal], (1.0, units[signal]))
+            spread.add_row(signal, f"{scale * value:.4g}", unit)
+        yield spread
+
+
+def _table(title: str, measures: list[Measure], names: Callable[[Measure], tuple[str, str]]) -> Titled:
+    parts = len({m.segment for m in measures}) > 1
+    table = Titled(title, ("", *(["part"] if parts else []), *HEADS))
+    for measure in measures:
+        scale = SCALES.get(measure.unit, (1.0, ""))[0]
+        name, part = names(measure)
+        table.add_row(name, *([part] if parts else []), *(f"{scale * getattr(measure, s):.4f}" for s in SHOWN))
+    return table
+
+
+def to_text(comparison: Result) -> str:
+    """Give tables as text."""
+    return as_text(tables(comparison), WIDTH)
+
+
+def to_json(comparison: Result) -> str:
+    """Give everything but the differences over time, SI units."""
+    whole = {
+        "reference": comparison.reference,
+        "shifts": {d.name: d.shift for d in comparison.differences},
+        "segments": [asdict(segment) for segment in comparison.segments],
+        "measures": [asdict(measure) for measure in comparison.measures],
+        "spread": comparison.spread or {},
+    }
+    return json.dumps(whole, indent=1, ensure_ascii=False) + "\n"
+
+
+def to_csv(comparison: Result) -> str:
+    """Give a row a measure, SI units."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    names = [field.name for field in fields(Measure)]
+    writer.writerow(names)
+    writer.writerows([getattr(measure, name) for name in names] for measure in comparison.measures)
+    return text.getvalue()
+
+
+def to_latex(comparison: Result) -> str:
+    """Give a table for a paper: of the tool, or of the joints where there is no tool."""
+    tool = [m for m in comparison.measures if m.signal == "tool"]
+    shown = tool or [m for m in comparison.measures if m.signal.startswith("q_")]
+    unit = SCALES[shown[0].unit][1] if shown else ""
+    heads = ["", "part", *([] if tool else ["joint"]), *(_escape(head) for head in HEADS)]
+    lines = [
+        f"% differences from {comparison.reference} [{unit}]; needs booktabs",
+        rf"\begin{{tabular}}{{{'l' * (len(heads) - len(HEADS))}{'r' * len(HEADS)}}}",
+        r"\toprule",
+        " & ".join(heads) + r" \\",
+        r"\midrule",
+    ]
+    for m in shown:
+        scale = SCALES[m.unit][0]
+        cells = [m.estimate, m.segment, *([] if tool else [m.signal.removeprefix("q_")])]
+        values = [f"{scale * getattr(m, s):.4f}" for s in SHOWN]
+        lines.append(" & ".join([*map(_escape, cells), *values]) + r" \\")
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def _escape(text: str) -> str:
+    for mark in "&%#_$":
+        text = text.replace(mark, "\\" + mark)
+    return text
+
+
+def write(comparison: Result, path: str | Path) -> None:
+    """Write as the suffix says, whole or not at all."""
+    check_writable(path, SUFFIXES)
+    forms = {".json": to_json, ".csv": to_csv, ".tex": to_latex, ".txt": to_text}
+    write_text(path, forms[Path(path).suffix.lower()](comparison))
