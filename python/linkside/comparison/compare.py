@@ -20,7 +20,7 @@ from . import output
 from .alignment import ALIGNMENTS, find_shift, sampled
 from .measures import Difference, Measure
 from .reading import read_motion
-from .result import Result
+from .result import ComparisonResult
 from .segments import Segment, between_rests
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ WHOLE = "all"
 """The segment that is the whole motion."""
 
 
-class Comparison(Result):
+class Comparison(ComparisonResult):
     """A result that can be written and drawn."""
 
     def to_text(self) -> str:

@@ -9,13 +9,13 @@ from matplotlib.figure import Figure
 from linkside.figures import COLOURS, finish
 
 from .output import SCALES
-from .result import Result
+from .result import ComparisonResult
 
 MOST_JOINTS = 12
 """Joints that are drawn."""
 
 
-def draw(comparison: Result) -> Figure:
+def draw(comparison: ComparisonResult) -> Figure:
     """Draw the tool's distance, and each joint's difference, over time; segments are shaded."""
     signals = [s for s in comparison.differences[0].signals if s.startswith("q_")][:MOST_JOINTS]
     panels = [*(["tool"] if any("tool" in d.signals for d in comparison.differences) else []), *signals]

@@ -15,7 +15,7 @@ from linkside.files.writing import check_writable, write_text
 from linkside.text import Titled, as_text
 
 from .measures import Measure
-from .result import Result
+from .result import ComparisonResult
 
 SUFFIXES = (".json", ".csv", ".tex", ".txt")
 
@@ -28,7 +28,7 @@ SCALES = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "rad/s": (1e3, "mrad/s"), "m/s
 WIDTH = 160
 
 
-def tables(comparison: Result) -> Iterator[RenderableType]:
+def tables(comparison: ComparisonResult) -> Iterator[RenderableType]:
     """A table of the tool, then one of the joints for each estimate, then the spread of repeats."""
     tool = [m for m in comparison.measures if m.signal == "tool"]
     if tool:
@@ -61,12 +61,12 @@ def _table(title: str, measures: list[Measure], names: Callable[[Measure], tuple
     return table
 
 
-def to_text(comparison: Result) -> str:
+def to_text(comparison: ComparisonResult) -> str:
     """Give tables as text."""
     return as_text(tables(comparison), WIDTH)
 
 
-def to_json(comparison: Result) -> str:
+def to_json(comparison: ComparisonResult) -> str:
     """Give everything but the differences over time, SI units."""
     whole = {
         "reference": comparison.reference,
@@ -78,7 +78,7 @@ def to_json(comparison: Result) -> str:
     return json.dumps(whole, indent=1, ensure_ascii=False) + "\n"
 
 
-def to_csv(comparison: Result) -> str:
+def to_csv(comparison: ComparisonResult) -> str:
     """Give a row a measure, SI units."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -88,7 +88,7 @@ def to_csv(comparison: Result) -> str:
     return text.getvalue()
 
 
-def to_latex(comparison: Result) -> str:
+def to_latex(comparison: ComparisonResult) -> str:
     """Give a table for a paper: of the tool, or of the joints where there is no tool."""
     tool = [m for m in comparison.measures if m.signal == "tool"]
     shown = tool or [m for m in comparison.measures if m.signal.startswith("q_")]
@@ -115,7 +115,7 @@ def _escape(text: str) -> str:
     return text
 
 
-def write(comparison: Result, path: str | Path) -> None:
+def write(comparison: ComparisonResult, path: str | Path) -> None:
     """Write as the suffix says, whole or not at all."""
     check_writable(path, SUFFIXES)
     forms = {".json": to_json, ".csv": to_csv, ".tex": to_latex, ".txt": to_text}

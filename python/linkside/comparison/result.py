@@ -9,7 +9,7 @@ from .segments import Segment
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class ComparisonResult:
     """How far estimates are from a reference.
 
     Attributes
