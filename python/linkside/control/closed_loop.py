@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from linkside import _core
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.observers.acceleration import AccelerationObserver
 from linkside.robot import Robot
-from linkside.robot.config import JointConfig
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -55,10 +55,10 @@ def closed_loop_poles(
     known, q, gains = observer.robot, np.asarray(q, float), np.asarray(gains, float)
     if (specimen or known).n != known.n or gains.shape != (known.n, 4 * known.n):
         raise EstimatorError(f"expected gains ({known.n}, {4 * known.n}) and a specimen of {known.n} joints")
-    true, estimator, sight = (
+    true, estimator, measure = (
         _Plant.of(specimen or known, q, period),
         _Estimator.of(observer, period),
-        _sight(observer, q),
+        _measured_accelerations(observer, q),
     )
     coupling = known.coupling.T
     sizes = [len(true.transition), len(estimator.transition), known.n]
@@ -71,7 +71,7 @@ def closed_loop_poles(
     coupled = tau - coupling @ (measured - estimator.bias @ z)
     held = estimator.transition @ z + estimator.held @ np.vstack([coupled, measured])
     own = estimator.ddq @ held
-    now = own + sight @ np.vstack([true.q @ x_next - estimator.q @ held, ddq - own])
+    now = own + measure @ np.vstack([true.q @ x_next - estimator.q @ held, ddq - own])
     change = now - measured
     after = held + estimator.ramp @ np.vstack([-coupling @ change, change])
     poles = np.linalg.eigvals(np.vstack([x_next, after, now]))
@@ -139,9 +139,9 @@ class _Estimator:
         states, ddq, bias = np.zeros((4 * n, size)), np.zeros((n, size)), np.zeros((n, size))
         for j, (drive, poles) in enumerate(zip(observer.robot.drives, observer.poles.values(), strict=True)):
             own = slice(starts[j], starts[j + 1])
-            a, b = _joint(drive, len(poles))
-            transition[own, own], held[own, [j, n + j]], ramp[own, [j, n + j]] = _sampled(a, b, period)
-            gain[own, j] = _gain(a, np.asarray(poles), period)
+            transition[own, own], held[own, [j, n + j]], ramp[own, [j, n + j]], gain[own, j] = _core.sampled_observer(
+                observer.robot.core, j, poles, period
+            )
             order = [0, 1, 2, 3] if drive.elastic else [0, 0, 1, 1]
             states[j + n * np.arange(4), starts[j] + np.array(order)] = 1.0
             if not drive.elastic:
@@ -151,50 +151,18 @@ class _Estimator:
         return cls(transition, held, ramp, gain, states, ddq, bias)
 
 
-def _joint(drive: JointConfig, order: int) -> tuple[FloatArray, FloatArray]:
-    """A and the inputs (torque, q̈) of what the observer takes a joint for; De Luca et al. (2007), eqs. (4) and (5)."""
-    a, b = np.zeros((order, order)), np.zeros((order, 2))
-    if not drive.elastic:
-        a[0, 1] = a[1, 2] = 1.0
-        return a, b
-    k, d, inertia = drive.stiffness or 0.0, drive.damping, drive.motor_inertia or 1.0
-    a[0, 2] = a[1, 3] = b[3, 1] = 1.0
-    a[2, :4] = np.array([-k, k, -d - drive.motor_friction.viscous, d]) / inertia
-    a[3, 4:] = -1.0
-    b[2, 0] = 1.0 / inertia
-    return a, b
-
-
-def _gain(a: FloatArray, poles: ComplexArray, period: float) -> FloatArray:
-    """Weight of an innovation on each state: Ackermann's formula for (Φ − 1)/h, which is better conditioned than Φ."""
-    order = len(a)
-    transition = _sampled(a, np.zeros((order, 1)), period)[0]
-    delta = (transition - np.eye(order)) / period
-    characteristic = np.zeros_like(a)
-    for coefficient in np.poly(np.expm1(poles * period) / period).real:
-        characteristic = characteristic @ delta + coefficient * np.eye(order)
-    observability = np.stack([np.linalg.matrix_power(delta, power)[0] for power in range(order)])
-    last = np.linalg.solve(observability, np.eye(order)[-1])
-    return np.asarray(np.linalg.solve(transition, period * characteristic @ last))
-
-
-def _sight(observer: AccelerationObserver, q: FloatArray) -> FloatArray:
-    """Elastic joints' accelerations as they are told, by the error of q and by all joints' q̈ that is unknown, (n, 2 n).
+def _measured_accelerations(observer: AccelerationObserver, q: FloatArray) -> FloatArray:
+    """Elastic joints' accelerations as measured, by the error of q and by all joints' q̈ that is unknown, (n, 2 n).
 
     By weighted least squares, damped where accelerometers tell too little; De Luca et al. (2007), eq. (12).
     """
     robot = observer.robot
-    out, zero = np.zeros((robot.n, 2 * robot.n)), np.zeros(robot.n)
+    zero = np.zeros(robot.n)
     if observer.accelerations == "joints":
-        out[robot.elastic, robot.n :] = np.eye(robot.n)[robot.elastic]
-        return out
-    weights = np.array([[1.0 / sensor.noise_std] for sensor in robot.accelerometers for _ in sensor.axes])
-    derivatives = robot.core.specific_force_derivatives(q[None], zero[None], zero[None])[0]
-    by_q, by_ddq = weights * derivatives[0], weights * derivatives[2]
-    left, seen, right = np.linalg.svd(by_ddq[:, robot.elastic], full_matrices=False)
-    floor = np.maximum(seen**2, observer.worst_acceleration_std**-2)
-    out[robot.elastic] = right.T @ np.diag(seen / floor) @ left.T @ np.hstack([by_q, by_ddq])
-    return out
+        return np.hstack([np.diag(zero), np.diag(robot.elastic.astype(float))])
+    by_q, _, by_ddq = robot.core.specific_force_derivatives(q[None], zero[None], zero[None])[0]
+    inverse = _core.acceleration_inverse(robot.core, q, observer.worst_acceleration_std)
+    return np.asarray(inverse @ np.hstack([by_q, by_ddq]))
 
 
 def _sampled(a: FloatArray, b: FloatArray, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:

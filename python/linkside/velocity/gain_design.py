@@ -156,18 +156,18 @@ def design_gain(
     gain, posture = _gain(robot, side, s, speed, margin)
     least, greatest, coriolis = float(s.least.min()), float(s.greatest.max()), float(s.coriolis.max())
     return GainDesign(
-        speed,
-        margin,
-        gain,
-        max(0.0, (coriolis * (speed + margin) - s.friction) / least),
-        posture,
-        coriolis,
-        (least, greatest),
-        margin * float(np.sqrt(least / greatest)),
-        robot.n <= 2,
-        robot,
-        side,
-        s,
+        speed=speed,
+        margin=margin,
+        gain=gain,
+        conservative=max(0.0, (coriolis * (speed + margin) - s.friction) / least),
+        posture=posture,
+        coriolis=coriolis,
+        inertia=(least, greatest),
+        region=margin * float(np.sqrt(least / greatest)),
+        exact=robot.n <= 2,
+        _robot=robot,
+        _side=side,
+        _survey=s,
     )
 
 

@@ -29,7 +29,7 @@ mod _core {
     #[pymodule_export]
     use crate::likelihood::Likelihood;
     #[pymodule_export]
-    use crate::observer::{AccelerationObserver, observer_gains};
+    use crate::observer::{AccelerationObserver, acceleration_inverse, observer_gains, sampled_observer};
     #[pymodule_export]
     use crate::particle::ParticleFilter;
     #[pymodule_export]

@@ -7,9 +7,10 @@ use crate::robot::Robot;
 use crate::state::State;
 use linkside_core::error::RunError;
 use linkside_core::estimate::observer::{
-    self, AccelerationSource, Complex, Form, JointModel, ObserverOutput, ObserverRecording, ObserverSample,
-    ObserverSettings, Poles, Start,
+    self, AccelerationMap, AccelerationSource, Complex, Form, JointModel, ObserverOutput, ObserverRecording,
+    ObserverSample, ObserverSettings, Poles, Sampled, Start,
 };
+use linkside_core::robot::Drive;
 use numpy::{PyArray1, PyArrayDyn, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -145,13 +146,51 @@ pub(crate) fn observer_gains(
     joint: usize,
     poles: Vec<Complex>,
 ) -> PyResult<Py<PyArrayDyn<f64>>> {
+    let (drive, model, poles) = joint_design(robot, joint, &poles)?;
+    let gains = observer::closed_form_gains(model, drive, &poles);
+    Ok(shaped(py, gains.as_slice().to_vec(), vec![model.order()])?.unbind())
+}
+
+/// One joint's observer in discrete time: transition, responses to held and to ramped inputs, and gain.
+#[pyfunction]
+pub(crate) fn sampled_observer<'py>(
+    py: Python<'py>,
+    robot: &Robot,
+    joint: usize,
+    poles: Vec<Complex>,
+    period: f64,
+) -> PyResult<[Bound<'py, PyArrayDyn<f64>>; 4]> {
+    let (drive, model, poles) = joint_design(robot, joint, &poles)?;
+    let order = model.order();
+    let [transition, held, ramp, gain] = Sampled::new(model, drive, &poles, period).matrices(order);
+    Ok([
+        shaped(py, transition, vec![order, order])?,
+        shaped(py, held, vec![order, 2])?,
+        shaped(py, ramp, vec![order, 2])?,
+        shaped(py, gain, vec![order])?,
+    ])
+}
+
+/// By how much each joint's acceleration grows with each accelerometer reading, at rest: the damped inverse of their map.
+#[pyfunction]
+pub(crate) fn acceleration_inverse<'py>(
+    py: Python<'py>,
+    robot: &Robot,
+    q: Signal<'_>,
+    worst_std: f64,
+) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+    let (n, channels) = (robot.0.len(), robot.0.acceleration_channels());
+    let inverse = AccelerationMap::inverse(&robot.0, q.sized("q", n)?, worst_std);
+    shaped(py, inverse, vec![n, channels])
+}
+
+fn joint_design<'a>(robot: &'a Robot, joint: usize, poles: &[Complex]) -> PyResult<(&'a Drive, JointModel, Poles)> {
     let drive = robot.0.drives.get(joint).ok_or_else(|| EstimatorError::new_err(format!("no joint {joint}")))?;
     let model = match (drive.elastic, poles.len()) {
         (false, _) => JointModel::Rigid,
         (true, 5) => JointModel::ElasticWithBias,
         (true, _) => JointModel::Elastic,
     };
-    let poles = Poles::new(joint, &poles, model.order()).map_err(IntoPyErr::into_py_err)?;
-    let gains = observer::closed_form_gains(model, drive, &poles);
-    Ok(shaped(py, gains.as_slice().to_vec(), vec![model.order()])?.unbind())
+    let poles = Poles::new(joint, poles, model.order()).map_err(IntoPyErr::into_py_err)?;
+    Ok((drive, model, poles))
 }

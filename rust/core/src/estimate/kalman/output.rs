@@ -148,7 +148,7 @@ impl FilterOutput {
     /// # Errors
     /// [`DesignError::Memory`].
     pub(super) fn followed_by(mut self, mut later: Self) -> Result<Self, DesignError> {
-        for (mine, others) in self.fields().into_iter().zip(later.fields()) {
+        for (mine, others) in self.signals().into_iter().zip(later.signals()) {
             let bytes = 8.0 * (mine.len() + others.len()) as f64;
             mine.try_reserve(others.len()).map_err(|_| DesignError::Memory { bytes })?;
             mine.append(others);
@@ -159,23 +159,28 @@ impl FilterOutput {
         Ok(self)
     }
 
-    fn fields(&mut self) -> [&mut Vec<f64>; 14] {
-        [
-            &mut self.q,
-            &mut self.dq,
-            &mut self.ddq,
-            &mut self.theta,
-            &mut self.dtheta,
-            &mut self.q_std,
-            &mut self.tool,
-            &mut self.tool_std,
-            &mut self.nis,
-            &mut self.log_likelihood,
-            &mut self.state,
-            &mut self.covariance,
-            &mut self.innovation,
-            &mut self.innovation_std,
-        ]
+    /// All signals of numbers, row by row; taken apart by name, so that a new field is not forgotten here.
+    fn signals(&mut self) -> [&mut Vec<f64>; 14] {
+        let Self {
+            q,
+            dq,
+            ddq,
+            theta,
+            dtheta,
+            q_std,
+            tool,
+            tool_std,
+            nis,
+            log_likelihood,
+            state,
+            covariance,
+            innovation,
+            innovation_std: std,
+            status: _,
+            used: _,
+            findings: _,
+        } = self;
+        [q, dq, ddq, theta, dtheta, q_std, tool, tool_std, nis, log_likelihood, state, covariance, innovation, std]
     }
 }
 

@@ -85,19 +85,46 @@ impl AccelerationMap {
         ddq: &mut [f64],
     ) -> Observability {
         self.load(robot, kinematics, reading, ddq);
-        self.triangularise();
-        let observability = if self.invert_triangle() {
-            self.back_substitute();
-            Observability::Full
-        } else {
-            self.damped()
-        };
+        let observability = self.invert();
         for (joint, column) in self.columns.iter().enumerate() {
             if let Some(c) = *column {
                 ddq[joint] += self.solution[c];
             }
         }
         observability
+    }
+
+    /// The damped inverse itself at `q`, at rest (n × channels, row-major): by how much q̈ of each joint grows with each
+    /// reading; zero for rigid joints. For who analyses a loop; [`solve`](Self::solve) never forms it.
+    pub fn inverse(robot: &Robot, q: &[f64], worst: f64) -> Vec<f64> {
+        let (n, channels) = (robot.len(), robot.acceleration_channels());
+        let (mut map, mut kinematics, rest) = (Self::new(robot, worst), Kinematics::new(&robot.tree), vec![0.0; n]);
+        kinematics.set(&robot.tree, q, &rest, &rest);
+        let mut out = vec![0.0; n * channels];
+        for channel in 0..channels {
+            // One unit more than nothing in this reading; the others do not move.
+            map.load(robot, &kinematics, &vec![0.0; channels], &rest);
+            let rhs = &mut map.map[map.unknowns * map.stride..];
+            rhs.fill(0.0);
+            rhs[channel] = map.weights[channel];
+            map.invert();
+            for (joint, column) in map.columns.iter().enumerate() {
+                out[joint * channels + channel] = column.map_or(0.0, |c| map.solution[c]);
+            }
+        }
+        out
+    }
+
+    /// The solution of what is loaded: exactly where that is safe, else damped.
+    #[inline(always)]
+    fn invert(&mut self) -> Observability {
+        self.triangularise();
+        if self.invert_triangle() {
+            self.back_substitute();
+            Observability::Full
+        } else {
+            self.damped()
+        }
     }
 
     /// Whitened map, and whitened reading less W_A and what the prior already explains.

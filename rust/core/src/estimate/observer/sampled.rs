@@ -52,6 +52,14 @@ impl Sampled {
         }
     }
 
+    /// Φ (order × order), the responses to a held and to a ramped torque and acceleration (order × 2 each) and Φ⁻¹L_d
+    /// (order), row-major, for who analyses a loop that this observer is part of.
+    pub fn matrices(&self, order: usize) -> [Vec<f64>; 4] {
+        let inputs = |responses: &[JointState; 2]| (0..2 * order).map(|k| responses[k % 2][k / 2]).collect();
+        let transition = self.transition[..order].iter().flat_map(|row| &row[..order]).copied().collect();
+        [transition, inputs(&self.held), inputs(&self.ramp), self.gain[..order].to_vec()]
+    }
+
     /// State one period on, under a held torque and acceleration.
     #[inline(always)]
     pub(super) fn predict(&self, x: &JointState, torque: f64, acceleration: f64) -> JointState {
