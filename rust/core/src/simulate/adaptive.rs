@@ -84,6 +84,7 @@ impl Adaptive {
     #[inline(always)]
     fn judge(&mut self, length: f64, error: f64, again: bool) -> bool {
         // The error estimate is of order 4 in the step.
+        // By square roots: `powf` of the platform's library would make results depend on it.
         let root = |x: f64| x.sqrt().sqrt();
         let shrink = root(error) / SAFETY;
         // A NaN is no good either.
@@ -92,7 +93,9 @@ impl Adaptive {
             self.step = length * if shrink.is_finite() { (1.0 / shrink).max(SHORTER) } else { SHORTER };
             return false;
         }
+        // Gustafsson's predictive controller (1994): the error of the next step continues the trend of the last two.
         let foretold = self.taken.map_or(0.0, |(before, e)| before / length * root(error * error / e) / SAFETY);
+        // The more careful of both; after a refusal no longer step than the one that was just good.
         let shrink = shrink.max(foretold).clamp(1.0 / LONGER, 1.0 / SHORTER);
         self.step = length / if again { shrink.max(1.0) } else { shrink };
         self.taken = Some((length, error.max(ERROR_FLOOR)));
@@ -119,12 +122,14 @@ impl simd::Kernel for Advance<'_> {
         let Self { adaptive, robot, plant, x, tau, t, span } = self;
         let StepTolerance { rtol, atol } = adaptive.tolerance;
         let (mut left, mut again) = (span, false);
+        // f and its derivatives at x: kept for all tries from here, for a refused step changes only h in 1/(γ h) − J.
         adaptive.method.start(robot, plant, x, tau);
         let watch = Watch::current();
         for _ in 0..MOST {
             if watch.stops() {
                 return Err(SimulationError::Interrupted { time: t });
             }
+            // Step, estimate the error, judge; then go on from the end, or try again with a shorter step.
             let length = fit(adaptive.step, left);
             adaptive.method.step(robot, plant, x, tau, length);
             let (error, joint) = adaptive.method.error(x, |size| atol + rtol * size);
@@ -132,6 +137,7 @@ impl simd::Kernel for Advance<'_> {
             if !again {
                 x.copy_from_slice(&adaptive.method.end);
                 left -= length;
+                // Exactly, as `fit` gives the last step all that is left.
                 if left == 0.0 {
                     return Ok(());
                 }

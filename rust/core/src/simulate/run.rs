@@ -71,6 +71,8 @@ pub fn simulate(
     plan.check()?;
     let mut world = World::new(robot, start, plan.stepping)?;
     world.out = SimulatedRecording::with_capacity(robot, plan.count.div_ceil(plan.keep_every), suite.readings.len())?;
+    // A fixed step beyond the stability limit of the stiffest mode would explode after samples that look right: refused
+    // beforehand, with the number of substeps that would do.
     let limit = largest_stable_step(robot, &world.x, &world.tau)?;
     if limit.is_nan() {
         return Err(SimulationError::Singular);
@@ -168,6 +170,7 @@ impl World {
                     if watch.stops() {
                         return Err(SimulationError::Interrupted { time: t });
                     }
+                    // Equal steps, the last one ending at the sample.
                     method.step(robot, plant, x, tau, dt / *substeps as f64);
                 }
                 Ok(())
@@ -246,22 +249,28 @@ impl SimulationRun<'_> {
     fn sample(&mut self, sample: usize, watch: &Watch) -> Result<(), SimulationError> {
         let Self { robot, plan, world, suite, feedback, controller } = self;
         let (dt, t) = (plan.period, sample as f64 * plan.period);
+        // 1. Where the robot is: accelerations under the torque that has been acting, and all frames.
         simd::phase(Look { world, robot });
         if !world.plant.dynamics.ddq.iter().chain(&world.x).all(|value| value.is_finite()) {
             return Err(SimulationError::NotFinite { time: t });
         }
+        // 2. Sense: readings of this instant, with noise, bias, filter, delay and quantisation.
         simd::phase(Read { suite, robot, world, sample });
+        // 3. Tell: from truth or readings to the state that the controller knows (taken out: the truth is lent).
         let mut state = core::mem::take(&mut world.known);
         let known = Known { truth: world.motion(), readings: &suite.readings, tau: &world.tau, dt };
         feedback.state_into(known, &mut state)?;
         world.known = state;
+        // 4. Control: a new torque, held until the next sample.
         controller.torque(t, &world.known, &mut world.tau).map_err(|_| SimulationError::Refused { time: t })?;
         if let Some(joint) = world.tau.iter().position(|value| !value.is_finite()) {
             return Err(SimulationError::Torque { joint, value: world.tau[joint], time: t });
         }
+        // 5. Keep a row: state and readings at t, with the torque that acts from t on, as logs have it.
         if sample.is_multiple_of(plan.keep_every) {
             world.keep(robot, t, &suite.readings);
         }
+        // 6. Move to t + dt.
         world.advance(robot, t, dt, watch)
     }
 }

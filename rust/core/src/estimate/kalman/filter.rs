@@ -203,11 +203,13 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
     /// To the sample's time; afterwards the belief is what was predicted.
     fn advance(&mut self, sample: &KalmanSample<'_>) -> Result<(), DesignError> {
         if self.started {
+            // x⁻ = f(x), P⁻ = F P Fᵀ + Q, and Σ ← F Σ + ∂f/∂p of the parameters that are known to a tolerance.
             M::predict_phase(Predict { model: &mut self.model, sample, belief: &mut self.belief });
             if let Some(consider) = &mut self.consider {
                 self.model.carry(&mut consider.columns, consider.stride, sample.dt);
             }
         } else {
+            // A first sample: no time passes, and the belief is the prior that its readings then correct.
             match &self.start {
                 Some(start) => {
                     self.belief = start.clone();
@@ -215,6 +217,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
                 }
                 None => {
                     self.model.start(sample, &mut self.belief)?;
+                    // At rest the spring's torsion follows from gravity, so that the start depends on parameters too.
                     self.linearise();
                     if let Some(consider) = &mut self.consider {
                         consider.start(&mut self.model);
@@ -228,17 +231,22 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
 
     /// Uses the sample's readings.
     fn correct(&mut self, sample: &KalmanSample<'_>) {
+        // A channel stays shut out over all iterations of this sample: the gate judges the first innovation only.
         self.correction.gated.fill(false);
         if self.settings.iterations > 1 {
             self.prior.copy_from(&self.belief);
         }
         self.linearise();
         self.update(sample.readings, self.settings.gate);
+        // Iterated update (Bell and Cathey 1993): Gauss–Newton on prior and readings together. Each pass begins from
+        // the prior, not from the pass before, or the readings would count as often as there are passes.
         for _ in 1..self.settings.iterations {
             self.linearise();
             self.belief.copy_from(&self.prior);
             self.update(sample.readings, None);
         }
+        // What innovations say beside the state: of parameters (their estimates, a NIS whitened of them), and of
+        // faults.
         let Self { model, correction, consider, monitor, .. } = self;
         M::judge_phase(Judge { model, correction, consider: consider.as_mut(), monitor: monitor.as_mut(), sample });
         if self.model.bridged() {
@@ -253,6 +261,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
 
     /// At the present mean.
     fn linearise(&mut self) {
+        // Copied, for `update` moves the mean reading by reading while the channels stay linearised here.
         let reference = &mut self.correction.reference;
         let d = reference.len();
         reference.copy_from_slice(&self.belief.mean[..d]);
@@ -289,6 +298,8 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
             if smooth {
                 return Smoother::new(filter).run(recording, keep);
             }
+            // A fresh start for each, so that the estimate depends on its own recording alone, whichever core it falls
+            // to.
             let mut filter = filter.clone();
             filter.reset();
             filter.run(recording, keep)
@@ -305,26 +316,34 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         let count = recording.dt.len();
         let mut out = FilterOutput::zeros(count, &self.model, keep)?;
         let watch = Watch::current();
+        // The recursion of Kalman (1960) with the derivatives of the extended filter, sample by sample; each step is a
+        // phase of its own, compiled for each instruction set (see `phases`).
         for i in 0..count {
             if watch.stops() {
                 return Err(RunError::Interrupted { sample: self.taken });
             }
+            // 1. Time update: the belief becomes that before this sample's readings, x⁻ and P⁻.
             let sample = recording.sample(i, &self.model);
             self.advance(&sample)?;
             if let Some(history) = &mut history {
+                // The smoother starts from the prior: it undoes readings one by one on the way back.
                 history.push_prediction(sample.dt, &self.belief, self.consider.as_ref());
             }
+            // Asked for before they are used: afterwards the belief has them in it.
             if keep.innovations {
                 self.report_innovations(i, &sample, &mut out);
             }
+            // 2. Measurement update, by one reading after the other, and judgement of their innovations.
             self.correct(&sample);
             if let Some(history) = &mut history {
                 history.push_update(&self.model, &self.correction, self.consider.as_ref());
             }
+            // 3. A likelihood or a mean that is not finite will not become so again: say where, and stop.
             if !self.is_finite() {
                 return Err(RunError::NotFinite { sample: self.taken });
             }
             self.taken += 1;
+            // 4. The row of the output. With a history the smoother writes it on the way back.
             if history.is_none() {
                 self.report(i, &mut out, keep.covariance);
             }
@@ -345,6 +364,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         let Self { model, belief: Gaussian { mean, covariance }, memory, tool, .. } = self;
         memory.clear();
         model.remember(memory);
+        // Σ Σᵀ, which tolerances add to P, is summed for the rows that are written and no more.
         let rows = if whole { mean.len() } else { model.robot().len() };
         let more = self.consider.as_mut().map(|consider| {
             consider.sum_up(rows);

@@ -203,8 +203,7 @@ pub trait Model: Clone + Send + Sync {
     /// Whether a channel may say something of the parameters. A motor's reading says it only by way of how smoothly
     /// links are taken to move, which is a guess.
     fn teaches(&self, channel: usize) -> bool {
-        std::env::var("LS_TEACH").is_ok()
-            || !matches!(self.channel_kinds()[channel], Channel::Motor(_) | Channel::MotorVelocity(_))
+        !matches!(self.channel_kinds()[channel], Channel::Motor(_) | Channel::MotorVelocity(_))
     }
 
     /// Columns (states × `stride`, one a tolerance) through the step last predicted: Σ ← F Σ + ∂f/∂p.

@@ -147,12 +147,14 @@ impl<M: Phases> Kernel for Retreat<'_, M> {
     #[inline(always)]
     fn run(self) {
         let Self { smoother: Smoother { filter, lambda, information, consider, .. }, history, i } = self;
+        // The order is that of prediction turned round: sensors' states last of all then, first of all now.
         let (memory, dt, stride) = (history.memory(i), history.dt[i], information.matrix.stride);
         if let Some(consider) = consider {
             consider.retreat(&mut filter.model, memory, dt);
         }
         filter.model.retreat_sensors(memory, lambda, &mut information.matrix);
         filter.model.noise_rows(memory, dt, &mut information.noise, stride);
+        // Λ ← (Λ⁻¹ + Q)⁻¹ before Fᵀ Λ F: what later readings say is blurred by the noise between, then carried back.
         information.blur();
         filter.model.retreat(memory, dt, lambda, &mut information.matrix);
     }
@@ -190,6 +192,7 @@ impl<M: Phases> Smoother<M> {
         let stretch = self.stretch();
         let mut filter = self.filter.clone();
         let mut starts = Vec::with_capacity(count / stretch + 1);
+        // Forwards through all stretches, remembering but the filter at the start of each: memory for one, not for all.
         for from in (0..count).step_by(stretch) {
             let to = (from + stretch).min(count);
             starts.push(filter.clone());
@@ -197,6 +200,7 @@ impl<M: Phases> Smoother<M> {
                 filter.run(recording.rows(from..to, &self.filter.model), Keep::default())?;
             }
         }
+        // Backwards, the last stretch first: λ and Λ, what later readings say, live on in `self` from one to the next.
         self.finish();
         let mut parts = Vec::with_capacity(starts.len());
         for (i, start) in starts.iter().enumerate().rev() {
@@ -239,12 +243,16 @@ impl<M: Phases> Smoother<M> {
         let count = recording.dt.len();
         filter.model.check(&recording)?;
         let mut history = History::with_capacity(count, &filter.model, self.lambda.len())?;
+        // Forwards once more, now keeping P⁻, gains and innovations of every sample…
         let mut out = filter.run_with(recording, keep, Some(&mut history))?;
         if let (Some(back), Some(consider)) = (&mut self.consider, &filter.consider) {
+            // The parameters' estimates by all readings are those after the last; only from there is the way back
+            // consistent.
             back.learn(consider);
         }
         let history = &history;
         let watch = Watch::current();
+        // …and backwards: undo the sample's readings, read off the smoothed state, undo its prediction (Bierman 1973).
         for i in (0..count).rev() {
             if watch.stops() {
                 return Err(RunError::Interrupted { sample: i });
@@ -264,6 +272,8 @@ impl<M: Phases> Smoother<M> {
     fn back(&mut self, history: &History, i: usize) {
         let m = self.load_rows(history, i);
         let (stride, gains) = (self.lambda.len(), history.gains(i));
+        // Readings in the order opposite to that in which the filter used them, as each gain belongs to the P of its
+        // turn.
         for a in (0..m).rev() {
             let Innovation { value, variance } = history.innovations[i * m + a];
             if variance.is_finite() {
@@ -285,6 +295,7 @@ impl<M: Phases> Smoother<M> {
         for (c, (row, half)) in rows.chunks_exact_mut(stride).zip(halves.chunks_exact_mut(stride)).enumerate() {
             row.fill(0.0);
             let at = i * m + c;
+            // A gated or missing reading said nothing: a row of zeros leaves λ and Λ alone.
             if history.innovations[at].variance.is_finite() {
                 row[..d].copy_from_slice(&history.jacobians[at * d..][..d]);
                 if let Some(b) = model.biases()[c] {
@@ -304,6 +315,7 @@ impl<M: Phases> Smoother<M> {
     fn smooth(&mut self, history: &History, i: usize, whole: bool) {
         let (states, stride) = (self.mean.len(), self.lambda.len());
         let predicted = history.covariance(i);
+        // x̂ = x⁻ − P⁻ λ.
         for (r, row) in predicted.chunks_exact(stride).enumerate() {
             self.mean[r] = history.means[i * states + r] - linear::dot(row, &self.lambda);
         }

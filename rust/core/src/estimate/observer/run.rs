@@ -182,14 +182,20 @@ impl AccelerationObserver {
     fn take_here(&mut self, sample: ObserverSample<'_>) -> Result<(), DesignError> {
         self.status = 0;
         if self.started {
+            // 1. The model over the last period, torque and accelerations held at their last values.
             self.predict();
+            // 2. Accelerations at the predicted posture, from this sample's readings (eq. (12)).
             self.read_accelerations(sample.acceleration);
+            // 3. The prediction again, as if accelerations had run straight from the last sample to this one.
             self.interpolate();
         } else {
+            // A first sample: θ as read, links where gravity lets them hang.
             self.start_from_rest(sample.theta)?;
             self.read_accelerations(sample.acceleration);
         }
+        // 4. The innovation θ − θ̂ moves all states of its joint.
         self.correct(sample.theta);
+        // 5. The torque from now on; what the linear model lacks is taken off at the corrected state.
         self.hold_torque(sample.tau);
         self.report();
         self.taken += 1;
@@ -212,6 +218,7 @@ impl AccelerationObserver {
     #[inline(always)]
     fn predict(&mut self) {
         for j in 0..self.joints.len() {
+            // Joint by joint: given q̈, the motors' equations are not coupled (Theorem 1).
             let torque = self.torque[j] - self.coupling_torque(j, &self.measured);
             self.predicted[j] = self.joints[j].predict(&self.state[j], torque, self.measured[j]);
         }
@@ -223,6 +230,7 @@ impl AccelerationObserver {
     fn coupling_torque(&self, j: usize, measured: &[f64]) -> f64 {
         let n = self.joints.len();
         let mut sum = 0.0;
+        // S is strictly upper triangular: the motor of joint j feels the joints before it.
         for i in 0..j {
             let s = self.robot.coupling[i * n + j];
             if s != 0.0 {
@@ -277,6 +285,7 @@ impl AccelerationObserver {
     #[inline(always)]
     fn interpolate(&mut self) {
         for j in 0..self.joints.len() {
+            // What was held is replaced by a ramp: only the change enters, through the ramp response.
             let torque = self.coupling_torque(j, &self.previous) - self.coupling_torque(j, &self.measured);
             let change = self.measured[j] - self.previous[j];
             self.joints[j].interpolate(&mut self.predicted[j], torque, change);
@@ -288,6 +297,7 @@ impl AccelerationObserver {
     fn correct(&mut self, theta: &[f64]) {
         for j in 0..self.joints.len() {
             self.state[j] = self.predicted[j];
+            // NaN where θ is missing; the correction then remembers the gap, and the next gain is that of a longer one.
             let innovation = theta[j] - self.predicted[j][0];
             if innovation.is_nan() {
                 self.status |= Status::BRIDGED;
@@ -320,6 +330,8 @@ impl AccelerationObserver {
             if tau[j].is_nan() {
                 self.status |= Status::BRIDGED;
             } else {
+                // Feedforward of the nonlinear terms at the estimate keeps the error's dynamics linear but for their
+                // own error.
                 self.torque[j] = tau[j] - drive.dry_friction(x[2]) - drive.nonlinear_torque(x[0] - x[1]);
             }
         }

@@ -166,19 +166,27 @@ impl ParticleFilter {
 
     /// [`step`](Self::step) with a sample that has been checked.
     fn take(&mut self, sample: KalmanSample<'_>) -> Result<(), RunError> {
+        // Kalman filter beside the cloud first: its likelihood is what the cloud's is held against at the end.
         self.guard.step(sample)?;
+        // 1. Resample. At the start of a sample and not at its end, so that estimates come from the weighted cloud: a
+        // choice at random only adds variance to them (Liu and Chen 1998).
         self.resample_if_due();
         if self.started {
+            // 2. Where the cloud is expected, which is where channels are linearised for all that particles share.
             JerkDriven::predict_phase(Predict { model: &mut self.model, sample: &sample, belief: &mut self.belief });
         } else {
             self.start(&sample)?;
         }
+        // 3. What is the same for all particles: factors of the process noise, readings and their densities, biases.
         self.prepare(&sample);
         if !self.started {
             self.scatter();
         }
+        // 4. Move and weigh: each particle draws its increment from the proposal, and its weight changes by
+        //    p(y | x) p(x | x⁻) / q(x | x⁻, y) (Doucet, Godsill and Andrieu 2000).
         self.share();
         self.advance();
+        // 5. Mean, covariance and likelihood; and judgement. A cloud without any weight left takes another way.
         if self.summarise() {
             self.guard()?;
         } else {
@@ -261,6 +269,10 @@ impl ParticleFilter {
             sample.draws = 2 * jerk.joints();
         }
         for (channel, &value) in readings.iter().enumerate() {
+            // A bias b ~ N(·, prior) with a reading y = h + b + v, in one of three ways:
+            // marginalised (`closed`), never drawn: its variance goes into the reading's, each particle keeps its mean;
+            // drawn late: y given the links, b integrated out, then b given y, N(gain · innovation, rest²);
+            // drawn early, as a walk: where nothing is read, noise is not normal, or the proposal is the bootstrap's.
             let bias = jerk.biases[channel];
             let own = model.variance(channel);
             let drift = model.noise().bias_step(channel, sample.dt);
@@ -271,6 +283,7 @@ impl ParticleFilter {
             let density = settings.densities[channel];
             let read = !value.is_nan();
             let drawn_late = closed || (read && settings.proposal != Proposal::Bootstrap && density.is_normal());
+            // Where biases are drawn each particle knows its own: no variance is left from before, only the walk's.
             let before = if closed || first { bias_variance[channel] } else { 0.0 };
             let prior = before * drift.decay * drift.decay + walk;
             if let (false, Some(bias)) = (drawn_late || prior == 0.0, bias) {
@@ -278,6 +291,7 @@ impl ParticleFilter {
                 sample.draws += 1;
             }
             let extra = if drawn_late { prior } else { 0.0 };
+            // The scalar Kalman update of the bias: y has variance own + prior, b takes prior/variance of its innovation.
             let variance = own + extra;
             let gain = extra / variance;
             if closed {
@@ -302,11 +316,13 @@ impl ParticleFilter {
     /// Linearises once for all particles, if that is what each would find.
     fn share(&mut self) {
         let Self { model, sample, shared, sharing, motion, cloud, settings, belief, .. } = self;
+        // Shared only where particles could not tell the difference: one iteration, normal noise, nothing marginalised.
         let once = matches!(settings.proposal, Proposal::Linearised { iterations: 1, .. });
         *sharing = self.started && motion.is_none() && once && settings.densities.iter().all(Density::is_normal);
         if *sharing {
             let linearised = model.linearised();
             shared.set(sample, linearised, &belief.mean);
+            // The mean may be a fair place to linearise and the cloud's edge not: `Probe` tries particles far out.
             let probe = Probe { model: model.jerk_model(), sample, linearised, cloud, shared };
             *sharing = simd::dispatch_lanes(simd::level(), probe);
         }
@@ -315,6 +331,7 @@ impl ParticleFilter {
     fn advance(&mut self) {
         let Self { model, sample, shared, sharing, motion, cloud, threads, .. } = self;
         let (model, sample, level) = (model.jerk_model(), &*sample, simd::level());
+        // Accelerations marginalised: a Kalman filter in each particle, positions and velocities drawn.
         if let Some(motion) = &*motion {
             cloud.each(*threads, |block| {
                 simd::dispatch_lanes(level, rao_blackwell::PropagateMarginalised { model, sample, motion, block });
@@ -328,6 +345,7 @@ impl ParticleFilter {
     /// Mean, spread, likelihood and effective number; false when no particle has a weight.
     pub(super) fn summarise(&mut self) -> bool {
         let Self { cloud, summary, sample, belief, .. } = self;
+        // Weights are logarithms: relative to the largest, none overflows, and those that vanish may.
         let largest = cloud.blocks.iter().fold(f64::NEG_INFINITY, |l, b| l.max(b.sums.largest));
         if !largest.is_finite() {
             return false;
@@ -371,6 +389,8 @@ impl ParticleFilter {
                 belief.covariance.put(r, c, product);
             }
         }
+        // Law of total variance: what particles differ by, and the mean of what each does not know (biases, then
+        // accelerations, where these are marginalised).
         for (bias, variance) in model.jerk_model().biases.iter().zip(bias_variance) {
             if let (Marginalised::Biases, Some(b)) = (self.marginalised, *bias) {
                 belief.covariance.put(b, b, belief.covariance.at(b, b) + *variance);
@@ -407,6 +427,7 @@ impl ParticleFilter {
         let mut out = ParticleOutput::zeros(count, self, keep)?;
         let watch = Watch::current();
         for i in 0..count {
+            // Resample, move, weigh, judge: see `take`.
             let done = self.take(recording.sample(i, &self.model));
             // Blocks are left out once it is to stop, and then the sample is not a whole one.
             if watch.stops() {
@@ -434,6 +455,7 @@ impl ParticleFilter {
         one: impl Fn(&mut Self, KalmanRecording<'_>) -> Result<ParticleOutput, RunError> + Sync,
     ) -> Vec<Result<ParticleOutput, RunError>> {
         parallel::map(jobs, |&(like, recording)| {
+            // New, not cloned: a cloud is large, and this one's particles are none of the recording's business.
             let mut filter = Self::new(like.model.clone(), like.settings.clone(), like.marginalised)?;
             filter.set_start(like.start.clone())?;
             one(&mut filter, recording)

@@ -77,12 +77,15 @@ impl Kernel for Propagate<'_> {
         for group in 0..block.groups() {
             let items = block.items(group);
             load(block, group);
+            // Eight particles at a time, one to a lane; their numbers depend on their place in the cloud, not on the
+            // lane.
             let increment = block.scratch.step(model, sample, shared, items);
             if !increment.0.iter().all(|x| x.is_finite()) {
                 block.scratch.bring_back();
             }
             store(block, group, increment, sample.offset);
         }
+        // Places of the last group that no particle has.
         block.log_weights.each_mut()[block.count..].fill(f64::NEG_INFINITY);
         Weigh { block }.run();
     }
@@ -117,11 +120,14 @@ impl Scratch {
         items: [u32; WIDE],
     ) -> Wide {
         let n = model.joints();
+        // Random numbers by counter: the same for a particle whatever thread or block works on it.
         let motion = Stream::new(sample.seed, sample.step, Purpose::Process);
         draw(&motion, items, 0, &mut self.normal[..sample.draws]);
+        // The mean of p(x | x⁻), then what is random in x.
         self.coast(n, sample);
         self.walk(sample);
         let drawn = self.noise.len();
+        // By the process alone p/q = 1; by the linearised readings it is not.
         let mut change = match sample.proposal {
             Proposal::Bootstrap => {
                 self.noise.copy_from_slice(&self.normal[..drawn]);
@@ -130,6 +136,7 @@ impl Scratch {
             Proposal::Linearised { iterations, tail } => self.propose(model, sample, shared, items, iterations, tail),
         };
         self.apply_noise(sample);
+        // Weighed by the exact density at the place that was drawn; linearising serves the choice of q alone.
         self.evaluation.predict(&model.robot, &model.channels, &self.after, &sample.dtheta);
         change += self.weigh_and_learn(sample);
         change + self.within_limits(sample)
@@ -164,6 +171,7 @@ impl Scratch {
     pub(super) fn coast(&mut self, n: usize, sample: &ParticleSample) {
         let (dt, half) = (sample.dt, 0.5 * sample.dt * sample.dt);
         for j in 0..n {
+            // u is the commanded jerk, held over the step: dt³/6, dt²/2 and dt of it.
             let (dq, ddq, u) = (self.before[n + j], self.before[2 * n + j], sample.jerk[j]);
             self.before[j] += dq * dt + ddq * half + half * dt / 3.0 * u;
             self.before[n + j] += ddq * dt + half * u;
@@ -223,6 +231,7 @@ impl Scratch {
         let n = self.mode.len();
         self.mode.fill(Wide::default());
         for iteration in 0..iterations {
+            // Gauss–Newton towards the most probable increment: linearised at the last one found.
             self.noise.copy_from_slice(&self.mode);
             self.apply_noise(sample);
             self.evaluation.evaluate(&model.robot, &model.channels, &self.after, &sample.dtheta);
@@ -230,6 +239,7 @@ impl Scratch {
             linear::factorise(&mut self.factor, n);
             linear::solve(&self.factor, n, &mut self.mode, 1);
         }
+        // Of the last iteration's Λ: the proposal's covariance is Λ⁻¹ there.
         linear::root(&mut self.factor, n);
     }
 
@@ -241,12 +251,14 @@ impl Scratch {
         factor.fill(Wide::default());
         mode.fill(Wide::default());
         for j in 0..n {
+            // The prior of standard normal numbers is the unit matrix, whatever Q's rank.
             factor[j * n + j] = Wide::constant(1.0);
         }
         for reading in &sample.readings {
             sample.by_noise(&evaluation.jacobian[reading.channel * n..][..n], row);
             let mut error = reading.error(after, &evaluation.prediction);
             let precision = reading.noise.precision(error);
+            // Around ŵ ≠ 0 the linear model is y − h(ŵ) + A ŵ = A w.
             if again {
                 for (slope, noise) in row.iter().zip(noise.iter()) {
                     error += *slope * *noise;
@@ -270,6 +282,8 @@ impl Scratch {
         if let Some((stretch, _)) = heavy {
             self.normal[..n].iter_mut().for_each(|normal| *normal = *normal * stretch);
         }
+        // log p(w) − log q(w) = −|w|²/2 + |ζ|²/2 − log det L: q is N(ŵ, Λ⁻¹), or Student's with heavier tails than p's,
+        // without which a few particles far out would carry all weight.
         let length = square(&self.normal[..n]);
         let mut change = match heavy {
             None => length * 0.5,
@@ -295,6 +309,7 @@ impl Scratch {
     fn apply_noise(&mut self, sample: &ParticleSample) {
         let n = sample.factors.len();
         self.after.copy_from_slice(&self.before);
+        // The factor of Q, three columns a joint: see `jerk_noise::factor`.
         for (j, [q, dq, ddq]) in sample.factors.iter().enumerate() {
             let [w0, w1, w2] = [self.noise[j], self.noise[n + j], self.noise[2 * n + j]];
             self.after[j] += w0 * q[0] + w1 * q[1] + w2 * q[2];
@@ -311,6 +326,7 @@ impl Scratch {
             let error = reading.error(&self.after, &self.evaluation.prediction);
             change += reading.noise.log_density(error);
             if let Some(bias) = reading.bias {
+                // A bias drawn late: towards the innovation, and what that leaves open.
                 self.after[bias] += error * reading.gain;
                 if reading.rest > 0.0 {
                     self.after[bias] += self.normal[reading.draw] * reading.rest;

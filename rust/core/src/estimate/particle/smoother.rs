@@ -89,6 +89,7 @@ impl BackwardPass {
     /// each part the square of a factor. The usual P − G (P₋ − P̂₊) Gᵀ is the same number, but where P₋ is large it is the
     /// difference of two that hardly differ, and may turn out negative.
     fn step(&mut self, model: &JerkModel, noise: &JerkNoise, dt: f64, jerk: &[f64]) {
+        // m₋ and P₋ = F P Fᵀ + Q from the cloud's moments, and Q by predicting from no uncertainty.
         self.predicted.copy_from(&self.filtered);
         model.predict(&mut self.predicted, noise, dt, jerk);
         self.noise.covariance.data.fill(0.0);
@@ -198,6 +199,7 @@ impl ParticleFilter {
                 back.smoothed.copy_from(&back.filtered);
                 continue;
             }
+            // Time and commanded jerk belong to the sample at which a step ends.
             let next = recording.sample(i + 1, &self.model);
             back.step(self.model.jerk_model(), self.model.noise(), next.dt, next.inputs.jerk);
             let motors = &history.motors[i * self.memory.len()..][..self.memory.len()];
