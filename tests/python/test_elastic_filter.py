@@ -296,16 +296,6 @@ def test_noise_files_are_read_and_refused(tmp_path):
         ElasticNoise(torque=-1.0)
 
 
-def test_motors_on_links_are_refused():
-    robot, log, _ = recording("arm2_square")
-    settings = robot.config.model_dump(exclude={"urdf"}) | {"rotors": {"axis3": {"link": "upper", "axis": [0, 1, 0]}}}
-    coupled = Robot.from_urdf(DATA / "arm2_square/robot.urdf", **settings)
-    with pytest.raises(EstimatorError, match="joint 1 is a rotor on a link"):
-        ElasticJointFilter(coupled).run(log)
-    with pytest.raises(EstimatorError, match="joint 1 is a rotor on a link"):
-        simulate(coupled, lambda t, state: [0.0, 0.0], 0.01, 1000.0)
-
-
 def test_logs_that_cannot_be_filtered_are_refused():
     robot, log, _ = recording("arm2_square")
     ekf = ElasticJointFilter(robot)

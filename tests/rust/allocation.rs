@@ -232,7 +232,7 @@ fn a_particle_filters_step_allocates_nothing() {
 #[test]
 fn an_adaptive_step_allocates_nothing() {
     let robot = robot();
-    let mut plant = Plant::new(&robot).unwrap();
+    let mut plant = Plant::new(&robot);
     let mut adaptive = Adaptive::new(&plant, StepTolerance { rtol: 1e-6, atol: 1e-9 }).unwrap();
     let mut x = vec![0.1; plant.layout.dense];
     let mut advance = |t: f64| adaptive.advance(&robot, &mut plant, &mut x, &[3.0; 6], (t, 1e-3)).unwrap();

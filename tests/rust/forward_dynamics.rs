@@ -3,7 +3,7 @@
 #[allow(dead_code, unused_imports)]
 mod support;
 
-use linkside_core::dynamics::{ElasticJacobian, ElasticState, ForwardDynamics, check_inertia};
+use linkside_core::dynamics::{ElasticDynamics, ElasticLayout, check_inertia};
 use linkside_core::error::RobotError;
 use linkside_core::robot::{BodySpec, Drive, JointKind, MotorFriction, Robot, Rotor, SoftWindup, Tree};
 use linkside_core::scalar::{Dual, Lanes, Scalar};
@@ -81,11 +81,23 @@ fn driven() -> impl Strategy<Value = Driven> {
 }
 
 /// q̈ and θ̈.
-fn accelerations<T: Scalar>(robot: &Robot, [q, dq, theta, dtheta, tau]: &[Vec<T>; 5]) -> [Vec<T>; 2] {
-    let mut out = [(); 2].map(|()| vec![T::constant(f64::NAN); robot.len()]);
-    let [ddq, ddtheta] = &mut out;
-    ForwardDynamics::new(robot).accelerations_into(robot, ElasticState { q, dq, theta, dtheta }, tau, ddq, ddtheta);
-    out
+fn accelerations<T: Scalar>(robot: &Robot, signals: &[Vec<T>; 5]) -> [Vec<T>; 2] {
+    let Accelerated { dynamics, .. } = accelerated(robot, signals);
+    [dynamics.ddq, dynamics.ddtheta]
+}
+
+struct Accelerated<T> {
+    layout: ElasticLayout,
+    x: Vec<T>,
+    dynamics: ElasticDynamics<T>,
+}
+
+fn accelerated<T: Scalar>(robot: &Robot, [q, dq, theta, dtheta, tau]: &[Vec<T>; 5]) -> Accelerated<T> {
+    let layout = ElasticLayout::new(robot, false);
+    let (mut x, mut dynamics) = (vec![T::default(); layout.dense], ElasticDynamics::new(robot, &layout));
+    layout.gather([q, dq, theta, dtheta], &mut x);
+    dynamics.accelerate(robot, &layout, &x, tau);
+    Accelerated { layout, x, dynamics }
 }
 
 /// Kinetic energy and the springs'; gravity's comes from the links as specified.
@@ -162,18 +174,20 @@ proptest! {
             signal.iter().enumerate().map(|(i, &x)| Dual::<DIRECTIONS>::variable(x, block - MOST + i)).collect()
         });
         let expected = accelerations(&driven.robot, &varied).concat();
-        let [q, dq, theta, dtheta, tau] = &driven.signals;
-        let state = ElasticState { q, dq, theta, dtheta };
-        let (mut ddq, mut ddtheta, mut jacobian) = (vec![0.0; n], vec![0.0; n], ElasticJacobian::new(n));
-        let mut dynamics = ForwardDynamics::new(&driven.robot);
-        dynamics.jacobian_into(&driven.robot, state, tau, &mut ddq, &mut ddtheta, &mut jacobian);
-        check_same_bits(&[ddq, ddtheta].concat(), &accelerations(&driven.robot, &driven.signals).concat())?;
-        let ElasticJacobian { by_q, by_dq, by_theta, by_dtheta, by_tau } = jacobian;
-        for (block, found) in [by_q, by_dq, by_theta, by_dtheta, by_tau].iter().enumerate() {
-            let gradients: Vec<_> =
-                expected.iter().flat_map(|a| a.gradient[block * MOST..][..n].to_vec()).collect();
-            check_close(found, &gradients)?;
+        let Accelerated { layout, x, mut dynamics } = accelerated(&driven.robot, &driven.signals);
+        dynamics.differentiate(&driven.robot, &layout, &x);
+        let ElasticDynamics { ddq_by, ddtheta_by, ddq_by_tau, .. } = dynamics;
+        let rows = || ddq_by.chunks_exact(layout.dense).chain(ddtheta_by.chunks_exact(layout.dense));
+        let places: [Vec<usize>; 4] = [(0..n).collect(), (n..2 * n).collect(), layout.theta, layout.dtheta];
+        for (block, places) in places.iter().enumerate() {
+            // Of a rigid joint θ and θ̇ are q and q̇.
+            let own = |j: usize| block < 2 || driven.robot.drives[j].elastic;
+            let found: Vec<_> = rows().flat_map(|row| (0..n).filter(|&j| own(j)).map(|j| row[places[j]])).collect();
+            let of = |a: &Dual<DIRECTIONS>| (0..n).filter(|&j| own(j)).map(|j| a.gradient[block * MOST + j]).collect();
+            check_close(&found, &expected.iter().flat_map(|a| -> Vec<f64> { of(a) }).collect::<Vec<_>>())?;
         }
+        let by_tau: Vec<_> = expected[..n].iter().flat_map(|a| a.gradient[4 * MOST..][..n].to_vec()).collect();
+        check_close(&ddq_by_tau, &by_tau)?;
     }
 
     #[test]
@@ -291,10 +305,8 @@ fn a_coupling_beyond_the_inertia_shows_in_the_least_pivot() {
     let at = |coupling: f64| {
         let mut robot = space_arm();
         robot.coupling[1] = coupling;
-        let (mut ddq, mut ddtheta, x) = ([0.0; 2], [0.0; 2], [0.3, 1.0]);
-        let mut dynamics = ForwardDynamics::new(&robot);
-        let state = ElasticState { q: &x, dq: &x, theta: &x, dtheta: &x };
-        dynamics.accelerations_into(&robot, state, &x, &mut ddq, &mut ddtheta);
+        let x = vec![0.3, 1.0];
+        let dynamics = accelerated(&robot, &[(); 5].map(|()| x.clone())).dynamics;
         dynamics.least_pivot()
     };
     assert!(at(1.0) > 0.0 && at(40.0) < 0.0);

@@ -50,7 +50,7 @@ fn integrate(
     h: f64,
     spans: usize,
 ) -> Result<Vec<f64>, SimulationError> {
-    let mut plant = Plant::new(robot)?;
+    let mut plant = Plant::new(robot);
     let (mut x, mut adaptive) = (moving(&plant), Adaptive::new(&plant, tolerance)?);
     for i in 0..spans {
         adaptive.advance(robot, &mut plant, &mut x, tau, (i as f64 * h, h))?;
@@ -64,8 +64,8 @@ fn distance(a: &[f64], b: &[f64]) -> f64 {
 
 /// e^(A t) by squaring, of a robot that is linear, from a state in motion without torque.
 fn exponential(robot: &Robot, t: f64) -> Vec<f64> {
-    let Plant { layout, mut dynamics } = Plant::new(robot).unwrap();
-    let x = moving(&Plant::new(robot).unwrap());
+    let Plant { layout, mut dynamics } = Plant::new(robot);
+    let x = moving(&Plant::new(robot));
     let a = dynamics.linearise(robot, &layout, &x, &[0.0]);
     ((DMatrix::from_row_slice(4, 4, &a) * t).exp() * DVector::from_vec(x)).as_slice().to_vec()
 }
@@ -73,7 +73,7 @@ fn exponential(robot: &Robot, t: f64) -> Vec<f64> {
 #[test]
 fn halving_the_step_shows_fourth_order() {
     let (robot, tau, t) = (crane(), [20.0, -30.0, 5.0], 0.02);
-    let mut plant = Plant::new(&robot).unwrap();
+    let mut plant = Plant::new(&robot);
     let (mut exact, mut fixed) = (moving(&plant), RungeKutta::new(&plant));
     for _ in 0..8000 {
         fixed.step(&robot, &mut plant, &mut exact, &tau, t / 8000.0);
@@ -112,7 +112,7 @@ fn a_torque_beyond_all_numbers_is_not_finite() {
 
 #[test]
 fn tolerances_out_of_range_are_refused() {
-    let plant = Plant::new(&crane()).unwrap();
+    let plant = Plant::new(&crane());
     let refused = Adaptive::new(&plant, StepTolerance { rtol: 2.0, atol: 1e-9 }).unwrap_err();
     assert_eq!(refused.to_string(), "rtol is 2, expected at least 1e-13 and less than 1");
     assert!(Adaptive::new(&plant, StepTolerance { rtol: 1e-6, atol: 0.0 }).is_err());

@@ -26,7 +26,7 @@ UNSUPPORTED: dict[str, tuple[str, ...]] = {
     "state feedback": ("rotors",),
     "calibration": ("rotors",),
 }
-"""By method: what it does not account for. The core refuses for itself what its elastic-joint dynamics do not take."""
+"""By method: what it does not account for. Simulator, elastic-joint filters and smoothers account for all of it."""
 
 
 def refuse_unsupported(robot: Robot, method: str) -> None:

@@ -185,14 +185,6 @@ pub enum DesignError {
         /// The parameter.
         parameter: String,
     },
-    /// A motor on a link, where a constant coupling is expected.
-    #[error(
-        "the motor of joint {joint} is a rotor on a link, whose coupling changes with posture; a filter or a simulation of elastic joints takes a constant `coupling`"
-    )]
-    Rotor {
-        /// The joint that it drives.
-        joint: usize,
-    },
     /// A reading that no sensor gives.
     #[error("{what}[{index}] is {value}, expected a finite number, or NaN where a reading is missing")]
     Infinite {

@@ -186,9 +186,9 @@ pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
 
 /// `y += factor · x`.
 #[inline(always)]
-pub(crate) fn add_scaled(y: &mut [f64], factor: f64, x: &[f64]) {
+pub(crate) fn add_scaled<T: Scalar>(y: &mut [T], factor: T, x: &[T]) {
     for (y, x) in y.iter_mut().zip(x) {
-        *y += factor * x;
+        *y += factor * *x;
     }
 }
 
@@ -215,8 +215,8 @@ pub(crate) fn factorise<T: Scalar>(a: &mut [T], n: usize) {
 
 /// Whether the matrix that was [factorised](factorise) is positive definite.
 #[inline(always)]
-pub(crate) fn is_definite(a: &[f64], n: usize) -> bool {
-    a.iter().step_by(n + 1).all(|&pivot| pivot > 0.0)
+pub(crate) fn is_definite<T: Scalar>(a: &[T], n: usize) -> bool {
+    a.iter().step_by(n + 1).all(|pivot| pivot.map(|p| f64::from(p > 0.0)) == T::constant(1.0))
 }
 
 /// L √D over L and D of [`factorise`], the factor of Cholesky.

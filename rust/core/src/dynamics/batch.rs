@@ -1,6 +1,6 @@
 //! Whole arrays at once: one row a sample, `count` rows, row-major.
 
-use super::{ElasticState, ForwardDynamics, Kinematics, Loads, NewtonEuler};
+use super::{ElasticDynamics, ElasticLayout, Kinematics, Loads, NewtonEuler};
 use crate::interrupt::Watch;
 use crate::robot::{Drive, Robot, Sensor};
 use crate::spatial::Vec3;
@@ -95,15 +95,18 @@ impl<'a> Batch<'a> {
     /// q̈ and θ̈ one after the other: 2 n a sample.
     pub fn forward_dynamics(&mut self, s: DrivenStates<'_>, out: &mut [f64]) {
         let n = self.robot.len();
-        let mut dynamics = ForwardDynamics::new(self.robot);
+        let layout = ElasticLayout::new(self.robot, false);
+        let (mut dynamics, mut x) = (ElasticDynamics::new(self.robot, &layout), vec![0.0; layout.dense]);
         let watch = Watch::current();
         let mut rows = [s.q, s.dq, s.theta, s.dtheta, s.tau].map(|signal| signal.chunks_exact(n));
         for out in out.chunks_exact_mut(2 * n).take_while(|_| !watch.stops()) {
             let [Some(q), Some(dq), Some(theta), Some(dtheta), Some(tau)] = rows.each_mut().map(Iterator::next) else {
                 return;
             };
-            let (ddq, ddtheta) = out.split_at_mut(n);
-            dynamics.accelerations_into(self.robot, ElasticState { q, dq, theta, dtheta }, tau, ddq, ddtheta);
+            layout.gather([q, dq, theta, dtheta], &mut x);
+            dynamics.accelerate(self.robot, &layout, &x, tau);
+            out[..n].copy_from_slice(&dynamics.ddq);
+            out[n..].copy_from_slice(&dynamics.ddtheta);
         }
     }
 

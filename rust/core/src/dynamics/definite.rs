@@ -1,6 +1,6 @@
 //! Whether a robot's inertia is one that masses can have.
 
-use super::{ElasticState, ForwardDynamics};
+use super::{ElasticDynamics, ElasticLayout};
 use crate::error::RobotError;
 use crate::robot::Robot;
 use core::f64::consts::TAU;
@@ -20,16 +20,17 @@ pub fn check_inertia(robot: &Robot) -> Result<(), RobotError> {
         return Ok(());
     }
     let n = robot.len();
-    let mut dynamics = ForwardDynamics::<f64>::new(robot);
-    let (zero, mut q, mut ddq, mut ddtheta) = (vec![0.0; n], vec![0.0; n], vec![0.0; n], vec![0.0; n]);
+    let layout = ElasticLayout::new(robot, false);
+    let mut dynamics = ElasticDynamics::<f64>::new(robot, &layout);
+    let (zero, mut q, mut x) = (vec![0.0; n], vec![0.0; n], vec![0.0; layout.dense]);
     let root = generalised_golden_ratio(n);
     for i in 0..POSTURES {
         // Roberts' low-discrepancy sequence: fractional parts of multiples of powers of 1/φ_n.
         for (j, q) in q.iter_mut().enumerate() {
             *q = TAU * ((f64::from(i) * root.powi(-(j as i32) - 1)).fract() - 0.5);
         }
-        let state = ElasticState { q: &q, dq: &zero, theta: &q, dtheta: &zero };
-        dynamics.accelerations_into(robot, state, &zero, &mut ddq, &mut ddtheta);
+        layout.gather([&q, &zero, &q, &zero], &mut x);
+        dynamics.accelerate(robot, &layout, &x, &zero);
         let pivot = dynamics.least_pivot();
         if pivot.is_nan() || pivot <= 0.0 {
             return Err(RobotError::Indefinite { posture: q });

@@ -7,7 +7,6 @@
 mod batch;
 mod definite;
 mod elastic;
-mod forward;
 mod kinematics;
 mod loads;
 mod newton_euler;
@@ -16,7 +15,6 @@ mod sensing;
 pub use batch::{Batch, DrivenStates, States};
 pub use definite::check_inertia;
 pub use elastic::{ElasticDynamics, ElasticLayout};
-pub use forward::{ElasticJacobian, ElasticState, ForwardDynamics};
 pub use kinematics::Kinematics;
 pub use loads::Loads;
 pub use newton_euler::NewtonEuler;

@@ -93,7 +93,7 @@ impl FilterFeedback {
         use crate::estimate::kalman::Model;
         let found = channels.len();
         expect_length("channels of the filter", found, filter.model().channels())?;
-        let layout = ElasticLayout::new(filter.model().robot(), false)?;
+        let layout = ElasticLayout::new(filter.model().robot(), false);
         Ok(Self { filter, layout, readings: vec![0.0; found], channels })
     }
 }

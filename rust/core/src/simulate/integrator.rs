@@ -1,7 +1,6 @@
 //! The classical fourth-order method of Runge and Kutta, torque held over a step.
 
 use super::plant::Plant;
-use crate::error::DesignError;
 use crate::robot::Robot;
 use nalgebra::DMatrix;
 
@@ -44,15 +43,12 @@ impl RungeKutta {
 
 /// The largest step [s] that keeps the method stable near state `x` under `tau`: bounded by the fastest eigenvalue of
 /// the linearised robot; infinite when nothing moves by itself, NaN when the inertia is not positive definite.
-///
-/// # Errors
-/// As [`Plant::new`].
-pub fn largest_stable_step(robot: &Robot, x: &[f64], tau: &[f64]) -> Result<f64, DesignError> {
-    let Plant { layout, mut dynamics } = Plant::new(robot)?;
+pub fn largest_stable_step(robot: &Robot, x: &[f64], tau: &[f64]) -> f64 {
+    let Plant { layout, mut dynamics } = Plant::new(robot);
     let a = dynamics.linearise(robot, &layout, x, tau);
     if a.iter().any(|value| !value.is_finite()) {
-        return Ok(f64::NAN);
+        return f64::NAN;
     }
     let modes = DMatrix::from_row_slice(layout.dense, layout.dense, &a).complex_eigenvalues();
-    Ok(RADIUS / modes.iter().map(|mode| mode.norm()).fold(0.0, f64::max))
+    RADIUS / modes.iter().map(|mode| mode.norm()).fold(0.0, f64::max)
 }

@@ -1,7 +1,6 @@
 //! The robot as a differential equation ẋ = f(x, τ).
 
 use crate::dynamics::{ElasticDynamics, ElasticLayout};
-use crate::error::DesignError;
 use crate::robot::Robot;
 
 /// Dynamics of a robot with room to compute them in; what integrators share.
@@ -15,12 +14,9 @@ pub struct Plant {
 
 impl Plant {
     /// Room for `robot`.
-    ///
-    /// # Errors
-    /// As [`ElasticLayout::new`].
-    pub fn new(robot: &Robot) -> Result<Self, DesignError> {
-        let layout = ElasticLayout::new(robot, false)?;
-        Ok(Self { dynamics: ElasticDynamics::new(robot, &layout), layout })
+    pub fn new(robot: &Robot) -> Self {
+        let layout = ElasticLayout::new(robot, false);
+        Self { dynamics: ElasticDynamics::new(robot, &layout), layout }
     }
 
     /// f(x, τ) at `x` (dense) under motor torques `tau` (n) [N m], into `out` (dense); NaN when the inertia is not

@@ -73,7 +73,7 @@ pub fn simulate(
     world.out = SimulatedRecording::with_capacity(robot, plan.count.div_ceil(plan.keep_every), suite.readings.len())?;
     // A fixed step beyond the stability limit of the stiffest mode would explode after samples that look right: refused
     // beforehand, with the number of substeps that would do.
-    let limit = largest_stable_step(robot, &world.x, &world.tau)?;
+    let limit = largest_stable_step(robot, &world.x, &world.tau);
     if limit.is_nan() {
         return Err(SimulationError::Singular);
     }
@@ -122,14 +122,10 @@ impl World {
     fn new(robot: &Robot, start: SimulationStart, stepping: Stepping) -> Result<Self, DesignError> {
         let n = robot.len();
         let (RobotState { q, dq, theta, dtheta }, tau) = start.complete(robot)?;
-        let plant = Plant::new(robot)?;
+        let plant = Plant::new(robot);
         let mover = Mover::new(&plant, stepping)?;
         let mut x = vec![0.0; plant.layout.dense];
-        for j in 0..n {
-            (x[plant.layout.theta[j]], x[plant.layout.dtheta[j]]) = (theta[j], dtheta[j]);
-        }
-        x[..n].copy_from_slice(&q);
-        x[n..2 * n].copy_from_slice(&dq);
+        plant.layout.gather([&q, &dq, &theta, &dtheta], &mut x);
         let known = RobotState::new(n);
         Ok(Self {
             x,

@@ -76,11 +76,11 @@ impl ElasticModel {
     /// `robot` with `noise`.
     ///
     /// # Errors
-    /// Motors on links, noise or biases that do not fit the channels, a negative standard deviation, a reading without noise.
+    /// Noise or biases that do not fit the channels, a negative standard deviation, a reading without noise.
     pub fn new(robot: Arc<Robot>, settings: &ElasticSettings, noise: ElasticNoise) -> Result<Self, DesignError> {
         let channels = Kind::all_channels(&settings.kinds, &robot);
         expect_length("biased", settings.biased.len(), channels.len())?;
-        let layout = ElasticLayout::new(&robot, settings.disturbances)?;
+        let layout = ElasticLayout::new(&robot, settings.disturbances);
         check(&noise, robot.len(), channels.len())?;
         let mut states = layout.dense;
         let mut number = |&biased: &bool| {

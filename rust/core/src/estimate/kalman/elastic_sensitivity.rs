@@ -10,7 +10,7 @@ use crate::robot::Robot;
 ///
 /// Each parameter is a torque on its joint, or for a mass on the joints that carry it: φ(δ) for ln K, δ³ for hardening,
 /// D δ̇ for ln D between motor and link; −Yᵢπᵢ at the present q̈ for the mass of link i, −friction for a link's friction;
-/// τ, −friction and −B θ̈ on a motor. Accelerations follow from all of them at once.
+/// τ, −friction and −B θ̈ on a motor, of a rotor on all that carry it. Accelerations follow from all of them at once.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ElasticSensitivity {
     tolerances: Vec<Tolerance>,
@@ -61,6 +61,18 @@ impl ElasticSensitivity {
                 continue;
             }
             let Some(j) = parameter.joint() else { continue };
+            let rotor = robot.rotors.iter().position(|rotor| rotor.motor == j);
+            if let (U::MotorInertia(_), Some(k)) = (parameter, rotor) {
+                // The rotor is a body of its own: its carriers feel it as they feel a link's mass.
+                shares_of_link(&dynamics.kinematics, dynamics.tree(robot), layout.joints + k, |i, share| {
+                    if i < layout.joints {
+                        links[i * *stride + column] = -share;
+                    } else {
+                        motors[j * *stride + column] = -(share * robot.rotors[k].ratio);
+                    }
+                });
+                continue;
+            }
             let (drive, at) = (&robot.drives[j], j * *stride + column);
             let (torsion, speed, dq) = (x[layout.theta[j]] - x[j], x[layout.dtheta[j]], x[layout.joints + j]);
             let motor = match parameter {
@@ -133,7 +145,7 @@ mod tests {
         Model, Process,
     };
     use crate::estimate::measurement::Kind;
-    use crate::robot::{BodySpec, Drive, Frame, JointKind, MotorFriction, Sensor, SoftWindup, Tree};
+    use crate::robot::{BodySpec, Drive, Frame, JointKind, MotorFriction, Rotor, Sensor, SoftWindup, Tree};
     use crate::spatial::{Mat3, Vec3};
     use Uncertain as U;
     use std::sync::Arc;
@@ -141,8 +153,9 @@ mod tests {
     const N: usize = 4;
     const TAU: [f64; N] = [5.0, -3.0, 2.0, 1.0];
 
-    /// Four joints, one of them sliding, one rigid, coupled, with everything nonlinear; `parameter` is off by `error`.
-    fn robot(parameter: Uncertain, error: f64) -> Robot {
+    /// Four joints, one of them sliding, one rigid, with everything nonlinear; `parameter` is off by `error`. Motors are
+    /// coupled to links, or links carry those of the last two joints.
+    fn robot(carried: bool, parameter: Uncertain, error: f64) -> Robot {
         let log = |p: Uncertain| if p == parameter { error.exp() } else { 1.0 };
         let drive = |j: usize| Drive {
             elastic: j != 2,
@@ -185,8 +198,17 @@ mod tests {
         };
         let sensor = Sensor { frame, axes: vec![2, 0], noise_std: 0.1 };
         let mut coupling = vec![0.0; N * N];
-        (coupling[1], coupling[3], coupling[7], coupling[2], coupling[6]) = (0.2, 0.1, -0.1, 0.05, 0.3);
-        Robot::new(tree, [0, 1, 2, 3].map(drive).to_vec(), coupling, vec![sensor], vec![], None).unwrap()
+        coupling[1] = 0.2;
+        let mut rotors = vec![];
+        if carried {
+            let axis = Vec3([0.6, 0.0, 0.8]);
+            rotors =
+                vec![Rotor { motor: 2, body: 1, axis, ratio: 4.0 }, Rotor { motor: 3, body: 2, axis, ratio: -3.0 }];
+        } else {
+            (coupling[3], coupling[7], coupling[2], coupling[6]) = (0.1, -0.1, 0.05, 0.3);
+        }
+        let robot = Robot::new(tree, [0, 1, 2, 3].map(drive).to_vec(), coupling, vec![sensor], vec![], None);
+        robot.unwrap().with_rotors(rotors).unwrap()
     }
 
     fn parameters() -> Vec<Tolerance> {
@@ -247,8 +269,12 @@ mod tests {
 
     #[test]
     fn readings_and_accelerations_are_those_of_robots_that_differ() {
+        [false, true].into_iter().for_each(differ);
+    }
+
+    fn differ(carried: bool) {
         let tolerances = parameters();
-        let mut ours = model(robot(U::Mass(9), 0.0)).with_tolerances(tolerances.clone());
+        let mut ours = model(robot(carried, U::Mass(9), 0.0)).with_tolerances(tolerances.clone());
         let (x, tau) = (state(), torques(U::Mass(9), 0.0));
         let m = ours.channels();
         let readings = vec![0.0; m];
@@ -264,8 +290,8 @@ mod tests {
         let sensitivity = measured.sensitivity.clone();
         for (column, &Tolerance { parameter, .. }) in tolerances.iter().enumerate() {
             let by = slope(parameter, |error| {
-                let (robot, tau) = (robot(parameter, error), torques(parameter, error));
-                let layout = ElasticLayout::new(&robot, true).unwrap();
+                let (robot, tau) = (robot(carried, parameter, error), torques(parameter, error));
+                let layout = ElasticLayout::new(&robot, true);
                 let mut dynamics = ElasticDynamics::new(&robot, &layout);
                 dynamics.accelerate(&robot, &layout, &x, &tau);
                 let mut model = model(robot);
@@ -296,7 +322,7 @@ mod tests {
         let stride = tolerances.len().next_multiple_of(linear::LANES);
         let x = state();
         let moved = |parameter: Uncertain, error: f64| {
-            let mut model = model(robot(parameter, error)).with_tolerances(tolerances.clone());
+            let mut model = model(robot(false, parameter, error)).with_tolerances(tolerances.clone());
             let (tau, readings) = (torques(parameter, error), vec![f64::NAN; model.channels()]);
             let sample = KalmanSample { dt, readings: &readings, inputs: Inputs { tau: &tau, ..Inputs::default() } };
             let mut belief = Gaussian::independent(&[0.0; 18]);

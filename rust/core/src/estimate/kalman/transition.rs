@@ -218,7 +218,7 @@ impl Transition {
         }
         let n = layout.joints;
         noise.substep(h, |input, rate| match input / n {
-            0 => torque_rate(robot, layout, dynamics, input, rate),
+            0 => dynamics.rate_by_torque_into(robot, layout, input, rate),
             1 => rate[input] = 1.0,
             _ => rate[layout.dtheta[input - 2 * n]] = 1.0,
         });
@@ -332,19 +332,6 @@ impl Transition {
         }
         lambda[..d].copy_from_slice(&self.start);
         self.congruence(big, true);
-    }
-}
-
-/// How the state's rate changes with the torque of motor `j`.
-#[inline(always)]
-fn torque_rate(robot: &Robot, layout: &ElasticLayout, dynamics: &ElasticDynamics, j: usize, rate: &mut [f64]) {
-    let n = layout.joints;
-    for i in 0..n {
-        rate[n + i] = dynamics.ddq_by_tau[i * n + j];
-    }
-    for i in (0..n).filter(|&i| robot.drives[i].elastic) {
-        let pull: f64 = (0..i).map(|k| robot.coupling[k * n + i] * dynamics.ddq_by_tau[k * n + j]).sum();
-        rate[layout.dtheta[i]] = (f64::from(i == j) - pull) / robot.drives[i].motor_inertia;
     }
 }
 

@@ -167,9 +167,10 @@ impl View<f64> for Elastic<'_> {
         if let Some(first) = layout.disturbance {
             wanted.entry(row, first + j, 1.0);
         }
-        for i in 0..=j {
-            let inertia = if i == j { drive.motor_inertia } else { robot.coupling[i * n + j] };
-            wanted.columns(row, i, [0.0, 0.0, -inertia]);
+        for (i, coupling) in self.dynamics.coupling(j) {
+            let [by_q, by_dq] = self.dynamics.joint_torque_by(robot, j, i);
+            wanted.columns(row, i, [by_q, by_dq, -coupling]);
         }
+        wanted.columns(row, j, [0.0, 0.0, -drive.motor_inertia]);
     }
 }

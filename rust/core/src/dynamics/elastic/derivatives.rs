@@ -1,0 +1,233 @@
+//! How accelerations change with the state, with motor torques and with further torques.
+
+use super::{ElasticDynamics, ElasticLayout};
+use crate::linear;
+use crate::robot::Robot;
+use crate::scalar::Scalar;
+use crate::simd::{self, Kernel};
+
+impl<T: Scalar> ElasticDynamics<T> {
+    /// Derivatives of the accelerations, after [`accelerate`](Self::accelerate) at the same state.
+    pub fn differentiate(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T]) {
+        simd::phase(Differentiate { dynamics: self, robot, layout, x });
+    }
+
+    #[inline(always)]
+    fn differentiate_here(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T]) {
+        let (n, d) = (layout.joints, layout.dense);
+        self.differentiate_loads(robot, layout, x);
+        for j in 0..n {
+            self.differentiate_motor(robot, layout, x, j);
+        }
+        let system = n * n;
+        linear::solve(&self.mass[..system], n, &mut self.ddq_by, d);
+        linear::solve(&self.mass[..system], n, &mut self.ddq_by_tau, n);
+        for (j, drive) in robot.drives.iter().enumerate() {
+            let own = &mut self.ddtheta_by[j * d..][..d];
+            if !drive.elastic {
+                own.copy_from_slice(&self.ddq_by[j * d..][..d]);
+                continue;
+            }
+            self.coupling.subtract_pull(j, &self.ddq_by, own);
+            let inertia = T::constant(drive.motor_inertia);
+            for value in own {
+                *value = *value / inertia;
+            }
+        }
+    }
+
+    /// Minus the derivatives of M q̈ + S θ̈ + C q̇ + g and of the links' friction, on links and on rotors' motors.
+    #[inline(always)]
+    fn differentiate_loads(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T]) {
+        let (n, d) = (layout.joints, layout.dense);
+        let Self { kinematics, loads, by_q, by_dq, ignored, load, coupling, ddq, ddtheta, .. } = self;
+        let (mut tree, mut q, mut dq, mut acceleration) = (&robot.tree, &x[..n], &x[n..2 * n], &ddq[..]);
+        if let Some(rotors) = &mut coupling.rotors {
+            rotors.acceleration[..n].copy_from_slice(ddq);
+            for (acceleration, rotor) in rotors.acceleration[n..].iter_mut().zip(&robot.rotors) {
+                *acceleration = ddtheta[rotor.motor] * rotor.ratio;
+            }
+            (tree, q, dq, acceleration) = (&rotors.tree, &rotors.position, &rotors.velocity, &rotors.acceleration);
+        }
+        kinematics.set(tree, q, dq, acceleration);
+        loads.inverse_dynamics_derivatives_into(tree, kinematics, load, by_q, by_dq, ignored);
+        let bodies = tree.len();
+        self.ddtheta_by.fill(T::default());
+        self.ddq_by_tau.fill(T::default());
+        for (i, row) in self.ddq_by.chunks_exact_mut(d).enumerate() {
+            row.fill(T::default());
+            for k in 0..n {
+                row[k] = -by_q[i * bodies + k];
+                row[n + k] = -by_dq[i * bodies + k];
+            }
+            row[n + i] -= robot.drives[i].link_friction(x[n + i]).1;
+            for (k, rotor) in (n..).zip(&robot.rotors) {
+                row[layout.dtheta[rotor.motor]] -= by_dq[i * bodies + k] * rotor.ratio;
+            }
+        }
+        for (k, rotor) in robot.rotors.iter().enumerate() {
+            self.differentiate_rotor(robot, layout, k, rotor.motor);
+        }
+    }
+
+    /// Minus the derivatives of what motor `j`, rotor `k`, takes, in its own row, which is eliminated or joins its link's.
+    #[inline(always)]
+    fn differentiate_rotor(&mut self, robot: &Robot, layout: &ElasticLayout, k: usize, j: usize) {
+        let (n, d, drive) = (layout.joints, layout.dense, &robot.drives[j]);
+        let Self { by_q, by_dq, coupling, ddq_by, ddtheta_by, .. } = self;
+        let (bodies, ratio) = (n + robot.rotors.len(), robot.rotors[k].ratio);
+        let row = (n + k) * bodies..(n + k) * bodies + n;
+        let by = || by_q[row.clone()].iter().zip(&by_dq[row.clone()]).map(|(q, dq)| (*q * ratio, *dq * ratio));
+        let subtract = |out: &mut [T], share: T| {
+            for (i, (q, dq)) in by().enumerate() {
+                out[i] -= share * q;
+                out[n + i] -= share * dq;
+            }
+        };
+        let one = T::constant(1.0);
+        if !drive.elastic {
+            return subtract(&mut ddq_by[j * d..][..d], one);
+        }
+        subtract(&mut ddtheta_by[j * d..][..d], one);
+        for (i, s) in coupling.coupled(j) {
+            subtract(&mut ddq_by[i * d..][..d], -(s / T::constant(drive.motor_inertia)));
+        }
+    }
+
+    /// What motor j's spring, friction, torque and disturbance do to the torques on links and on itself.
+    #[inline(always)]
+    fn differentiate_motor(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T], j: usize) {
+        let (n, d, drive) = (layout.joints, layout.dense, &robot.drives[j]);
+        let (theta, dtheta, one) = (layout.theta[j], layout.dtheta[j], T::constant(1.0));
+        let slip = drive.motor_friction(x[dtheta]).1;
+        let disturbance = layout.disturbance.map(|first| first + j);
+        let Self { coupling, ddq_by, ddq_by_tau, ddtheta_by, .. } = self;
+        if !drive.elastic {
+            ddq_by[j * d + dtheta] -= slip;
+            ddq_by_tau[j * n + j] = one;
+            if let Some(k) = disturbance {
+                ddq_by[j * d + k] = one;
+            }
+            return;
+        }
+        let (kappa, damping) = (drive.tangent_stiffness(x[theta] - x[j]), T::constant(drive.damping));
+        let spring = [(theta, kappa), (j, -kappa), (dtheta, damping), (n + j, -damping)];
+        for (i, s) in coupling.coupled(j) {
+            let share = s / T::constant(drive.motor_inertia);
+            for (k, slope) in spring {
+                ddq_by[i * d + k] += share * slope;
+            }
+            ddq_by[i * d + dtheta] += share * slip;
+            ddq_by_tau[i * n + j] = -share;
+            if let Some(k) = disturbance {
+                ddq_by[i * d + k] = -share;
+            }
+        }
+        let own = &mut ddtheta_by[j * d..][..d];
+        for (k, slope) in spring {
+            ddq_by[j * d + k] += slope;
+            own[k] -= slope;
+        }
+        own[dtheta] -= slip;
+        if let Some(k) = disturbance {
+            own[k] = one;
+        }
+    }
+
+    /// What the transmission of joint `j`, rigid, gives its link, by positions and velocities of link `i`, where
+    /// accelerations stay; after [`differentiate`](Self::differentiate). Zero but behind a rotor.
+    #[inline(always)]
+    pub(crate) fn joint_torque_by(&self, robot: &Robot, j: usize, i: usize) -> [T; 2] {
+        let bodies = robot.len() + robot.rotors.len();
+        let Some(k) = robot.rotors.iter().position(|rotor| rotor.motor == j) else {
+            return [T::default(); 2];
+        };
+        let at = (robot.len() + k) * bodies + i;
+        [self.by_q[at], self.by_dq[at]].map(|slope| -(slope * robot.rotors[k].ratio))
+    }
+
+    /// ∂ẋ/∂τ_j into `rate` (dense), whose other entries stay; after [`differentiate`](Self::differentiate).
+    #[inline(always)]
+    pub(crate) fn rate_by_torque_into(&self, robot: &Robot, layout: &ElasticLayout, j: usize, rate: &mut [T]) {
+        let n = layout.joints;
+        for i in 0..n {
+            rate[n + i] = self.ddq_by_tau[i * n + j];
+        }
+        for (i, drive) in robot.drives.iter().enumerate().filter(|(_, drive)| drive.elastic) {
+            let pull = self.coupling.links(i).fold(T::default(), |sum, (k, s)| sum + s * self.ddq_by_tau[k * n + j]);
+            let own = T::constant(f64::from(i == j));
+            rate[layout.dtheta[i]] = (own - pull) / T::constant(drive.motor_inertia);
+        }
+    }
+
+    /// Accelerations by further torques on links and motors and in transmissions, in place of them (n × `width` each),
+    /// after [`accelerate`](Self::accelerate); of a rigid joint what its transmission gives the link.
+    #[inline(always)]
+    pub(crate) fn respond(
+        &self,
+        robot: &Robot,
+        links: &mut [T],
+        motors: &mut [T],
+        transmitted: &mut [T],
+        width: usize,
+    ) {
+        let (n, one) = (robot.len(), T::constant(1.0));
+        let row = |j: usize| j * width..(j + 1) * width;
+        for (j, drive) in robot.drives.iter().enumerate() {
+            if drive.elastic {
+                linear::add_scaled(&mut links[row(j)], one, &transmitted[row(j)]);
+                linear::add_scaled(&mut motors[row(j)], -one, &transmitted[row(j)]);
+                for (i, s) in self.coupling.coupled(j) {
+                    let share = s / T::constant(drive.motor_inertia);
+                    linear::add_scaled(&mut links[row(i)], -share, &motors[row(j)]);
+                }
+            } else {
+                linear::add_scaled(&mut links[row(j)], one, &motors[row(j)]);
+                transmitted[row(j)].copy_from_slice(&motors[row(j)]);
+            }
+        }
+        linear::solve(&self.mass[..n * n], n, links, width);
+        for (j, drive) in robot.drives.iter().enumerate() {
+            let own = if drive.elastic { &mut motors[row(j)] } else { &mut transmitted[row(j)] };
+            let inertia = T::constant(drive.motor_inertia);
+            self.coupling.subtract_pull(j, links, own);
+            if drive.elastic {
+                own.iter_mut().for_each(|x| *x = *x / inertia);
+            } else {
+                linear::add_scaled(own, -inertia, &links[row(j)]);
+            }
+        }
+    }
+
+    /// ẋ = A x near `x` under `tau`: A, row-major dense × dense. Allocates.
+    pub fn linearise(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T], tau: &[T]) -> Vec<T> {
+        let (n, d) = (layout.joints, layout.dense);
+        self.accelerate(robot, layout, x, tau);
+        self.differentiate(robot, layout, x);
+        let mut a = vec![T::default(); d * d];
+        for j in 0..n {
+            a[layout.theta[j] * d + layout.dtheta[j]] = T::constant(1.0);
+            a[layout.dtheta[j] * d..][..d].copy_from_slice(&self.ddtheta_by[j * d..][..d]);
+            a[j * d + n + j] = T::constant(1.0);
+            a[(n + j) * d..][..d].copy_from_slice(&self.ddq_by[j * d..][..d]);
+        }
+        a
+    }
+}
+
+struct Differentiate<'a, T> {
+    dynamics: &'a mut ElasticDynamics<T>,
+    robot: &'a Robot,
+    layout: &'a ElasticLayout,
+    x: &'a [T],
+}
+
+impl<T: Scalar> Kernel for Differentiate<'_, T> {
+    type Output = ();
+    const LANES: bool = T::LANES;
+
+    #[inline(always)]
+    fn run(self) {
+        self.dynamics.differentiate_here(self.robot, self.layout, self.x);
+    }
+}

@@ -1,0 +1,259 @@
+//! Forward dynamics of a robot with elastic and rigid joints, and their derivatives.
+
+mod coupling;
+mod derivatives;
+mod layout;
+#[cfg(test)]
+mod tests;
+
+pub use layout::ElasticLayout;
+
+use super::{Kinematics, Loads};
+use crate::linear;
+use crate::robot::{Robot, Tree};
+use crate::scalar::Scalar;
+use crate::simd::{self, Kernel};
+use coupling::Coupling;
+
+/// Accelerations of links and motors, and what they depend on.
+///
+/// De Luca, Schröder and Thümmel (2007), eq. (2), with nonlinear springs and friction (Ulrich and Sasiadek 2011,
+/// eqs. (10)–(16)):
+///
+/// ```text
+/// M q̈ + S θ̈ + C q̇ + g + d(q̇) = τ_e(θ − q, θ̇ − q̇)
+/// Sᵀ q̈ + B θ̈ + f(θ̇)          = τ − τ_e
+/// ```
+///
+/// θ̈ is eliminated, as B is diagonal: (M − S B⁻¹ Sᵀ) q̈ = τ_e − C q̇ − g − d − S B⁻¹ (τ − f − τ_e). A rigid joint's motor
+/// moves with its link: its row and column of S and its B join M. Motors that are [`Rotor`](crate::robot::Rotor)s on
+/// links are bodies of an extended tree, whence S(q) and its velocity terms in both rows. Derivatives: those of the
+/// left-hand side are of the inverse dynamics at q̈ and θ̈.
+#[derive(Clone, Debug)]
+pub struct ElasticDynamics<T = f64> {
+    /// q̈ (n) [rad/s²].
+    pub ddq: Vec<T>,
+    /// θ̈ (n) [rad/s²]; q̈ where the joint is rigid.
+    pub ddtheta: Vec<T>,
+    /// ∂q̈/∂x, n × dense.
+    pub ddq_by: Vec<T>,
+    /// ∂θ̈/∂x, n × dense.
+    pub ddtheta_by: Vec<T>,
+    /// ∂q̈/∂τ, n × n.
+    pub ddq_by_tau: Vec<T>,
+    /// Of links, and of rotors behind them: at the state of [`accelerate`](Self::accelerate), after
+    /// [`differentiate`](Self::differentiate) with the accelerations.
+    pub kinematics: Kinematics<T>,
+    loads: Loads<T>,
+    coupling: Coupling<T>,
+    zero: Vec<T>,
+    load: Vec<T>,
+    /// M of links and rotors, then L and D of what q̈ is solved with (n × n).
+    mass: Vec<T>,
+    by_q: Vec<T>,
+    by_dq: Vec<T>,
+    ignored: Vec<T>,
+    /// τ_e (n) [N m]; behind a rigid drive its motor's torque less friction.
+    spring: Vec<T>,
+    /// Motor torque less friction, and of a rotor less what its carrier's turning takes.
+    drive: Vec<T>,
+}
+
+impl<T: Scalar> ElasticDynamics<T> {
+    /// Room for `robot`.
+    pub fn new(robot: &Robot, layout: &ElasticLayout) -> Self {
+        let (n, d) = (robot.len(), layout.dense);
+        let coupling = Coupling::new(robot);
+        let tree = coupling.rotors.as_ref().map_or(&robot.tree, |rotors| &rotors.tree);
+        let (kinematics, loads, bodies) = (Kinematics::new(tree), Loads::new(tree), tree.len());
+        let room = |length: usize| vec![T::default(); length];
+        let square = || room(bodies * bodies);
+        Self {
+            ddq: room(n),
+            ddtheta: room(n),
+            ddq_by: room(n * d),
+            ddtheta_by: room(n * d),
+            ddq_by_tau: room(n * n),
+            kinematics,
+            loads,
+            coupling,
+            zero: room(bodies),
+            load: room(bodies),
+            mass: square(),
+            by_q: square(),
+            by_dq: square(),
+            ignored: square(),
+            spring: room(n),
+            drive: room(n),
+        }
+    }
+
+    /// Accelerations at state `x` (dense) under motor torques `tau` (n) [N m]; NaN when the inertia is not positive definite.
+    pub fn accelerate(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T], tau: &[T]) {
+        simd::phase(Accelerate { dynamics: self, robot, layout, x, tau });
+    }
+
+    #[inline(always)]
+    fn accelerate_here(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T], tau: &[T]) {
+        let n = layout.joints;
+        self.gather_loads(robot, layout, x);
+        self.gather_torques(robot, layout, x, tau);
+        self.couple(robot);
+        let (system, rest) = (n * n, T::constant(f64::NAN));
+        linear::factorise(&mut self.mass[..system], n);
+        if !linear::is_definite(&self.mass[..system], n) {
+            self.ddq.fill(rest);
+            self.ddtheta.fill(rest);
+            return;
+        }
+        linear::solve(&self.mass[..system], n, &mut self.ddq, 1);
+        for (j, drive) in robot.drives.iter().enumerate() {
+            self.ddtheta[j] = if drive.elastic {
+                let pull = self.coupling.pull(j, &self.ddq);
+                (self.drive[j] - self.spring[j] - pull) / T::constant(drive.motor_inertia)
+            } else {
+                self.ddq[j]
+            };
+        }
+    }
+
+    /// M, S and C q̇ + g of links and rotors; what the rotors' rows have goes to their motors' torques.
+    #[inline(always)]
+    fn gather_loads(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T]) {
+        let n = layout.joints;
+        let Self { kinematics, loads, load, mass, coupling, drive, .. } = self;
+        let (mut tree, mut q, mut dq) = (&robot.tree, &x[..n], &x[n..2 * n]);
+        if let Some(rotors) = &mut coupling.rotors {
+            rotors.position[..n].copy_from_slice(q);
+            rotors.velocity[..n].copy_from_slice(dq);
+            for (velocity, rotor) in rotors.velocity[n..].iter_mut().zip(&robot.rotors) {
+                *velocity = x[layout.dtheta[rotor.motor]] * rotor.ratio;
+            }
+            (tree, q, dq) = (&rotors.tree, &rotors.position, &rotors.velocity);
+        }
+        kinematics.set_motion(tree, q, dq, &self.zero);
+        loads.inverse_dynamics_into(tree, kinematics, load);
+        loads.mass_matrix_into(tree, kinematics, mass);
+        coupling.take(robot, mass);
+        drive.fill(T::default());
+        for (&load, rotor) in load[n..].iter().zip(&robot.rotors) {
+            drive[rotor.motor] = -(load * rotor.ratio);
+        }
+    }
+
+    /// Torques on motors, springs and links.
+    #[inline(always)]
+    fn gather_torques(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T], tau: &[T]) {
+        let n = layout.joints;
+        let (q, dq) = (&x[..n], &x[n..2 * n]);
+        for (j, drive) in robot.drives.iter().enumerate() {
+            let speed = x[layout.dtheta[j]];
+            let extra = layout.disturbance.map_or(T::default(), |first| x[first + j]);
+            self.drive[j] += tau[j] + extra - drive.motor_friction(speed).0;
+            self.spring[j] = if drive.elastic {
+                drive.spring_torque(x[layout.theta[j]] - q[j]) + (speed - dq[j]) * drive.damping
+            } else {
+                self.drive[j]
+            };
+            self.ddq[j] = self.spring[j] - self.load[j] - drive.link_friction(dq[j]).0;
+        }
+    }
+
+    /// What motors add to the links' inertia and torque.
+    #[inline(always)]
+    fn couple(&mut self, robot: &Robot) {
+        let n = robot.len();
+        let Self { coupling, mass, ddq, drive: torque, spring, .. } = self;
+        for (j, drive) in robot.drives.iter().enumerate() {
+            if !drive.elastic {
+                mass[j * n + j] += T::constant(drive.motor_inertia);
+                for (i, s) in coupling.links(j) {
+                    mass[i * n + j] += s;
+                    mass[j * n + i] += s;
+                }
+                continue;
+            }
+            for (i, s) in coupling.coupled(j) {
+                let share = s / T::constant(drive.motor_inertia);
+                ddq[i] -= share * (torque[j] - spring[j]);
+                for (k, s) in coupling.links(j) {
+                    mass[i * n + k] -= share * s;
+                }
+            }
+        }
+    }
+
+    /// The least pivot of the last inertia matrix [kg m²]; not positive where the matrix is not positive definite.
+    pub fn least_pivot(&self) -> T
+    where
+        T: PartialOrd,
+    {
+        let n = self.ddq.len();
+        let pivots = self.mass[..n * n].iter().step_by(n + 1);
+        pivots.copied().reduce(|a, b| if b < a { b } else { a }).unwrap_or_default()
+    }
+
+    /// The tree that [`kinematics`](Self::kinematics) is of: links, then rotors in the robot's order.
+    #[inline(always)]
+    pub(crate) fn tree<'a>(&'a self, robot: &'a Robot) -> &'a Tree {
+        self.coupling.rotors.as_ref().map_or(&robot.tree, |rotors| &rotors.tree)
+    }
+
+    /// S of motor `j` and the links that it may couple to [kg m²], after [`accelerate`](Self::accelerate).
+    #[inline(always)]
+    pub(crate) fn coupling(&self, j: usize) -> impl Iterator<Item = (usize, T)> + '_ {
+        self.coupling.links(j)
+    }
+
+    /// What the transmission of joint `j` gives its link [N m], after [`accelerate`](Self::accelerate): the torque of
+    /// spring and damper, behind a rigid drive what the motor leaves of its own.
+    #[inline(always)]
+    pub fn joint_torque(&self, robot: &Robot, j: usize) -> T {
+        let drive = &robot.drives[j];
+        if drive.elastic {
+            return self.spring[j];
+        }
+        self.drive[j] - self.ddq[j] * drive.motor_inertia - self.coupling.pull(j, &self.ddq)
+    }
+
+    /// Inertia of joint `j`'s rigid drive's load [kg m²], after [`accelerate`](Self::accelerate).
+    #[inline(always)]
+    pub(crate) fn inertia(&self, robot: &Robot, j: usize) -> T {
+        let n = robot.len();
+        let entry = |i: usize, k: usize| self.mass[i * n + k];
+        let before = (0..j).fold(T::default(), |sum, k| sum + entry(j, k) * entry(j, k) * entry(k, k));
+        let own = self.coupling.links(j).filter(|(i, _)| *i == j).fold(T::default(), |_, (_, s)| s + s);
+        before + entry(j, j) + -robot.drives[j].motor_inertia - own
+    }
+
+    /// ẋ, after [`accelerate`](Self::accelerate) at state `x`: `out` (dense) is overwritten; disturbances stay.
+    #[inline(always)]
+    pub fn rate_into(&self, layout: &ElasticLayout, x: &[T], out: &mut [T]) {
+        let n = layout.joints;
+        out.fill(T::default());
+        for j in 0..n {
+            out[layout.theta[j]] = x[layout.dtheta[j]];
+            out[layout.dtheta[j]] = self.ddtheta[j];
+            out[j] = x[n + j];
+            out[n + j] = self.ddq[j];
+        }
+    }
+}
+
+struct Accelerate<'a, T> {
+    dynamics: &'a mut ElasticDynamics<T>,
+    robot: &'a Robot,
+    layout: &'a ElasticLayout,
+    x: &'a [T],
+    tau: &'a [T],
+}
+
+impl<T: Scalar> Kernel for Accelerate<'_, T> {
+    type Output = ();
+    const LANES: bool = T::LANES;
+
+    #[inline(always)]
+    fn run(self) {
+        self.dynamics.accelerate_here(self.robot, self.layout, self.x, self.tau);
+    }
+}

@@ -1,0 +1,105 @@
+//! Both rows of the model, and derivatives against differences.
+
+use super::*;
+use crate::robot::{BodySpec, Drive, JointKind, MotorFriction, SoftWindup, Tree};
+use crate::spatial::{Mat3, Vec3};
+
+/// Four joints, one of them sliding, one rigid, coupled, with everything nonlinear.
+fn robot() -> Robot {
+    let drive = |elastic| Drive {
+        elastic,
+        stiffness: 500.0,
+        damping: 2.0,
+        motor_inertia: 3.0,
+        cubic_stiffness: 3e3,
+        soft_windup: SoftWindup { stiffness: 120.0, shape: 80.0 },
+        motor_friction: MotorFriction { viscous: 0.4, coulomb: 1e-3, ..MotorFriction::default() },
+        link_friction: [0.5, 1.5, 0.5, 0.2, 1.0, 0.5],
+    };
+    let body = |index: usize| BodySpec {
+        parent: index.checked_sub(1),
+        joint: index,
+        kind: if index == 2 { JointKind::Prismatic } else { JointKind::Revolute },
+        rotation: Mat3::IDENTITY,
+        translation: Vec3([0.4, 0.1, 0.0]),
+        axis: Vec3(if index.is_multiple_of(2) { [0.0, 0.0, 1.0] } else { [0.0, 1.0, 0.0] }),
+        mass: 2.0,
+        com: Vec3([0.2, 0.1, 0.0]),
+        inertia: Mat3::from_rows([[0.1, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, 0.0, 0.15]]),
+    };
+    let tree = Tree::new(Vec3([1.0, 0.0, -9.0]), &[0, 1, 2, 3].map(body)).unwrap();
+    let mut coupling = vec![0.0; 16];
+    (coupling[1], coupling[3], coupling[7], coupling[2], coupling[6]) = (0.2, 0.1, -0.1, 0.05, 0.3);
+    let drives = [true, true, false, true].map(drive).to_vec();
+    Robot::new(tree, drives, coupling, vec![], vec![], None).unwrap()
+}
+
+#[test]
+fn derivatives_are_those_of_differences() {
+    let robot = robot();
+    let layout = ElasticLayout::new(&robot, true);
+    let d = layout.dense;
+    assert_eq!((d, &layout.theta[..], &layout.dtheta[..]), (18, &[8, 9, 2, 10][..], &[11, 12, 6, 13][..]));
+    let x: Vec<f64> = (0..d).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
+    let tau = [5.0, -3.0, 2.0, 1.0];
+    let mut dynamics = ElasticDynamics::new(&robot, &layout);
+    dynamics.accelerate(&robot, &layout, &x, &tau);
+    dynamics.differentiate(&robot, &layout, &x);
+    let mut probe = ElasticDynamics::new(&robot, &layout);
+    let mut at = |x: &[f64], tau: &[f64]| {
+        probe.accelerate(&robot, &layout, x, tau);
+        [probe.ddq.clone(), probe.ddtheta.clone()].concat()
+    };
+    let (h, n) = (1e-6, 4);
+    let check = |above: Vec<f64>, below: Vec<f64>, ours: &dyn Fn(usize) -> f64| {
+        for i in 0..2 * n {
+            let slope = (above[i] - below[i]) / (2.0 * h);
+            assert!((ours(i) - slope).abs() < 1e-6 * (1.0 + slope.abs()), "{i}: {} {slope}", ours(i));
+        }
+    };
+    for k in 0..d {
+        let (mut above, mut below) = (x.clone(), x.clone());
+        (above[k], below[k]) = (above[k] + h, below[k] - h);
+        let ours = |i: usize| if i < n { dynamics.ddq_by[i * d + k] } else { dynamics.ddtheta_by[(i - n) * d + k] };
+        check(at(&above, &tau), at(&below, &tau), &ours);
+    }
+    for k in 0..n {
+        let (mut above, mut below) = (tau, tau);
+        (above[k], below[k]) = (above[k] + h, below[k] - h);
+        let [above, below] = [above, below].map(|tau| at(&x, &tau)[..n].to_vec());
+        for i in 0..n {
+            let slope = (above[i] - below[i]) / (2.0 * h);
+            assert!((dynamics.ddq_by_tau[i * n + k] - slope).abs() < 1e-6 * (1.0 + slope.abs()));
+        }
+    }
+}
+
+#[test]
+fn both_rows_of_the_model_balance() {
+    let robot = robot();
+    let layout = ElasticLayout::new(&robot, false);
+    let x: Vec<f64> = (0..layout.dense).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
+    let (n, tau) = (4, [5.0, -3.0, 2.0, 1.0]);
+    let mut dynamics = ElasticDynamics::new(&robot, &layout);
+    dynamics.accelerate(&robot, &layout, &x, &tau);
+    let (mut kinematics, mut loads) = (Kinematics::new(&robot.tree), Loads::new(&robot.tree));
+    kinematics.set(&robot.tree, &x[..n], &x[n..2 * n], &dynamics.ddq);
+    let mut load = vec![0.0; n];
+    loads.inverse_dynamics_into(&robot.tree, &kinematics, &mut load);
+    for (j, drive) in robot.drives.iter().enumerate() {
+        let (theta, dtheta) = (x[layout.theta[j]], x[layout.dtheta[j]]);
+        let spring = drive.spring_torque(theta - x[j]) + drive.damping * (dtheta - x[n + j]);
+        let pull: f64 = (0..n).map(|i| robot.coupling[i * n + j] * dynamics.ddq[i]).sum();
+        let push: f64 = (0..n).map(|i| robot.coupling[j * n + i] * dynamics.ddtheta[i]).sum();
+        let motor = tau[j] - drive.motor_friction.viscous * dtheta - drive.dry_friction(dtheta);
+        let torque = if drive.elastic { spring } else { motor - drive.motor_inertia * dynamics.ddq[j] - pull };
+        let link = load[j] + drive.link_friction(x[n + j]).0 + push - torque;
+        assert!(link.abs() < 1e-12, "{j}: {link}");
+        let sensor = dynamics.joint_torque(&robot, j);
+        assert!((sensor - torque).abs() < 1e-12, "{j}: {sensor} {torque}");
+        if drive.elastic {
+            let row = drive.motor_inertia * dynamics.ddtheta[j] + pull + spring - motor;
+            assert!(row.abs() < 1e-12, "{j}: {row}");
+        }
+    }
+}
