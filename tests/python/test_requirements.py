@@ -48,6 +48,10 @@ DECLARED = {
     "bias": {"sensor": {"bias": [0.3, 0.1, -0.2]}},
     "cubic_stiffness": {"drive": {"cubic_stiffness": 1e7}},
     "soft_windup": {"drive": {"soft_windup": {"stiffness": 2e3, "shape": 1e4}}},
+    "stiffness_table": {
+        "drive": {"stiffness": None, "stiffness_table": {"torque": [8, 30], "stiffness": [8e3, 1e4, 2e4]}}
+    },
+    "backlash": {"drive": {"backlash": {"half_gap": 1e-3}}},
     "link_friction": {"drive": {"link_friction": [0.5, 150.0, 50.0, 2.0, 100.0, 0.5]}},
     "motor_friction": {"drive": {"motor_friction": {"viscous": 40.0, "coulomb": 30.0}}},
 }
@@ -113,7 +117,10 @@ METHODS = {
     "simulation": simulated,
 }
 
-SENSOR, SPRING = {"corner_frequency", "delay", "bias"}, {"cubic_stiffness", "soft_windup"}
+SENSOR, SPRING = (
+    {"corner_frequency", "delay", "bias"},
+    {"cubic_stiffness", "soft_windup", "stiffness_table", "backlash"},
+)
 UNCONCERNED = {
     **dict.fromkeys(("reduced-order", "nicosia-tomei", "residual"), SENSOR | SPRING),
     **{method: {"motor_friction"} for method in ("ekf", "smoother", "fixed-lag", "particle", "marginalized")},
@@ -146,8 +153,8 @@ def test_what_is_declared_makes_a_difference_or_is_refused_by_name(method, key):
 @pytest.mark.parametrize(("method", "key"), [(m, key) for m, keys in UNSUPPORTED.items() for key in keys])
 def test_a_refusal_names_method_key_and_owner(method, key):
     declared = next(settings for word, settings in DECLARED.items() if key.startswith(word))
-    owner = FEATURES[key](robot(**declared))[0]
-    with pytest.raises(EstimatorError, match=f"'{owner}' {key}, which {method} does not account for"):
+    owners = ", ".join(map(repr, FEATURES[key](robot(**declared))))
+    with pytest.raises(EstimatorError, match=f"{owners} {key}, which {method} does not account for"):
         refuse_unsupported(robot(**declared), method)
     refuse_unsupported(robot(), method)
 

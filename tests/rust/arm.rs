@@ -1,6 +1,8 @@
 //! An industrial arm of any number of joints.
 
-use linkside_core::robot::{BodySpec, Drive, JointKind, MotorFriction, Robot, Sensor, SoftWindup, Tree};
+use linkside_core::robot::{
+    Backlash, BodySpec, Drive, JointKind, MotorFriction, Robot, Sensor, SoftWindup, SpringCurve, Tree,
+};
 use linkside_core::spatial::{Mat3, Vec3};
 
 /// An accelerometer on body `body`, at `at` in its frame.
@@ -21,6 +23,8 @@ pub(crate) fn drive() -> Drive {
         motor_inertia: 30.0,
         cubic_stiffness: 0.0,
         soft_windup: SoftWindup::default(),
+        curve: SpringCurve::default(),
+        backlash: Backlash::default(),
         motor_friction: MotorFriction { viscous: 10.0, coulomb: 5.0, ..MotorFriction::default() },
         link_friction: [0.0; 6],
     }

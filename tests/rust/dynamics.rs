@@ -3,7 +3,7 @@
 mod support;
 
 use linkside_core::error::RobotError;
-use linkside_core::robot::{BodySpec, Drive, Frame, JointKind, Robot, Sensor, SoftWindup, Tree};
+use linkside_core::robot::{Backlash, BodySpec, Drive, Frame, JointKind, Robot, Sensor, SoftWindup, SpringCurve, Tree};
 use linkside_core::scalar::{Dual, Lanes, Scalar};
 use linkside_core::spatial::{Mat3, Vec3};
 use nalgebra::{DMatrix, DVector};
@@ -396,6 +396,8 @@ impl Parts {
             motor_inertia: 1.5,
             cubic_stiffness: 0.0,
             soft_windup: SoftWindup::default(),
+            curve: SpringCurve::default(),
+            backlash: Backlash::default(),
             motor_friction: Default::default(),
             link_friction: [0.0; 6],
         };

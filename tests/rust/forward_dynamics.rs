@@ -5,7 +5,9 @@ mod support;
 
 use linkside_core::dynamics::{ElasticDynamics, ElasticLayout, check_inertia};
 use linkside_core::error::RobotError;
-use linkside_core::robot::{BodySpec, Drive, JointKind, MotorFriction, Robot, Rotor, SoftWindup, Tree};
+use linkside_core::robot::{
+    Backlash, BodySpec, Drive, Interpolation, JointKind, MotorFriction, Robot, Rotor, SoftWindup, SpringCurve, Tree,
+};
 use linkside_core::scalar::{Dual, Lanes, Scalar};
 use linkside_core::spatial::{Mat3, Vec3};
 use proptest::prelude::*;
@@ -31,8 +33,25 @@ struct Driven {
 fn drives() -> impl Strategy<Value = Drive> {
     let spring = (100.0..1e3, 0.0..3.0, 0.0..1e3, -40.0..90.0_f64, 0.0..50.0);
     let friction = (0.0..0.5, 0.0..0.5, 0.0..0.5, 0.1..1.0, prop::array::uniform6(0.0..1.0));
-    (prop::bool::weighted(0.75), 0.5..4.0, spring, friction).prop_map(
-        |(elastic, motor_inertia, (stiffness, damping, cubic_stiffness, missing, shape), (v, c, s, speed, link))| {
+    let law = (0..3_u8, 0.0..0.1_f64, 1e-3..0.05_f64);
+    (prop::bool::weighted(0.75), 0.5..4.0, spring, friction, law).prop_map(
+        |(
+            elastic,
+            motor_inertia,
+            (stiffness, damping, cubic, missing, shape),
+            (v, c, s, speed, link),
+            (law, gap, x),
+        )| {
+            // Rates with hardening and wind-up, a table, or play before one rate.
+            let (mut cubic_stiffness, mut curve, mut backlash) = (cubic, SpringCurve::default(), Backlash::default());
+            let mut missing = missing;
+            if law == 1 {
+                let points = [[x, 0.6 * stiffness * x], [2.0 * x, 1.5 * stiffness * x], [5.0 * x, 9.0 * stiffness * x]];
+                curve = SpringCurve::new(&points, Interpolation::Monotone).unwrap();
+            } else if law == 2 {
+                (cubic_stiffness, missing) = (0.0, 0.0);
+                backlash = Backlash { half_gap: gap, slope: 0.1, rounding: x };
+            }
             Drive {
                 elastic,
                 stiffness,
@@ -40,6 +59,8 @@ fn drives() -> impl Strategy<Value = Drive> {
                 motor_inertia,
                 cubic_stiffness,
                 soft_windup: SoftWindup { stiffness: missing, shape },
+                curve,
+                backlash,
                 motor_friction: MotorFriction { viscous: v, coulomb: c, stribeck: s, stribeck_velocity: speed },
                 link_friction: link,
             }
@@ -133,6 +154,14 @@ fn energy<T: Scalar>(driven: &Driven, [q, dq, theta, dtheta]: [&[T]; 4]) -> T {
 }
 
 fn spring_energy<T: Scalar>(drive: &Drive, torsion: T) -> T {
+    let now = torsion.map(|x| x);
+    let chain = |energy: T, torque: T| energy + torque * (torsion - now);
+    if !drive.curve.is_none() {
+        return chain(now.map(|x| drive.curve.energy(x)), drive.curve.torque(now));
+    }
+    if !drive.backlash.is_none() {
+        return chain(now.map(|x| drive.backlash.energy(x)), drive.backlash.engaged(now)) * drive.stiffness;
+    }
     let (square, SoftWindup { stiffness, shape }) = (torsion * torsion, drive.soft_windup);
     let windup = ((square * -shape).exp() + -1.0) * (0.5 * stiffness / shape);
     square * (0.5 * drive.stiffness) + square * square * (0.25 * drive.cubic_stiffness) + windup
@@ -257,6 +286,8 @@ fn space_arm() -> Robot {
         motor_inertia: 1.0,
         cubic_stiffness: 500.0,
         soft_windup: SoftWindup { stiffness: 10.0, shape: 3000.0 },
+        curve: SpringCurve::default(),
+        backlash: Backlash::default(),
         motor_friction: MotorFriction::default(),
         link_friction: [0.5, 150.0, 50.0, 2.0, 100.0, 0.5],
     };

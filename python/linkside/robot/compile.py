@@ -196,6 +196,13 @@ def _drive(joint: JointConfig) -> dict[str, Any]:
         "cubic_stiffness": joint.cubic_stiffness,
         "soft_windup_stiffness": joint.soft_windup.stiffness,
         "soft_windup_shape": joint.soft_windup.shape,
+        "curve": joint.stiffness_table.points if joint.stiffness_table else [],
+        "curve_straight": bool(joint.stiffness_table and joint.stiffness_table.straight),
+        "gap": [
+            joint.backlash.half_gap,
+            joint.backlash.slope,
+            joint.backlash.rounding or 0.1 * joint.backlash.half_gap,
+        ],
         "friction_viscous": joint.motor_friction.viscous,
         "friction_coulomb": joint.motor_friction.coulomb,
         "friction_stribeck": joint.motor_friction.stribeck,

@@ -5,6 +5,7 @@ missing one or a value out of range is a `ConfigError`: file, line, key, what wa
 """
 
 import math
+from itertools import accumulate, pairwise
 from os import PathLike
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -91,6 +92,71 @@ class SoftWindup(_Section):
     shape: NonNegative = 0.0  # 1/rad²
 
 
+class StiffnessTable(_Section):
+    """A spring as a data sheet or a test bench has it, in place of one stiffness; odd unless a torsion is negative.
+
+    Either `stiffness` of one number more than `torque`: rates below the first torque, between them and beyond the
+    last, as catalogues of harmonic drives have them. Or `torsion` and `torque` of points, joined by a rising cubic
+    spline (Fritsch and Butland 1984) or by straight lines, and straight beyond the last.
+    """
+
+    torque: Annotated[tuple[Number, ...], BeforeValidator(_listed)]  # N m
+    stiffness: Annotated[tuple[Positive, ...], BeforeValidator(_listed)] | None = None  # N m/rad
+    torsion: Annotated[tuple[Number, ...], BeforeValidator(_listed)] | None = None  # rad
+    interpolation: Literal["monotone", "linear"] = "monotone"
+
+    @model_validator(mode="after")
+    def _complete(self) -> "StiffnessTable":
+        if (self.stiffness is None) == (self.torsion is None):
+            raise refusal("expected either 'stiffness', rates between torques, or 'torsion', that of each torque")
+        key = "stiffness" if self.torsion is None else "torsion"
+        found, expected = len(getattr(self, key)), len(self.torque) + (key == "stiffness")
+        if found != expected or not self.torque:
+            raise refusal(f"expected {max(expected, 1)} numbers, got {found}: torque has {len(self.torque)}", key)
+        points = [[0.0, 0.0], *(p for p in self.points if p != [0.0, 0.0])] if self._odd else self.points
+        if [0.0, 0.0] not in points[:-1]:
+            raise refusal("expected a point of torque 0 at torsion 0, and one beyond, where a torsion is negative", key)
+        for before, after in pairwise(points):
+            if after[0] <= before[0] or after[1] <= before[1]:
+                raise refusal("expected torsions and torques that rise from point to point", "torque")
+        return self
+
+    @property
+    def straight(self) -> bool:
+        """Whether straight lines join the points."""
+        return self.stiffness is not None or self.interpolation == "linear"
+
+    @property
+    def _odd(self) -> bool:
+        return self.torsion is None or min(self.torsion) >= 0
+
+    @property
+    def points(self) -> list[list[float]]:
+        """Torsion [rad] and torque [N m] of each; of rates, a last one so far out that the line beyond it is theirs."""
+        if self.stiffness is None:
+            return [list(point) for point in zip(self.torsion or (), self.torque, strict=True)]
+        torques = (0.0, *self.torque, 2 * self.torque[-1])
+        steps = ((b - a) / rate for (a, b), rate in zip(pairwise(torques), self.stiffness, strict=True))
+        return [list(point) for point in zip(accumulate(steps), torques[1:], strict=True)]
+
+    @property
+    def nominal(self) -> float:
+        """Torque over torsion at half the greatest torque given [N m/rad]: the stiffness that designs take."""
+        half = 0.5 * self.torque[-1]
+        points = [[0.0, 0.0], *(point for point in self.points if point[0] > 0)]
+        before, after = next(pair for pair in pairwise(points) if pair[1][1] >= half)
+        share = (half - before[1]) / (after[1] - before[1])
+        return half / (before[0] + share * (after[0] - before[0]))
+
+
+class Backlash(_Section):
+    """Play between motor and link: a smooth dead zone before the spring, with a share `slope` of its stiffness."""
+
+    half_gap: NonNegative = 0.0  # rad; the link is free to turn by as much to either side
+    slope: Annotated[Number, Field(gt=0, lt=1)] = 0.01
+    rounding: Positive | None = None  # rad; of the corners, a tenth of the half gap unless given
+
+
 class MotorFriction(_Section):
     """Friction between motor and ground."""
 
@@ -105,7 +171,9 @@ class JointConfig(_Section):
 
     name: Name
     elastic: bool = True
-    stiffness: Positive | None = None  # K, N m/rad; required when elastic
+    stiffness: Positive | None = None  # K, N m/rad; an elastic joint has it or a table
+    stiffness_table: StiffnessTable | None = None
+    backlash: Backlash = Backlash()
     damping: NonNegative = 0.0  # D, N m s/rad
     motor_inertia: Positive | None = None  # B, kg m²; required when elastic
     gear_ratio: Annotated[Number, AfterValidator(_nonzero)] = 1.0  # negative: the motor turns the other way
@@ -114,6 +182,19 @@ class JointConfig(_Section):
     motor_friction: MotorFriction = MotorFriction()
     link_friction: Vector6 = (0.0,) * 6  # γ₁ … γ₆ of Ulrich, Sasiadek 2011, eq. (14)
     mass_scale: Positive = 1.0  # factor on mass and inertia of the link that the joint moves, as the URDF has them
+
+    @model_validator(mode="after")
+    def _table_alone(self) -> "JointConfig":
+        """A table stands in for rates; `stiffness` is then its nominal one."""
+        if self.stiffness_table is None:
+            return self
+        nominal = self.stiffness_table.nominal
+        if self.stiffness not in (None, nominal):
+            raise refusal("expected no stiffness beside a table", "stiffness")
+        if self.cubic_stiffness or self.soft_windup.stiffness:
+            raise refusal("expected neither cubic_stiffness nor soft_windup beside a table", "stiffness_table")
+        self.__dict__["stiffness"] = nominal
+        return self
 
     @model_validator(mode="after")
     def _spring_complete(self) -> "JointConfig":

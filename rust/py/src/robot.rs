@@ -6,7 +6,9 @@ use crate::gil::Release;
 use linkside_core::dynamics::{Batch, DrivenStates, States, check_inertia};
 use linkside_core::error::{DesignError, RobotError};
 use linkside_core::memory;
-use linkside_core::robot::{self, BodySpec, JointKind, MotorFriction, Rotor, SoftWindup, Tree};
+use linkside_core::robot::{
+    self, Backlash, BodySpec, Interpolation, JointKind, MotorFriction, Rotor, SoftWindup, SpringCurve, Tree,
+};
 use numpy::{PyArrayDyn, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use std::sync::Arc;
@@ -35,6 +37,9 @@ struct Drive {
     cubic_stiffness: f64,
     soft_windup_stiffness: f64,
     soft_windup_shape: f64,
+    curve: Vec<[f64; 2]>,
+    curve_straight: bool,
+    gap: [f64; 3],
     friction_viscous: f64,
     friction_coulomb: f64,
     friction_stribeck: f64,
@@ -85,15 +90,23 @@ impl Body {
     }
 }
 
-impl From<Drive> for robot::Drive {
-    fn from(d: Drive) -> Self {
-        Self {
+impl TryFrom<Drive> for robot::Drive {
+    type Error = RobotError;
+
+    fn try_from(d: Drive) -> Result<Self, RobotError> {
+        let interpolation = if d.curve_straight { Interpolation::Linear } else { Interpolation::Monotone };
+        let none = d.curve.is_empty();
+        let curve = if none { SpringCurve::default() } else { SpringCurve::new(&d.curve, interpolation)? };
+        let [half_gap, slope, rounding] = d.gap;
+        Ok(Self {
             elastic: d.elastic,
             stiffness: d.stiffness,
             damping: d.damping,
             motor_inertia: d.motor_inertia,
             cubic_stiffness: d.cubic_stiffness,
             soft_windup: SoftWindup { stiffness: d.soft_windup_stiffness, shape: d.soft_windup_shape },
+            curve,
+            backlash: Backlash { half_gap, slope, rounding },
             motor_friction: MotorFriction {
                 viscous: d.friction_viscous,
                 coulomb: d.friction_coulomb,
@@ -101,7 +114,7 @@ impl From<Drive> for robot::Drive {
                 stribeck_velocity: d.friction_stribeck_velocity,
             },
             link_friction: d.link_friction,
-        }
+        })
     }
 }
 
@@ -142,7 +155,7 @@ impl Robot {
             let accelerometers = place("accelerometer", accelerometers)?;
             let gyroscopes = place("gyroscope", gyroscopes)?;
             let tool = tool.map(|t| tree.frame("tool", t.body, &mat3(t.rotation), &vec3(t.translation))).transpose()?;
-            let drives = drives.into_iter().map(Into::into).collect();
+            let drives = drives.into_iter().map(TryInto::try_into).collect::<Result<_, _>>()?;
             let rotors =
                 rotors.into_iter().map(|r| Rotor { motor: r.motor, body: r.body, axis: vec3(r.axis), ratio: r.ratio });
             robot::Robot::new(tree, drives, coupling, accelerometers, gyroscopes, tool)?.with_rotors(rotors.collect())

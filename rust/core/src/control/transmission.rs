@@ -142,7 +142,7 @@ fn moments(z: f64) -> ExponentialMoments {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::robot::{MotorFriction, SoftWindup};
+    use crate::robot::{Backlash, MotorFriction, SoftWindup, SpringCurve};
 
     fn drive(cubic_stiffness: f64, windup: f64) -> Drive {
         Drive {
@@ -152,6 +152,8 @@ mod tests {
             motor_inertia: 1.0,
             cubic_stiffness,
             soft_windup: SoftWindup { stiffness: windup, shape: 800.0 },
+            curve: SpringCurve::default(),
+            backlash: Backlash::default(),
             motor_friction: MotorFriction::default(),
             link_friction: [0.0; 6],
         }

@@ -4,7 +4,8 @@ mod drive;
 mod rotor;
 mod tree;
 
-pub use drive::{Drive, MotorFriction, SoftWindup};
+pub(crate) use drive::SpringRates;
+pub use drive::{Backlash, Drive, Interpolation, MotorFriction, SoftWindup, SpringCurve};
 pub use rotor::Rotor;
 pub use tree::{Body, BodySpec, Frame, JointKind, Tree};
 

@@ -77,7 +77,7 @@ impl ElasticSensitivity {
             let (torsion, speed, dq) = (x[layout.theta[j]] - x[j], x[layout.dtheta[j]], x[layout.joints + j]);
             let motor = match parameter {
                 U::Stiffness(_) => drive.spring_torque(torsion),
-                U::CubicStiffness(_) => torsion * torsion * torsion,
+                U::CubicStiffness(_) => drive.hardening(torsion),
                 U::Damping(_) => drive.damping * (speed - dq),
                 U::TorqueConstant(_) => tau[j],
                 U::MotorFriction(_) => -drive.motor_friction(speed).0,
@@ -145,7 +145,9 @@ mod tests {
         Model, Process,
     };
     use crate::estimate::measurement::Kind;
-    use crate::robot::{BodySpec, Drive, Frame, JointKind, MotorFriction, Rotor, Sensor, SoftWindup, Tree};
+    use crate::robot::{
+        Backlash, BodySpec, Drive, Frame, JointKind, MotorFriction, Rotor, Sensor, SoftWindup, SpringCurve, Tree,
+    };
     use crate::spatial::{Mat3, Vec3};
     use Uncertain as U;
     use std::sync::Arc;
@@ -164,6 +166,8 @@ mod tests {
             motor_inertia: 3.0 * log(U::MotorInertia(j)),
             cubic_stiffness: 3e3 * log(U::Stiffness(j)) + if parameter == U::CubicStiffness(j) { error } else { 0.0 },
             soft_windup: SoftWindup { stiffness: 120.0 * log(U::Stiffness(j)), shape: 80.0 },
+            curve: SpringCurve::default(),
+            backlash: Backlash::default(),
             motor_friction: MotorFriction {
                 viscous: 0.4 * log(U::MotorFriction(j)),
                 coulomb: 0.1 * log(U::MotorFriction(j)),

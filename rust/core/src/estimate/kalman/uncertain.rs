@@ -121,7 +121,7 @@ impl<T: Scalar> LinkMotion<T> {
         let (torsion, compliance) = self.spring(drive, j, dq[j], dtheta[j]);
         match parameter {
             U::Stiffness(_) => put(row, -compliance * drive.spring_torque(torsion)),
-            U::CubicStiffness(_) => put(row, -compliance * torsion * torsion * torsion),
+            U::CubicStiffness(_) => put(row, -compliance * drive.hardening(torsion)),
             U::Damping(_) => put(row, -compliance * torsion_rate(dq[j], dtheta[j]) * drive.damping),
             U::LinkFriction(_) => put(row, compliance * friction),
             _ => {}

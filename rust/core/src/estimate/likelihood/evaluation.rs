@@ -3,7 +3,6 @@
 use super::instants::{Instant, SampledLag};
 use super::parameters::Parameters;
 use super::recording::LikelihoodRecording;
-use super::spring::torsion;
 use crate::dynamics::Placed;
 use crate::estimate::kalman::{JerkModel, JerkNoise};
 use crate::estimate::measurement::{Channel, Driven, Jacobian, LinkMotion, Loading, Sensing, Springs, Wanted, read};
@@ -45,14 +44,16 @@ pub(super) struct ParametricMeasurement<T> {
 }
 
 impl<T: Scalar> ParametricMeasurement<T> {
+    /// `robot` has the values that `parameters` have of the springs.
     pub(super) fn new(
         model: &JerkModel,
+        robot: Arc<Robot>,
         noise: JerkNoise,
         parameters: Parameters<T>,
         lateness: Vec<SampledLag<T>>,
         late: Vec<bool>,
     ) -> Self {
-        let (robot, n, m) = (model.robot.clone(), model.joints(), model.channels.len());
+        let (n, m) = (model.joints(), model.channels.len());
         let mut motion = LinkMotion::new(&robot);
         motion.kinematics.set_masses(parameters.masses(&robot));
         let unit = |d: &Drive| Drive {
@@ -88,7 +89,7 @@ impl<T: Scalar> ParametricMeasurement<T> {
             let load = self.motion.holding_torques(&self.robot, &q);
             let mut still = true;
             for (j, drive) in self.robot.drives.iter().enumerate().filter(|(_, d)| d.elastic) {
-                let next = T::constant(theta[j]) - torsion(&self.parameters.joints[j], drive, load[j]).0;
+                let next = T::constant(theta[j]) - drive.twist(self.parameters.joints[j].spring, load[j]).0;
                 still &= (next - q[j]).map(f64::abs) == (next - q[j]).map(|x| x.abs().min(1e-15));
                 q[j] = next;
             }
@@ -251,7 +252,7 @@ impl<T: Scalar> Loading<T> for Calibrated<'_, T> {
 impl<T: Scalar> Springs<T> for Parameters<T> {
     #[inline(always)]
     fn twist(&self, drive: &Drive, j: usize, torque: T) -> (T, T) {
-        torsion(&self.joints[j], drive, torque)
+        drive.twist(self.joints[j].spring, torque)
     }
 
     #[inline(always)]

@@ -127,8 +127,8 @@ impl Likelihood {
 
     /// The filter whose derivatives are those in the parameters from `first` on.
     fn filter<T: Seeded>(&self, free: &[Parameter], values: &[f64], first: usize) -> Result<Filter<T>, DesignError> {
-        let robot = &self.model.robot;
-        let mut parameters = Parameters::<T>::of(robot);
+        let mut robot = Robot::clone(&self.model.robot);
+        let mut parameters = Parameters::<T>::of(&robot);
         let mut late = vec![false; robot.accelerometers.len()];
         let mut filtered = late.clone();
         let fixed = self.settings.fixed.iter().map(|&(parameter, value)| (parameter, value, usize::MAX));
@@ -137,6 +137,11 @@ impl Likelihood {
             let slot =
                 parameters.slot(parameter).ok_or(DesignError::NoParameter { parameter: format!("{parameter:?}") })?;
             *slot = T::seeded(value, direction);
+            match parameter {
+                Parameter::Stiffness(j) => robot.drives[j].stiffness = value,
+                Parameter::CubicStiffness(j) => robot.drives[j].cubic_stiffness = value,
+                _ => {}
+            }
             if let Parameter::TimeConstant(s) | Parameter::Delay(s) = parameter {
                 late[s] = true;
                 filtered[s] |= matches!(parameter, Parameter::TimeConstant(_));
@@ -148,7 +153,8 @@ impl Likelihood {
         let lags: Vec<_> = lateness.iter().zip(&late).map(|(l, &late)| late.then(|| l.lag.value())).collect();
         let instants = instants(&self.recording.t, &lags);
         let noise = &self.settings.noise;
-        let evaluation = ParametricMeasurement::new(&self.model, noise.clone(), parameters, lateness, late);
+        let evaluation =
+            ParametricMeasurement::new(&self.model, Arc::new(robot), noise.clone(), parameters, lateness, late);
         Ok(Filter::new(&self.model, noise.clone(), evaluation, instants))
     }
 

@@ -11,7 +11,6 @@ mod filter;
 mod instants;
 mod parameters;
 mod recording;
-mod spring;
 
 pub use evidence::{Evidence, Likelihood, LikelihoodSettings};
 pub use parameters::Parameter;

@@ -1,6 +1,6 @@
 //! What of a robot can be freed.
 
-use crate::robot::Robot;
+use crate::robot::{Robot, SpringRates};
 use crate::scalar::Scalar;
 use crate::spatial::{Inertia, Mat3, Sym3, Vec3};
 
@@ -52,8 +52,7 @@ pub enum Parameter {
 /// A joint's numbers.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct JointParameters<T> {
-    pub(super) stiffness: T,
-    pub(super) cubic_stiffness: T,
+    pub(super) spring: SpringRates<T>,
     pub(super) damping: T,
     pub(super) motor_inertia: T,
     pub(super) viscous_friction: T,
@@ -92,8 +91,7 @@ impl<T: Scalar> Parameters<T> {
     pub(super) fn of(robot: &Robot) -> Self {
         let one = T::constant(1.0);
         let joint = |d: &crate::robot::Drive| JointParameters {
-            stiffness: T::constant(d.stiffness),
-            cubic_stiffness: T::constant(d.cubic_stiffness),
+            spring: SpringRates { stiffness: T::constant(d.stiffness), cubic: T::constant(d.cubic_stiffness) },
             damping: T::constant(d.damping),
             motor_inertia: T::constant(d.motor_inertia),
             viscous_friction: T::constant(d.motor_friction.viscous),
@@ -128,8 +126,8 @@ impl<T: Scalar> Parameters<T> {
         let joints = &mut self.joints;
         let sensors = &mut self.sensors;
         Some(match parameter {
-            P::Stiffness(j) => &mut joints.get_mut(j)?.stiffness,
-            P::CubicStiffness(j) => &mut joints.get_mut(j)?.cubic_stiffness,
+            P::Stiffness(j) => &mut joints.get_mut(j)?.spring.stiffness,
+            P::CubicStiffness(j) => &mut joints.get_mut(j)?.spring.cubic,
             P::Damping(j) => &mut joints.get_mut(j)?.damping,
             P::MotorInertia(j) => &mut joints.get_mut(j)?.motor_inertia,
             P::ViscousFriction(j) => &mut joints.get_mut(j)?.viscous_friction,

@@ -1,8 +1,12 @@
 //! What is between a motor and its link.
 
+mod backlash;
+mod curve;
 mod motor_friction;
 mod soft_windup;
 
+pub use backlash::Backlash;
+pub use curve::{Interpolation, SpringCurve};
 pub use motor_friction::MotorFriction;
 pub use soft_windup::SoftWindup;
 
@@ -10,6 +14,7 @@ use crate::check::expect_of;
 use crate::error::RobotError;
 use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
+use core::ops::{Add, Mul};
 
 /// A joint's drive, reflected through the gear to the link side.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,11 +31,31 @@ pub struct Drive {
     pub cubic_stiffness: f64,
     /// Stiffness that is missing around zero torsion [N m/rad], and how sharply it returns [1/rad²].
     pub soft_windup: SoftWindup,
+    /// The spring as points have it, in place of stiffness, hardening and wind-up; `stiffness` is then the one that designs
+    /// take for it.
+    pub curve: SpringCurve,
+    /// Play before the spring.
+    pub backlash: Backlash,
     /// Friction between motor and ground.
     pub motor_friction: MotorFriction,
     /// γ₁ … γ₆ of the link's friction (Ulrich and Sasiadek 2011, eq. (14)).
     pub link_friction: [f64; 6],
 }
+
+/// What of a spring can be freed, plain or with derivatives.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SpringRates<C> {
+    /// K [N m/rad].
+    pub(crate) stiffness: C,
+    /// [N m/rad³].
+    pub(crate) cubic: C,
+}
+
+/// A number that constants of type `C` scale and add to: plain ones do to every number, so that only what has derivatives
+/// pays for them.
+pub(crate) trait Over<C>: Scalar + Mul<C, Output = Self> + Add<C, Output = Self> {}
+
+impl<C, T: Scalar + Mul<C, Output = T> + Add<C, Output = T>> Over<C> for T {}
 
 impl Drive {
     /// # Errors
@@ -67,6 +92,7 @@ impl Drive {
             expect_of(shape >= 0.0, "soft wind-up's shape", owner, shape, "at least 0")?;
             let least = self.soft_windup.least_slope(self.stiffness, cubic);
             expect_of(least > 0.0, "least tangent stiffness", owner, least, rising)?;
+            self.backlash.check(&owner())?;
         }
         Ok(())
     }
@@ -74,21 +100,78 @@ impl Drive {
     /// What the spring's torque has beyond K δ, at torsion δ [rad] [N m].
     #[inline(always)]
     pub fn nonlinear_torque<T: Scalar>(&self, torsion: T) -> T {
-        let square = torsion * torsion;
-        (square * self.cubic_stiffness + self.soft_windup.secant(square)) * torsion
+        if self.curve.is_none() && self.backlash.is_none() {
+            return self.bend(self.cubic_stiffness, torsion);
+        }
+        self.spring_torque(torsion) - torsion * self.stiffness
     }
 
     /// Torque of the spring at torsion δ [rad] [N m].
     #[inline(always)]
     pub fn spring_torque<T: Scalar>(&self, torsion: T) -> T {
-        torsion * self.stiffness + self.nonlinear_torque(torsion)
+        self.engaged_torque(self.rates(), self.backlash.engaged(torsion))
     }
 
     /// Slope of the spring's torque at torsion δ [rad] [N m/rad].
     #[inline(always)]
     pub fn tangent_stiffness<T: Scalar>(&self, torsion: T) -> T {
-        let square = torsion * torsion;
-        square * (3.0 * self.cubic_stiffness) + self.stiffness + self.soft_windup.tangent(square)
+        self.slope(self.rates(), torsion)
+    }
+
+    #[inline(always)]
+    fn rates(&self) -> SpringRates<f64> {
+        SpringRates { stiffness: self.stiffness, cubic: self.cubic_stiffness }
+    }
+
+    /// Torque beyond K z of hardening and wind-up at torsion z, behind the play.
+    #[inline(always)]
+    fn bend<C, T: Over<C>>(&self, cubic: C, engaged: T) -> T {
+        let square = engaged * engaged;
+        (square * cubic + self.soft_windup.secant(square)) * engaged
+    }
+
+    /// Torque of the spring at torsion z, behind the play.
+    #[inline(always)]
+    fn engaged_torque<C: Copy, T: Over<C>>(&self, rates: SpringRates<C>, engaged: T) -> T {
+        if !self.curve.is_none() {
+            return self.curve.torque(engaged);
+        }
+        engaged * rates.stiffness + self.bend(rates.cubic, engaged)
+    }
+
+    /// Its slope there.
+    #[inline(always)]
+    fn engaged_slope<C: Copy + Mul<f64, Output = C>, T: Over<C>>(&self, rates: SpringRates<C>, engaged: T) -> T {
+        if !self.curve.is_none() {
+            return self.curve.slope(engaged);
+        }
+        let square = engaged * engaged;
+        square * (rates.cubic * 3.0) + rates.stiffness + self.soft_windup.tangent(square)
+    }
+
+    /// Slope of the spring's torque at torsion δ, play included.
+    #[inline(always)]
+    fn slope<C: Copy + Mul<f64, Output = C>, T: Over<C>>(&self, rates: SpringRates<C>, torsion: T) -> T {
+        let slope = self.engaged_slope(rates, self.backlash.engaged(torsion));
+        if self.backlash.is_none() { slope } else { slope * self.backlash.engagement(torsion) }
+    }
+
+    /// What the spring's torque gains where its hardening is greater by 1 N m/rad³, at torsion δ [rad] [rad³].
+    #[inline(always)]
+    pub(crate) fn hardening<T: Scalar>(&self, torsion: T) -> T {
+        let engaged = self.backlash.engaged(torsion);
+        engaged * engaged * engaged
+    }
+
+    /// Torsion at which the spring holds `torque` [rad], and one over its slope there [rad/(N m)], with the derivatives of
+    /// `rates`, whose values are the drive's own.
+    #[inline(always)]
+    pub(crate) fn twist<C: Copy + Mul<f64, Output = C>, T: Over<C>>(&self, rates: SpringRates<C>, torque: T) -> (T, T) {
+        // One step of Newton's method from the solution gives a derivative number its slopes.
+        let solution = torque.map(|t| self.solve(t));
+        let force = self.engaged_torque(rates, self.backlash.engaged(solution));
+        let torsion = solution + (torque - force) / self.slope(rates, solution);
+        (torsion, T::constant(1.0) / self.slope(rates, torsion))
     }
 
     /// One over the slope of the spring's torque at torsion δ [rad] [rad/(N m)].
@@ -112,14 +195,20 @@ impl Drive {
     /// Whether the spring's torque is K δ.
     #[inline(always)]
     pub fn is_linear(&self) -> bool {
-        self.cubic_stiffness == 0.0 && self.soft_windup.stiffness == 0.0
+        let straight = self.curve.is_none() && self.backlash.is_none();
+        straight && self.cubic_stiffness == 0.0 && self.soft_windup.stiffness == 0.0
+    }
+
+    fn solve(&self, torque: f64) -> f64 {
+        let engaged = if self.curve.is_none() { self.solve_engaged(torque) } else { self.curve.torsion(torque) };
+        self.backlash.torsion(engaged)
     }
 
     /// Newton's method, as the spring is monotone.
-    fn solve(&self, torque: f64) -> f64 {
-        let mut torsion = torque / self.stiffness;
+    fn solve_engaged(&self, torque: f64) -> f64 {
+        let (rates, mut torsion) = (self.rates(), torque / self.stiffness);
         for _ in 0..50 {
-            let step = (self.spring_torque(torsion) - torque) / self.tangent_stiffness(torsion);
+            let step = (self.engaged_torque(rates, torsion) - torque) / self.engaged_slope(rates, torsion);
             torsion -= step;
             if step.abs() <= 1e-16 * torsion.abs() {
                 break;
@@ -210,23 +299,48 @@ mod tests {
             motor_inertia: 1.0,
             cubic_stiffness: 3e4,
             soft_windup: SoftWindup { stiffness: 120.0, shape: 800.0 },
+            curve: SpringCurve::default(),
+            backlash: Backlash::default(),
             motor_friction: MotorFriction { viscous: 0.1, coulomb: 2.0, stribeck: 1.5, stribeck_velocity: 0.05 },
             link_friction: [0.5, 150.0, 50.0, 2.0, 100.0, 0.5],
         }
     }
 
+    /// Drives with every law of a spring.
+    fn drives() -> [Drive; 4] {
+        let backlash = Backlash { half_gap: 2e-3, slope: 0.02, rounding: 3e-4 };
+        let curve = SpringCurve::new(&[[0.01, 6.0], [0.1, 90.0]], Interpolation::Monotone).unwrap();
+        let table = Drive { curve, ..drive() };
+        [drive(), Drive { backlash, ..drive() }, table.clone(), Drive { backlash, ..table }]
+    }
+
     #[test]
     fn slopes_are_the_derivatives_of_the_laws() {
-        let d = drive();
-        for x in [-0.3, -0.01, 0.0, 1e-3, 0.2] {
+        for (d, x) in drives().iter().flat_map(|d| [-0.3, -0.01, 0.0, 1e-3, 0.2].map(|x| (d, x))) {
             let v = Dual::<1>::variable(x, 0);
-            let near = |a: f64, b: f64| assert!((a - b).abs() <= 1e-13 * (1.0 + a.abs()), "{x}: {a} {b}");
+            let near = |a: f64, b: f64| assert!((a - b).abs() <= 1e-12 * (1.0 + a.abs()), "{x}: {a} {b}");
             near(d.spring_torque(v).gradient[0], d.tangent_stiffness(x));
             near(d.link_friction(v).0.gradient[0], d.link_friction(x).1);
             near(d.motor_friction(v).0.gradient[0], d.motor_friction(x).1);
+            near(d.nonlinear_torque(x) + d.stiffness * x, d.spring_torque(x));
             let torque = d.spring_torque(v);
             near(d.torsion(torque).value, x);
             near(d.torsion(torque).gradient[0], 1.0);
+        }
+    }
+
+    /// Rates with derivatives give torsions with those: δ(K, c, τ) of φ(δ; K, c) = τ has δ_K = −φ_K/φ′.
+    #[test]
+    fn torsions_have_the_derivatives_of_rates() {
+        for (d, x) in drives()[..2].iter().flat_map(|d| [-0.3, 1e-3, 0.05].map(|x| (d, x))) {
+            let rates = SpringRates { stiffness: Dual::<3>::variable(d.stiffness, 0), cubic: Dual::variable(3e4, 1) };
+            let (torsion, compliance) = d.twist(rates, Dual::variable(d.spring_torque(x), 2));
+            let (engaged, slope) = (d.backlash.engaged(x), d.tangent_stiffness(x));
+            let expected = [-engaged / slope, -d.hardening(x) / slope, 1.0 / slope];
+            assert!((torsion.value - x).abs() < 1e-12 && (compliance.value * slope - 1.0).abs() < 1e-12);
+            for (found, expected) in torsion.gradient.iter().zip(expected) {
+                assert!((found - expected).abs() <= 1e-10 * expected.abs(), "{x}: {found} {expected}");
+            }
         }
     }
 
@@ -259,9 +373,9 @@ mod tests {
 
     #[test]
     fn lanes_hold_the_bits_of_one_number() {
-        let (d, x) = (drive(), [-0.3, -0.001, 0.02, 0.7]);
+        let (drives, x) = (drives(), [-0.3, -0.001, 0.02, 0.7]);
         let v = Lanes(x);
-        for i in 0..4 {
+        for (d, i) in drives.iter().flat_map(|d| [0, 1, 2, 3].map(|i| (d, i))) {
             assert_eq!(d.torsion(v).0[i], d.torsion(x[i]));
             assert_eq!(d.link_friction(v).0.0[i], d.link_friction(x[i]).0);
             assert_eq!(d.dry_friction(v).0[i], d.dry_friction(x[i]));

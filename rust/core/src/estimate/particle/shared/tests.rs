@@ -3,7 +3,7 @@
 use super::super::{Collapse, Density, Marginalised, ParticleFilter, ParticleSettings, Proposal, Resampling};
 use crate::estimate::kalman::{Inputs, JerkDriven, JerkModel, JerkNoise, KalmanSample};
 use crate::estimate::measurement::Kind;
-use crate::robot::{BodySpec, Drive, JointKind, MotorFriction, Robot, Sensor, SoftWindup, Tree};
+use crate::robot::{Backlash, BodySpec, Drive, JointKind, MotorFriction, Robot, Sensor, SoftWindup, SpringCurve, Tree};
 use crate::spatial::{Mat3, Vec3};
 use std::sync::Arc;
 
@@ -29,6 +29,8 @@ fn model() -> JerkDriven {
         motor_inertia: 10.0,
         cubic_stiffness: 0.0,
         soft_windup: SoftWindup::default(),
+        curve: SpringCurve::default(),
+        backlash: Backlash::default(),
         motor_friction: MotorFriction::default(),
         link_friction: [0.0; 6],
     };
