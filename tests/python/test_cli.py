@@ -1,5 +1,6 @@
 """The command line: what it writes and says, and that a user's mistake is one line and leaves nothing behind."""
 
+import json
 import os
 import re
 import shutil
@@ -113,9 +114,11 @@ def test_recordings_are_estimated_to_their_accuracy(tmp_path, recording, bound):
 def test_pieces_of_any_size_give_the_same_bytes(folder, monkeypatch, rows):
     robot = Robot.load("robot.yaml")
     AccelerationObserver(robot).run(Log.read("log.parquet", robot)).write("whole.parquet")
-    monkeypatch.setattr(commands, "ROWS", rows)
     succeed(*estimate())
-    assert Path("out.parquet").read_bytes() == Path("whole.parquet").read_bytes()
+    monkeypatch.setattr(commands, "ROWS", rows)
+    succeed(*estimate(out="pieces.parquet"))
+    assert Path("pieces.parquet").read_bytes() == Path("out.parquet").read_bytes()
+    assert pq.read_table("out.parquet").equals(pq.read_table("whole.parquet"))
 
 
 def test_a_method_that_needs_the_whole_log_has_it(folder, monkeypatch):
@@ -250,12 +253,80 @@ def test_one_bad_log_does_not_keep_the_others_waiting(folder):
     shutil.copy("log.parquet", "good.parquet")
     alter("tau_a2", put(7, np.inf))
     result = linkside("estimate", "robot.yaml", "log.parquet", "good.parquet", "--out", "new")
-    assert result.exit_code == 2
+    assert result.exit_code == 1
     first, last = result.stderr.splitlines()
     assert "log.parquet" in first
     assert "row 7" in first
     assert "1 of 2 logs" in last
     assert os.listdir("new") == ["good.estimate.parquet"]
+
+
+@pytest.fixture
+def batch(folder):
+    """Three logs, and what estimates them."""
+    for name in ("a", "b", "c"):
+        shutil.copy("log.parquet", f"{name}.parquet")
+    return ("estimate", "robot.yaml", "a.parquet", "b.parquet", "c.parquet", "--out", "new")
+
+
+@pytest.mark.parametrize("method", ["observer", "smoother"])
+def test_logs_at_a_time_give_the_same_bytes(batch, method):
+    succeed(*batch, "-j", "1", "--with", method)
+    serial = [path.read_bytes() for path in sorted(Path("new").iterdir())]
+    shutil.rmtree("new")
+    succeed(*batch, "-j", "3", "--with", method)
+    assert [path.read_bytes() for path in sorted(Path("new").iterdir())] == serial
+
+
+def test_a_table_ends_a_batch_the_worst_first(batch):
+    alter("tau_a2", put(7, np.inf), "b.parquet")
+    result = linkside(*batch)
+    assert result.exit_code == 1
+    rows = [line for line in result.stdout.splitlines() if "│" in line][-3:]
+    assert "b.parquet" in rows[0]
+    assert "not estimated" in rows[0]
+    assert all("believable" in row for row in rows[1:])
+
+
+def test_estimates_made_from_the_same_are_left_alone(batch):
+    succeed(*batch)
+    Path("new/b.estimate.parquet").unlink()
+    alter("tau_a2", put(7, 1.0), "c.parquet")
+    text = succeed(*batch, "--skip-existing")
+    assert re.findall(r"(\w)\.estimate\.parquet: up to date", text) == ["a"]
+    assert len(Estimate.read("new/b.estimate.parquet")) == 2000
+    assert succeed(*batch, "--skip-existing").count(": up to date") == 3
+    edit("robot.yaml", "damping: 180.0", "damping: 181.0")
+    assert succeed(*batch, "--skip-existing").count(": up to date") == 0
+    assert succeed(*batch, "--skip-existing", "--poles", "200").count(": up to date") == 0
+    refuse(*estimate("--skip-existing", out="out.csv"), words=["--skip-existing is for Parquet"])
+
+
+def test_a_batch_speaks_json_or_not_at_all(batch):
+    alter("tau_a2", put(7, np.inf), "b.parquet")
+    told = {one["log"]: one for one in map(json.loads, linkside(*batch, "--json").stdout.splitlines())}
+    assert "row 7" in told["b.parquet"]["error"]
+    assert told["a.parquet"]["rows"] == 2000
+    assert told["a.parquet"]["status"] == {"good": 2000}
+    assert told["a.parquet"]["believable"]
+    quiet = linkside(*batch, "--quiet")
+    assert (quiet.stdout, quiet.exit_code) == ("", 1)
+
+
+def test_ctrl_c_ends_a_batch_in_the_middle_of_its_kernels(batch):
+    command = [sys.executable, "-m", "linkside.cli", *batch, "--with", "particle", "--particles", "5000", "-j", "2"]
+    run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=_heed_ctrl_c)
+    while not list(Path("new").glob(".*")) and run.poll() is None:
+        time.sleep(0.05)
+    time.sleep(0.3)
+    run.send_signal(signal.SIGINT)
+    assert run.communicate(timeout=60)[1].strip() == "linkside: interrupted"
+    assert run.returncode == 130
+    assert not Path("new").exists()
+
+
+def _heed_ctrl_c():
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pyarrow.parquet as pq
 import pytest
@@ -17,7 +18,7 @@ from linkside.calibration.resume import kept
 from linkside.cli import main
 from linkside.errors import LONGEST
 from linkside.files.parts import PART, SPILL, clear, open_part, spill_folder
-from linkside.files.writing import check_writable
+from linkside.files.writing import check_writable, write_text
 from linkside.files.yaml_source import Source
 
 ROBOT = Robot.load(demo.ROBOT)
@@ -57,6 +58,18 @@ def test_spills_and_parts_lie_beside_the_output_and_are_gone_at_the_end(tmp_path
         assert part.parent == spill.parent == tmp_path
     part.unlink()
     assert leftovers(tmp_path) == []
+
+
+def test_who_clears_a_folder_takes_nothing_from_who_just_began_to_write(tmp_path):
+    def write(number):
+        for _ in range(100):
+            write_text(tmp_path / f"{number}.txt", str(number))
+            with spill_folder(tmp_path) as spill:
+                (spill / "rows").write_text("rows")
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(write, range(8)))
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"{number}.txt" for number in range(8)]
 
 
 @pytest.mark.parametrize("name", ["log.parquet", "log.csv", "robot.yaml"])

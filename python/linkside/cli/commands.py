@@ -23,11 +23,14 @@ from linkside.recording.checks import verdicts
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.config import RobotFile
 
+from . import reporting
 from .error_tables import tool_table
 from .estimate_logs import EstimateJob, estimate_all, naming, output_folder
-from .failures import Commands
+from .failures import Commands, complain
 from .methods import METHODS, Options
+from .provenance import digest
 from .terminal import bar, show
 
 ROWS = 8192
@@ -87,31 +90,58 @@ def main(ctx: click.Context, debug: bool) -> None:
 @click.option("--strict", is_flag=True, help="Exit with status 3 where readings contradict the model.")
 @_no_check
 @click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this file; one for each log.")
+@click.option("-j", "--jobs", "workers", type=click.IntRange(1), help="Logs at a time.  [default: one for each core]")
+@click.option("--skip-existing", is_flag=True, help="Leave alone Parquet estimates that were made from the same.")
+@click.option("--json", "manner", flag_value="json", default="words", help="Say what came of it as a JSON line a log.")
+@click.option("--quiet", "manner", flag_value="quiet", help="Say nothing but errors.")
 def estimate(
     robot: str, logs: tuple[str, ...], method: str, out: str, strict: bool, no_check: bool, **options: Any
 ) -> int:
     """Estimate the motion of ROBOT's links from recordings.
 
     ROBOT is a robot.yaml, each LOG a Parquet or CSV file. Logs are read piece by piece and may be larger than memory.
+    Exit status: 0 done, 1 some of several logs could not be estimated, 2 wrong use, 3 not to be believed (--strict).
     """
-    truths: tuple[str, ...] = options.pop("truths")
+    truths, manner, keep = options.pop("truths"), options.pop("manner"), options.pop("skip_existing")
+    workers = min(options.pop("workers") or len(os.sched_getaffinity(0)), len(logs))
     if truths and len(truths) != len(logs):
         raise click.UsageError(f"--truth is there {len(truths)} times, for {len(logs)} logs")
     _refuse_untaken(method)
     loaded = Robot.load(robot)
+    sources = [robot, _urdf(robot, loaded), *([options["tuning"]] if options["tuning"] else [])]
     if options["tuning"] is not None:
         options["tuning"] = METHODS[method].read_tuning(options["tuning"])
+    settings = method, {name: options[name] for name in METHODS[method].takes}
+    spill = Path(os.path.realpath(out))
+    make = partial(METHODS[method].build, loaded, Options(**options, spill=spill if spill.is_dir() else spill.parent))
     with naming(robot):
-        spill = Path(os.path.realpath(out))
-        run = METHODS[method].build(loaded, Options(**options, spill=spill if spill.is_dir() else spill.parent))
+        make()  # what is wrong with the robot or the options is said before any log is read
     rows = WHOLE if METHODS[method].whole(loaded) else ROWS
     with output_folder(out, logs) as outputs:
         _refuse_clashes(outputs, [robot, *logs, *truths])
         for output in outputs:
             check_writable(output)
-        files = zip(logs, outputs, truths or [None] * len(logs), strict=True)
-        believable = estimate_all([EstimateJob(loaded, run, rows, not no_check, *three) for three in files])
-    return 3 if strict and not believable else 0
+            if keep and output.suffix.lower() != ".parquet":
+                raise click.UsageError(f"--skip-existing is for Parquet estimates, not for {output}")
+        jobs = [
+            EstimateJob(
+                loaded, make, rows, not no_check, log, output, truth, partial(digest, [*sources, log], settings)
+            )
+            for log, output, truth in zip(logs, outputs, truths or [None] * len(logs), strict=True)
+        ]
+        outcomes = estimate_all(jobs, workers, partial(reporting.tell, manner=manner), keep=keep)
+    if len(logs) > 1 and manner == "words":
+        reporting.summary(outcomes)
+    failed = sum(outcome.error is not None for outcome in outcomes)
+    if failed:
+        complain(f"{failed} of {len(logs)} logs could not be estimated")
+        return 1
+    return 3 if strict and not all(outcome.believable for outcome in outcomes) else 0
+
+
+def _urdf(robot: str, loaded: Robot) -> Path:
+    assert isinstance(loaded.config, RobotFile)  # it was read from a file
+    return Path(robot).parent / loaded.config.urdf
 
 
 def _refuse_untaken(method: str) -> None:

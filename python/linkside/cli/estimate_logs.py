@@ -1,16 +1,18 @@
-"""Estimating logs one after the other: from files to files, in bounded memory."""
+"""Estimating logs, several at a time: from files to files, in bounded memory."""
 
 from __future__ import annotations
 
+import ctypes
 import re
+import threading
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import cast
+from threading import get_ident
 
-import click
+from rich.console import RenderableType
 
 from linkside.errors import EstimatorError, LinksideError, NumericalError, OutputError
 from linkside.recording.estimate import Estimate
@@ -19,69 +21,127 @@ from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
 
 from .error_tables import error_tables
-from .failures import complain, in_words
 from .methods import Run
+from .provenance import METADATA, is_up_to_date
 from .tally import Tally
-from .terminal import bar, show
+from .terminal import bar
 
 
 @dataclass(frozen=True)
 class EstimateJob:
-    """A log to estimate, how, and where the estimate and the truth are."""
+    """A log to estimate, how, and where the estimate and the truth are.
+
+    ``make`` builds the method, one for each log; ``made_from`` says what the estimate depends on.
+    """
 
     robot: Robot
-    run: Run
+    make: Callable[[], Run]
     rows: int
     check: bool
     log: str
     output: Path
     truth: str | None
+    made_from: Callable[[], str]
 
 
-def estimate_all(jobs: Sequence[EstimateJob]) -> bool:
-    """Estimate each log; of several, one that cannot be used does not keep the others waiting.
+@dataclass
+class Outcome:
+    """What came of a log: its tally, tables for people, or an error; neither where its estimate was there already."""
 
-    Returns whether all are to be believed.
+    job: EstimateJob
+    tally: Tally = field(default_factory=Tally)
+    tables: list[RenderableType] = field(default_factory=list)
+    error: LinksideError | None = None
+    kept: bool = False
+
+    @property
+    def believable(self) -> bool:
+        """Whether nothing contradicts it."""
+        return self.error is None and self.tally.believable
+
+
+class Stopped(Exception):
+    """The user wants no more of this."""
+
+
+def estimate_all(
+    jobs: Sequence[EstimateJob], workers: int, tell: Callable[[Outcome], None], *, keep: bool
+) -> list[Outcome]:
+    """Estimate each log, ``workers`` at a time, and tell of each when it is done.
+
+    Of several, one that cannot be used does not keep the others waiting; a single one raises its error. With ``keep``,
+    estimates that are there and were made from the same are left alone.
     """
-    failed, believable = 0, True
     counts = [log_rows(job.log) for job in jobs]
-    with bar(None if None in counts else sum(cast("list[int]", counts))) as advance:
-        for job in jobs:
-            try:
-                believable &= _estimate_one(job, partial(advance, job.log))
-            except LinksideError as error:
-                if len(jobs) == 1:
-                    raise
-                failed += 1
-                complain(in_words(error))
-    if failed:
-        raise click.ClickException(f"{failed} of {len(jobs)} logs could not be estimated")
-    return believable
+    total = None if None in counts else sum(count for count in counts if count is not None)
+    stop, threads = threading.Event(), list[int]()
+    outcomes: list[Outcome] = []
+    with bar(total) as advance, ThreadPoolExecutor(workers, initializer=lambda: threads.append(get_ident())) as pool:
+
+        def progress(job: EstimateJob, rows: int) -> None:
+            if stop.is_set():
+                raise Stopped
+            done = f"{len(outcomes)}/{len(jobs)} " if len(jobs) > 1 else ""
+            advance(f"{done}{job.log}", rows)
+
+        waiting = {pool.submit(_outcome, job, progress, keep=keep) for job in jobs}
+        try:
+            for outcome in _as_completed(waiting):
+                if outcome.error is not None and len(jobs) == 1:
+                    raise outcome.error
+                outcomes.append(outcome)
+                tell(outcome)
+        except BaseException:  # an interruption, above all
+            stop.set()
+            pool.shutdown(wait=False, cancel_futures=True)
+            for thread in threads:  # kernels look for this, as for Ctrl-C in the main thread
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(Stopped))
+            raise
+    return outcomes
 
 
-def _estimate_one(job: EstimateJob, advance: Callable[[int], None]) -> bool:
+def _as_completed(waiting: set[Future[Outcome]]) -> Iterator[Outcome]:
+    """Give results as they come; signals are looked at ten times a second."""
+    while waiting:
+        done, waiting = wait(waiting, timeout=0.1, return_when=FIRST_COMPLETED)
+        for future in done:
+            yield future.result()
+
+
+def _outcome(job: EstimateJob, progress: Callable[[EstimateJob, int], None], *, keep: bool) -> Outcome:
+    outcome = Outcome(job)
+    try:
+        digest = job.made_from()
+        if keep and is_up_to_date(job.output, digest):
+            outcome.kept = True
+        else:
+            _estimate(job, digest, outcome, progress)
+    except LinksideError as error:
+        outcome.error = error
+    return outcome
+
+
+def _estimate(job: EstimateJob, digest: str, outcome: Outcome, progress: Callable[[EstimateJob, int], None]) -> None:
     known = None if job.truth is None else Estimate.read(job.truth)
-    tally, kept = Tally(), []
-    with EstimateWriter(job.output) as writer:
-        for piece in _pieces(job, tally):
+    kept = []
+    with EstimateWriter(job.output, {METADATA: digest}) as writer:
+        for piece in _pieces(job, outcome.tally):
             writer.write(piece)
-            tally.add(piece)
-            advance(len(piece))
+            outcome.tally.add(piece)
+            progress(job, len(piece))
             if known is not None:
                 kept.append(piece)
         with naming(str(job.truth)):  # still inside: an estimate that cannot be compared as asked is not kept
             error = None if known is None else Estimate.concatenate(kept).error_against(known)
     if error is not None:
-        show(error_tables(error, job.robot, str(job.truth)))
-    click.echo(f"{job.output}: {tally}")
-    for finding in tally.findings:
-        click.echo(f"{job.log}: {finding}")
-    return tally.believable
+        outcome.tables += error_tables(error, job.robot, str(job.truth))
 
 
 def _pieces(job: EstimateJob, tally: Tally) -> Iterator[Estimate]:
+    with naming(job.log):
+        run = job.make()
     pieces = tally.timed(Log.stream(job.log, job.robot, job.rows, check=job.check), sign=-1)
-    estimates = tally.timed(job.run(pieces))
+    estimates = tally.timed(run(pieces))
     while True:
         with naming(job.log):
             piece = next(estimates, None)

@@ -10,7 +10,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from linkside.errors import OutputError
-from linkside.files.parts import open_part
+from linkside.files.parts import open_part, publish
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 SUFFIXES = (".png", ".pdf", ".svg")
@@ -39,7 +39,7 @@ def save(figure: Figure, path: str | Path) -> None:
         part, file = open_part(path)
         with file:
             figure.savefig(file, dpi=150, format=path.suffix[1:].lower())
-        os.replace(part, os.path.realpath(path))
+            publish(part, file, path)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
     finally:

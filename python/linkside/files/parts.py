@@ -8,8 +8,9 @@ from __future__ import annotations
 import os
 import shutil
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import IO
 
@@ -38,36 +39,54 @@ def open_part(path: Path) -> tuple[Path, IO[bytes]]:
         file.close()
 
 
+def publish(part: Path, file: IO[bytes], path: Path) -> None:
+    """Give a file that is written its name, in place of an older one, safe against a power cut. Raises OSError."""
+    file.flush()
+    os.fsync(file.fileno())  # or the name could be left on an empty file
+    if fcntl is None:
+        file.close()  # Windows renames no file that is open
+    os.replace(part, os.path.realpath(path))  # before its lock is gone: to others it were abandoned
+    file.close()
+
+
 @contextmanager
 def spill_folder(folder: Path) -> Iterator[Path]:
     """Make a folder in ``folder`` for what does not fit into memory; removed at the end whatever happens."""
     clear(folder)
-    spill = folder / f".{uuid.uuid4().hex}{SPILL}"
-    spill.mkdir()
+    spill, file = _locked_folder(folder)
     try:
-        with (spill / _LOCK).open("xb") as file:
-            _lock(file)
+        with file:
             yield spill
     finally:
         shutil.rmtree(spill, ignore_errors=True)
+
+
+def _locked_folder(folder: Path) -> tuple[Path, IO[bytes]]:
+    while True:
+        spill = folder / f".{uuid.uuid4().hex}{SPILL}"
+        spill.mkdir()
+        file = (spill / _LOCK).open("xb")
+        if _lock(file) and (spill / _LOCK).exists():
+            return spill, file
+        file.close()
 
 
 def clear(folder: Path) -> None:
     """Remove what killed runs left in a folder; what runs still write stays."""
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
-            if entry.name.endswith(PART) and entry.is_file(follow_symlinks=False) and _abandoned(Path(entry.path)):
-                Path(entry.path).unlink(missing_ok=True)
-            elif entry.name.endswith(SPILL) and _abandoned(Path(entry.path) / _LOCK):
-                shutil.rmtree(entry.path, ignore_errors=True)
+            path = Path(entry.path)
+            if entry.name.endswith(PART) and entry.is_file(follow_symlinks=False):
+                _remove(path, partial(path.unlink, missing_ok=True))
+            elif entry.name.endswith(SPILL):
+                _remove(path / _LOCK, partial(shutil.rmtree, path, ignore_errors=True))
 
 
-def _abandoned(path: Path) -> bool:
-    try:
-        with path.open("rb") as file:
-            return _lock(file)
-    except OSError:
-        return False
+def _remove(locked: Path, remove: Callable[[], None]) -> None:
+    """Remove what nobody writes, under its lock: who has just made it sees that it is gone."""
+    with suppress(OSError), locked.open("rb") as file:
+        if _lock(file):
+            remove()
 
 
 def _lock(file: IO[bytes]) -> bool:

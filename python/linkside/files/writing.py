@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from linkside.errors import OutputError
 
-from .parts import open_part
+from .parts import open_part, publish
 from .regular import instead
 
 
@@ -22,7 +22,7 @@ def write_text(path: str | Path, text: str) -> None:
         part, file = open_part(path)
         with file:
             file.write(text.encode())
-        os.replace(part, os.path.realpath(path))
+            publish(part, file, path)
 
 
 def check_writable(path: str | Path, suffixes: tuple[str, ...] = (".parquet", ".csv")) -> None:

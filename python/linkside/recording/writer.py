@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -13,7 +13,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from linkside.errors import EstimatorError, OutputError
-from linkside.files.parts import open_part
+from linkside.files.parts import open_part, publish
 from linkside.files.writing import check_writable, writing
 
 GROUP = 131_072
@@ -37,6 +37,8 @@ class EstimateWriter:
     ----------
     path
         A file that ends in ``.parquet`` or ``.csv``. That it can be written is checked at once.
+    metadata
+        Kept with the schema of a Parquet file; a CSV file has no place for it.
 
     Raises
     ------
@@ -44,10 +46,11 @@ class EstimateWriter:
         When it cannot be written: one line with the file.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, metadata: Mapping[str, str] | None = None) -> None:
         """Check that the file can be written; writing starts with the ``with`` block."""
         check_writable(path)
         self._path = Path(path)
+        self._metadata = dict(metadata) if metadata else None
         self._part: Path | None = None
         self._file: IO[bytes] | None = None
         self._sink: pq.ParquetWriter | pa.csv.CSVWriter | None = None
@@ -68,7 +71,7 @@ class EstimateWriter:
         table = estimate.to_arrow()
         if self._sink is None:
             with writing(self._path):
-                self._sink = _sink(self._path, self._file, table.schema)
+                self._sink = _sink(self._path, self._file, table.schema.with_metadata(self._metadata))
             self._schema = table.schema
         if table.schema != self._schema:
             raise EstimatorError(f"{self._path}: {estimate!r} has other columns than the rows before")
@@ -104,10 +107,7 @@ class EstimateWriter:
             self._flush(self._rows)
         with writing(self._path):
             self._sink.close()
-            self._file.flush()
-            os.fsync(self._file.fileno())  # or a power cut could leave the name on an empty file
-            self._file.close()
-            os.replace(self._part, os.path.realpath(self._path))
+            publish(self._part, self._file, self._path)
 
     def _discard(self) -> None:
         if self._sink is not None:  # before its file: it would complain when collected

@@ -1,0 +1,44 @@
+"""What an estimate was made from, as a digest that its file carries."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from importlib.metadata import version
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+METADATA = "linkside.made_from"
+"""The key of the digest in the metadata of a Parquet file."""
+
+BLOCK = 1 << 20
+
+
+def digest(files: Iterable[str | Path], settings: object) -> str:
+    """Digest files, settings and the version of linkside; what cannot be read is for others to complain about."""
+    whole = hashlib.blake2b(f"{version('linkside')} {settings!r}".encode(), digest_size=16)
+    for path in files:
+        whole.update(_of_file(path))
+    return whole.hexdigest()
+
+
+def _of_file(path: str | Path) -> bytes:
+    own = hashlib.blake2b(digest_size=16)
+    try:
+        with Path(path).open("rb") as file:
+            while block := file.read(BLOCK):
+                own.update(block)
+    except OSError:
+        return b"?"
+    return own.digest()
+
+
+def is_up_to_date(output: Path, made_from: str) -> bool:
+    """Whether a Parquet file is there, whole, and was made from the same."""
+    try:
+        metadata = pq.read_schema(output).metadata or {}
+    except (OSError, pa.ArrowException):
+        return False
+    return metadata.get(METADATA.encode()) == made_from.encode()
