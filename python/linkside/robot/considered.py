@@ -64,6 +64,7 @@ def _of_joints(robot: Robot) -> Iterator[Uncertain]:
         else:
             stds["yielding"] = (2 * np.pi * wide.rigid_frequency) ** -2
         stds["link_friction"] = wide.link_friction if any(drive.link_friction) else 0.0
+        stds["encoder_zero"] = wide.encoder_zero
         for kind, std in stds.items():
             if std:
                 name = "mass_scale" if kind == "mass" else kind

@@ -25,6 +25,7 @@ fn uncertain(kind: &str, i: usize, axis: usize) -> PyResult<Uncertain> {
         "torque_constant" => U::TorqueConstant(i),
         "motor_friction" => U::MotorFriction(i),
         "motor_inertia" => U::MotorInertia(i),
+        "encoder_zero" => U::EncoderZero(i),
         "rotation" => U::Rotation(i, axis),
         "translation" => U::Translation(i, axis),
         "scale" => U::Scale(i, axis),

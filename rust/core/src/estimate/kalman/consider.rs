@@ -7,8 +7,7 @@
 use super::correction::Correction;
 use super::gaussian::Symmetric;
 use super::model::Model;
-use super::uncertain::Tolerance;
-use crate::estimate::measurement::Channel;
+use super::uncertain::{Tolerance, Uncertain};
 use crate::linear;
 
 /// Samples of one sum from which the noise that lasts is told.
@@ -18,7 +17,11 @@ const BLOCKS: f64 = 8.0;
 /// Part of the excess of such noise that is left a block later: a wrong model shows where the robot moves, not always.
 const FADING: f64 = 1.0 - 1.0 / 64.0;
 /// One sample of so many teaches the parameters: neighbours hardly differ, and the filter keeps its speed.
-const THIN: u32 = 4;
+const THIN: u32 = 8;
+/// Part of the prior variance that no reading takes away: effects are linear in the parameters to about a sixth of them.
+const KEPT: f64 = 0.03;
+/// A residual beyond so many standard deviations teaches nothing of parameters: it is something else.
+const STRANGE: f64 = 5.0;
 
 /// How the error of the state depends on the parameters, and what is known of these.
 ///
@@ -50,9 +53,19 @@ pub(super) struct Consider {
     sums: Vec<f64>,
     taken: u32,
     gain: Vec<f64>,
+    /// H Σ⁻ (channels × stride), and the gains (states × channels).
+    products: Vec<f64>,
+    gains: Vec<f64>,
     wide: Vec<f64>,
+    /// See [`swings`](super::model::Measurement::swings).
+    pub(super) swings: Vec<f64>,
+    /// By how much a vibration of each joint is damped in Σ: the share by which its frequency may be off.
+    blur: Vec<f64>,
     /// Σ E[p pᵀ] Σᵀ of the first states.
     pub(super) total: Vec<f64>,
+    held: Held,
+    /// Time since `total` was last summed up.
+    elapsed: f64,
     /// Innovations less what the parameters explain, in their standard deviations; NaN where not used.
     pub(super) residuals: Vec<f64>,
     variances: Vec<f64>,
@@ -68,7 +81,7 @@ impl Consider {
             stride,
             columns: vec![0.0; states * stride],
             signatures: vec![0.0; m * stride],
-            prior: tolerances.iter().map(|Tolerance { std, .. }| std * std).collect(),
+            prior: tolerances.iter().map(|t| t.counted() * t.counted()).collect(),
             mean: vec![0.0; stride],
             spread: Symmetric::zeros(stride),
             moment: Symmetric::zeros(stride),
@@ -78,8 +91,14 @@ impl Consider {
             sums: vec![0.0; m],
             taken: 0,
             gain: vec![0.0; stride],
+            products: vec![0.0; m * stride],
+            gains: vec![0.0; states * m],
             wide: vec![0.0; states * stride],
+            swings: vec![0.0; model.robot().len()],
+            blur: (0..model.robot().len()).map(|j| blur(tolerances, j)).collect(),
             total: vec![0.0; states * states],
+            held: Held::new(model.robot().len()),
+            elapsed: 0.0,
             residuals: vec![f64::NAN; m],
             variances: vec![1.0; m],
         };
@@ -90,6 +109,8 @@ impl Consider {
     /// Forgets all that readings said.
     pub(super) fn reset(&mut self) {
         self.columns.fill(0.0);
+        self.held.reset();
+        self.elapsed = 0.0;
         self.mean.fill(0.0);
         self.spread.data.fill(0.0);
         for (i, variance) in self.prior.iter().enumerate() {
@@ -102,42 +123,64 @@ impl Consider {
         self.moment.data.copy_from_slice(&self.spread.data);
     }
 
-    /// Σ where a filter starts at rest: links are where the motors' readings and the predicted torsion put them, so that an error of
-    /// the torsion is one of the link, the other way round.
+    /// Σ where a filter starts: links are where the motors' readings and the predicted torsion put them, so that an error of
+    /// either is one of the link, the other way round.
     pub(super) fn start(&mut self, model: &mut impl Model) {
-        let p = self.stride;
-        model.signatures(p, &mut self.signatures);
-        for (channel, signature) in model.channel_kinds().iter().zip(self.signatures.chunks_exact(p)) {
-            if let Channel::Motor(joint) = *channel {
-                linear::add_scaled(&mut self.columns[joint * p..][..p], -1.0, signature);
+        model.start_columns(self.stride, &mut self.signatures, &mut self.columns);
+    }
+
+    /// Σ through the step last predicted, vibrations damped by [`blur`].
+    #[inline(always)]
+    pub(super) fn carry(&mut self, model: &mut impl Model, dt: f64) {
+        let (p, n) = (self.stride, self.swings.len());
+        self.elapsed += dt;
+        model.carry(&mut self.columns, p, dt);
+        for j in (0..n).filter(|&j| self.swings[j] > 0.0) {
+            let share = self.blur[j] * dt / (self.swings[j] + self.blur[j] * dt);
+            let motor = model.motor_velocity(j);
+            for k in 0..p {
+                let beside = motor.map_or(0.0, |motor| self.columns[motor * p + k]);
+                let link = &mut self.columns[(n + j) * p + k];
+                *link -= share * (*link - beside);
             }
         }
     }
 
-    /// Σ through the update that `correction` has done, one channel after the other, and what it says of the parameters.
+    /// Σ through the update that `correction` has done, and what it says of the parameters.
+    ///
+    /// Channel i's signature after those before it is h Σ⁻ + N less (h k) s of each of these, and all of them together take
+    /// Σ⁻ to Σ⁻ − Σ k s: products of whole matrices, which keep sums in registers.
     #[inline(always)]
-    pub(super) fn update(&mut self, model: &mut impl Model, correction: &Correction, states: usize) {
-        let (p, d) = (self.stride, model.dense());
+    pub(super) fn update(&mut self, model: &mut impl Model, correction: &Correction) {
+        let (p, m, d) = (self.stride, correction.innovations.len(), model.dense());
         model.signatures(p, &mut self.signatures);
-        let gains = correction.gains.len() / correction.innovations.len();
+        model.swings(&mut self.swings);
+        linear::product(model.linearised().jacobian, d, &self.columns, p, &mut self.products);
         for (i, innovation) in correction.innovations.iter().enumerate() {
-            let own = &mut self.signatures[i * p..][..p];
+            let (before, own) = self.signatures.split_at_mut(i * p);
+            let own = &mut own[..p];
             if innovation.variance.is_infinite() {
                 own.fill(0.0);
                 continue;
             }
-            let row = &model.linearised().jacobian[i * d..][..d];
-            for (h, column) in row.iter().zip(self.columns.chunks_exact(p)) {
-                linear::add_scaled(own, *h, column);
-            }
+            linear::add_scaled(own, 1.0, &self.products[i * p..][..p]);
             if let Some(b) = model.biases()[i] {
                 linear::add_scaled(own, 1.0, &self.columns[b * p..][..p]);
             }
-            let gain = &correction.gains[i * gains..][..states];
-            for (k, column) in gain.iter().zip(self.columns.chunks_exact_mut(p)) {
-                linear::add_scaled(column, -k, own);
+            for (j, earlier) in before.chunks_exact(p).enumerate() {
+                if correction.innovations[j].variance.is_finite() {
+                    linear::add_scaled(own, -correction.factors[i * m + j], earlier);
+                }
             }
         }
+        let states = self.columns.len() / p;
+        for (i, gain) in correction.gains.chunks_exact(correction.gains.len() / m).enumerate() {
+            for (row, k) in self.gains.chunks_exact_mut(m).zip(&gain[..states]) {
+                row[i] = *k;
+            }
+        }
+        linear::product(&self.gains, m, &self.signatures, p, &mut self.wide);
+        linear::add_scaled(&mut self.columns, -1.0, &self.wide);
         self.weigh(correction);
     }
 
@@ -162,8 +205,9 @@ impl Consider {
                 }
                 let known = linear::dot(&self.gain, signature);
                 self.variances[i] = 1.0 + known * weight * weight;
-                if self.teaches[i] {
-                    self.learn(residual / weight, noise + known);
+                let (value, variance) = (residual / weight, noise + known);
+                if self.teaches[i] && value * value < STRANGE * STRANGE * variance {
+                    self.learn(value, variance);
                 }
             }
             self.residuals[i] = residual / self.variances[i].sqrt();
@@ -182,7 +226,10 @@ impl Consider {
             let doubt = self.doubt_of_model();
             for (m, row) in self.mean.iter().zip(self.moment.data.chunks_exact_mut(self.stride)) {
                 linear::add_scaled(row, *m, &self.mean);
-                row.iter_mut().for_each(|x| *x *= doubt);
+                row.iter_mut().for_each(|x| *x *= (1.0 - KEPT) * doubt);
+            }
+            for (i, prior) in self.prior.iter().enumerate() {
+                self.moment.data[i * self.stride + i] += KEPT * prior;
             }
         }
     }
@@ -207,11 +254,13 @@ impl Consider {
         }
     }
 
-    /// Σ E[p pᵀ] Σᵀ of the first `rows` states, into [`total`](Self::total), rows apart by `rows`.
+    /// Σ E[p pᵀ] Σᵀ of the first `rows` states, into [`total`](Self::total), rows apart by `rows`, whatever the phase of a
+    /// vibration.
     #[inline(always)]
     pub(super) fn sum_up(&mut self, rows: usize) {
-        let Self { columns, moment, wide, total, stride, .. } = self;
-        spread_of(&columns[..rows * *stride], moment, rows, wide, total);
+        let Self { columns, moment, wide, total, swings, held, elapsed, .. } = self;
+        spread_of(columns, swings, moment, rows, wide, total);
+        held.raise(swings, core::mem::take(elapsed), total, rows);
     }
 
     pub(super) fn moment(&self) -> &Symmetric {
@@ -257,15 +306,77 @@ impl Consider {
     }
 }
 
-/// `out` ← C E[p pᵀ] Cᵀ for the first `rows` of `columns`.
+/// `out` ← C E[p pᵀ] Cᵀ for the first `rows` of `columns`, and for links C those of velocities over frequencies beside it.
+///
+/// A link on its spring swings at a frequency that is known to a tolerance only, so that soon nothing is known of when it
+/// passes through zero: what is sure is the amplitude, and the square of that is x² + (ẋ/ω)².
 #[inline(always)]
-pub(super) fn spread_of(columns: &[f64], moment: &Symmetric, rows: usize, wide: &mut [f64], out: &mut [f64]) {
-    let p = moment.stride;
-    linear::product(&columns[..rows * p], p, &moment.data, p, wide);
+pub(super) fn spread_of(
+    columns: &[f64],
+    swings: &[f64],
+    moment: &Symmetric,
+    rows: usize,
+    wide: &mut [f64],
+    out: &mut [f64],
+) {
+    let (p, n) = (moment.stride, swings.len());
+    let most = rows.max(2 * n);
+    linear::product(&columns[..most * p], p, &moment.data, p, wide);
+    let entry = |r: usize, c: usize| linear::dot(&wide[r * p..][..p], &columns[c * p..][..p]);
     for r in 0..rows {
         for c in r..rows {
-            out[r * rows + c] = linear::dot(&wide[r * p..][..p], &columns[c * p..][..p]);
-            out[c * rows + r] = out[r * rows + c];
+            let mut sum = entry(r, c);
+            if c < n {
+                sum += swings[r] * swings[c] * entry(n + r, n + c);
+            }
+            out[r * rows + c] = sum;
+            out[c * rows + r] = sum;
         }
     }
+}
+
+/// Variances of links that parameters account for, as they lately were.
+///
+/// What ends a vibration of the model, a stop that comes at the right time, does not end one of another frequency: it takes
+/// a period for a standard deviation to fall to 1/e.
+#[derive(Clone, Debug)]
+pub(super) struct Held {
+    variances: Vec<f64>,
+    factors: Vec<f64>,
+}
+
+impl Held {
+    pub(super) fn new(joints: usize) -> Self {
+        Self { variances: vec![0.0; joints], factors: vec![1.0; joints] }
+    }
+
+    pub(super) fn reset(&mut self) {
+        self.variances.fill(0.0);
+    }
+
+    /// Takes over a sample `dt` away from the last one, and raises `total` (`rows` × `rows`) to what is held.
+    #[inline(always)]
+    pub(super) fn raise(&mut self, swings: &[f64], dt: f64, total: &mut [f64], rows: usize) {
+        let held = self.variances.iter_mut().zip(&mut self.factors);
+        for (j, ((held, factor), swing)) in held.zip(swings).enumerate() {
+            let (now, period) = (total[j * rows + j], core::f64::consts::PI * swing);
+            *held = if *swing > 0.0 { now.max(*held * period / (period + dt)) } else { now };
+            *factor = if *held > now && now > 0.0 { (*held / now).sqrt() } else { 1.0 };
+        }
+        for (r, row) in self.factors.iter().zip(total.chunks_exact_mut(rows)) {
+            row.iter_mut().for_each(|x| *x *= r);
+        }
+        for row in total.chunks_exact_mut(rows) {
+            row.iter_mut().zip(&self.factors).for_each(|(x, c)| *x *= c);
+        }
+    }
+}
+
+/// How a vibration of joint `j` is damped in Σ, as a share of its frequency: twice the damping ratio.
+///
+/// Of modes whose frequencies differ by the share σ/2 for σ in ln K, the differences are in the end as large as √2 times
+/// the vibration. On a spring that does not damp, Σ would grow with time for ever; damped by this it ends there.
+fn blur(tolerances: &[Tolerance], j: usize) -> f64 {
+    let own = tolerances.iter().find(|t| t.parameter == Uncertain::Stiffness(j));
+    own.map_or(0.0, |t| t.counted() * core::f64::consts::FRAC_1_SQRT_2)
 }

@@ -1,6 +1,6 @@
 //! Parameters that count, on a smoother's way back.
 
-use super::consider::{Consider, spread_of};
+use super::consider::{Consider, Held, spread_of};
 use super::gaussian::{Innovation, Symmetric};
 use super::model::Model;
 use crate::linear;
@@ -10,6 +10,7 @@ use crate::linear;
 pub(super) struct ConsiderHistory {
     columns: Vec<f64>,
     signatures: Vec<f64>,
+    swings: Vec<f64>,
 }
 
 impl ConsiderHistory {
@@ -19,6 +20,7 @@ impl ConsiderHistory {
 
     pub(super) fn push_update(&mut self, consider: &Consider) {
         self.signatures.extend_from_slice(&consider.signatures);
+        self.swings.extend_from_slice(&consider.swings);
     }
 }
 
@@ -28,6 +30,7 @@ impl ConsiderHistory {
 #[derive(Clone, Debug)]
 pub(super) struct ConsiderBack {
     stride: usize,
+    joints: usize,
     /// ∂λ/∂p, states × stride.
     lambda: Vec<f64>,
     /// Σˢ of some states.
@@ -38,6 +41,7 @@ pub(super) struct ConsiderBack {
     wide: Vec<f64>,
     /// Σˢ E[p pᵀ] Σˢᵀ of the first states.
     pub(super) total: Vec<f64>,
+    held: Held,
 }
 
 impl ConsiderBack {
@@ -45,18 +49,21 @@ impl ConsiderBack {
         let room = || vec![0.0; states * consider.stride];
         Self {
             stride: consider.stride,
+            joints: consider.swings.len(),
             lambda: room(),
             columns: room(),
             moment: None,
             pull: vec![0.0; consider.stride],
             wide: room(),
             total: vec![0.0; states * states],
+            held: Held::new(consider.swings.len()),
         }
     }
 
     /// The next stretch is a recording's last.
     pub(super) fn finish(&mut self) {
         self.lambda.fill(0.0);
+        self.held.reset();
         self.moment = None;
     }
 
@@ -92,12 +99,20 @@ impl ConsiderBack {
     }
 
     /// The parameters' share of the smoothed covariance of the first `rows` states at sample `i`, `predicted` being
-    /// these rows of P⁻.
+    /// P⁻ in rows of `width`.
     #[inline(always)]
-    pub(super) fn sum_up(&mut self, history: &ConsiderHistory, i: usize, predicted: &[f64], rows: usize) {
-        let (p, width, size) = (self.stride, predicted.len() / rows, self.lambda.len());
-        let states = size / p;
-        for r in 0..rows {
+    pub(super) fn sum_up(
+        &mut self,
+        history: &ConsiderHistory,
+        i: usize,
+        predicted: &[f64],
+        width: usize,
+        rows: usize,
+        dt: f64,
+    ) {
+        let (p, size) = (self.stride, self.lambda.len());
+        let (states, n) = (size / p, self.joints);
+        for r in 0..rows.max(2 * n) {
             let own = &mut self.columns[r * p..][..p];
             own.copy_from_slice(&history.columns[i * size + r * p..][..p]);
             for (x, lambda) in predicted[r * width..][..states].iter().zip(self.lambda.chunks_exact(p)) {
@@ -105,7 +120,9 @@ impl ConsiderBack {
             }
         }
         if let Some(moment) = &self.moment {
-            spread_of(&self.columns, moment, rows, &mut self.wide, &mut self.total);
+            let swings = &history.swings[i * n..][..n];
+            spread_of(&self.columns, swings, moment, rows, &mut self.wide, &mut self.total);
+            self.held.raise(swings, dt, &mut self.total, rows);
         }
     }
 

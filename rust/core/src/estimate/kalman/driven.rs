@@ -156,6 +156,15 @@ impl Measurement for JerkMeasurement {
         }
     }
 
+    /// A motor position changes with its link's acceleration by Mⱼⱼ/φ′.
+    #[inline(always)]
+    fn swings(&self, out: &mut [f64]) {
+        let n = out.len();
+        for (j, (out, row)) in out.iter_mut().zip(self.evaluation.jacobian.chunks_exact(3 * n)).enumerate() {
+            *out = row[2 * n + j].max(0.0).sqrt();
+        }
+    }
+
     #[inline(always)]
     fn evaluate(&mut self, state: &[f64]) -> &[f64] {
         let Self { model, evaluation, dtheta, jerk, motors, .. } = self;

@@ -8,6 +8,7 @@ use super::uncertain::Tolerance;
 use crate::dynamics::{ElasticDynamics, ElasticLayout};
 use crate::error::DesignError;
 use crate::estimate::measurement::{Chained, Channel, Elastic, Values, read_all};
+use crate::linear;
 use crate::robot::Robot;
 use std::sync::Arc;
 
@@ -112,6 +113,34 @@ impl Measurement for ElasticMeasurement {
         let Self { robot, layout, dynamics, channels, tau, sensitivity, reference, .. } = self;
         sensitivity.set(robot, layout, dynamics, reference, tau);
         sensitivity.signatures(robot, dynamics, channels, stride, out);
+    }
+
+    fn start_columns(&mut self, stride: usize, scratch: &mut [f64], columns: &mut [f64]) {
+        self.signatures(stride, scratch);
+        let Self { robot, layout, dynamics, channels, tau, sensitivity, reference, .. } = self;
+        sensitivity.start_columns(robot, layout, dynamics, reference, tau, columns);
+        for (channel, signature) in channels.iter().zip(scratch.chunks_exact(stride)) {
+            let Channel::Motor(j) = *channel else { continue };
+            linear::add_scaled(&mut columns[j * stride..][..stride], -1.0, signature);
+            if robot.drives[j].elastic {
+                linear::add_scaled(&mut columns[layout.theta[j] * stride..][..stride], -1.0, signature);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn motor_velocity(&self, j: usize) -> Option<usize> {
+        self.robot.drives[j].elastic.then(|| self.layout.dtheta[j])
+    }
+
+    #[inline(always)]
+    fn swings(&self, out: &mut [f64]) {
+        let Self { robot, layout, dynamics, reference, .. } = self;
+        for (j, (out, drive)) in out.iter_mut().zip(&robot.drives).enumerate() {
+            let torsion = reference[layout.theta[j]] - reference[j];
+            let inertia = dynamics.inertia(robot, j) + drive.motor_inertia;
+            *out = if drive.elastic { (inertia / drive.tangent_stiffness(torsion)).max(0.0).sqrt() } else { 0.0 };
+        }
     }
 
     #[inline(always)]

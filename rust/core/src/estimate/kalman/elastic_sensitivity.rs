@@ -48,6 +48,35 @@ impl ElasticSensitivity {
         x: &[f64],
         tau: &[f64],
     ) {
+        self.load(robot, layout, dynamics, x, tau);
+        let Self { stride, links, motors, transmitted, .. } = self;
+        dynamics.respond(robot, links, motors, transmitted, *stride);
+    }
+
+    /// Σ of links (states × stride) that stand where motors and torsions put them: what a parameter gives a link more, its
+    /// spring holds.
+    pub(super) fn start_columns(
+        &mut self,
+        robot: &Robot,
+        layout: &ElasticLayout,
+        dynamics: &ElasticDynamics,
+        x: &[f64],
+        tau: &[f64],
+        columns: &mut [f64],
+    ) {
+        self.load(robot, layout, dynamics, x, tau);
+        let p = self.stride;
+        for (j, drive) in robot.drives.iter().enumerate().filter(|(_, drive)| drive.elastic) {
+            let compliance = drive.compliance(x[layout.theta[j]] - x[j]);
+            for torques in [&self.links, &self.transmitted] {
+                linear::add_scaled(&mut columns[j * p..][..p], compliance, &torques[j * p..][..p]);
+            }
+        }
+    }
+
+    /// Torques of parameters on links and motors, and in transmissions.
+    #[inline(always)]
+    fn load(&mut self, robot: &Robot, layout: &ElasticLayout, dynamics: &ElasticDynamics, x: &[f64], tau: &[f64]) {
         let Self { tolerances, stride, links, motors, transmitted } = self;
         for torques in [&mut *links, &mut *motors, &mut *transmitted] {
             torques.fill(0.0);
@@ -87,11 +116,10 @@ impl ElasticSensitivity {
             match parameter {
                 U::LinkFriction(_) => links[at] = -drive.link_friction(dq).0,
                 U::Stiffness(_) | U::CubicStiffness(_) | U::Damping(_) if drive.elastic => transmitted[at] = motor,
-                U::Stiffness(_) | U::CubicStiffness(_) | U::Damping(_) => {}
+                U::Stiffness(_) | U::CubicStiffness(_) | U::Damping(_) | U::EncoderZero(_) => {}
                 _ => motors[at] = motor,
             }
         }
-        dynamics.respond(robot, links, motors, transmitted, *stride);
     }
 
     /// N = ∂h/∂p at state `x`, where [`set`](Self::set) was called, into `out` (channels × `stride`).
@@ -123,8 +151,11 @@ impl ElasticSensitivity {
             }
         }
         for (column, Tolerance { parameter, .. }) in self.tolerances.iter().enumerate() {
-            let put = |row: usize, value: f64| out[row * stride + column] += value;
-            if let Uncertain::Yielding(j) = *parameter {
+            let mut put = |row: usize, value: f64| out[row * stride + column] += value;
+            if let Uncertain::EncoderZero(j) = *parameter {
+                let row = channels.iter().position(|c| *c == Channel::Motor(j));
+                row.into_iter().for_each(|row| put(row, 1.0));
+            } else if let Uncertain::Yielding(j) = *parameter {
                 let row = channels.iter().position(|c| *c == Channel::Motor(j) && !robot.drives[j].elastic);
                 row.into_iter().for_each(|row| {
                     out[row * stride + column] += dynamics.joint_torque(robot, j) / dynamics.inertia(robot, j)
@@ -216,7 +247,8 @@ mod tests {
     }
 
     fn parameters() -> Vec<Tolerance> {
-        let mut all = vec![U::Rotation(0, 1), U::Translation(0, 2), U::Scale(0, 2)];
+        let mut all =
+            vec![U::Rotation(0, 1), U::Translation(0, 2), U::Scale(0, 2), U::EncoderZero(1), U::EncoderZero(2)];
         for j in 0..N {
             all.extend([U::Mass(j), U::LinkFriction(j), U::MotorFriction(j), U::TorqueConstant(j), U::MotorInertia(j)]);
             if j != 2 {
@@ -303,6 +335,9 @@ mod tests {
                 let mut read = model.measurement_mut().evaluate(&x).to_vec();
                 if parameter == U::Scale(0, 2) {
                     read[N] *= error.exp();
+                }
+                if let U::EncoderZero(j) = parameter {
+                    read[j] += error;
                 }
                 [dynamics.ddq.clone(), dynamics.ddtheta.clone(), read].concat()
             });

@@ -206,7 +206,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
             // x⁻ = f(x), P⁻ = F P Fᵀ + Q, and Σ ← F Σ + ∂f/∂p of the parameters that are known to a tolerance.
             M::predict_phase(Predict { model: &mut self.model, sample, belief: &mut self.belief });
             if let Some(consider) = &mut self.consider {
-                self.model.carry(&mut consider.columns, consider.stride, sample.dt);
+                consider.carry(&mut self.model, sample.dt);
             }
         } else {
             // A first sample: no time passes, and the belief is the prior that its readings then correct.
@@ -215,14 +215,12 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
                     self.belief = start.clone();
                     self.model.resume(sample, &mut self.belief);
                 }
-                None => {
-                    self.model.start(sample, &mut self.belief)?;
-                    // At rest the spring's torsion follows from gravity, so that the start depends on parameters too.
-                    self.linearise();
-                    if let Some(consider) = &mut self.consider {
-                        consider.start(&mut self.model);
-                    }
-                }
+                None => self.model.start(sample, &mut self.belief)?,
+            }
+            // Links are where motors and torsions put them, so that the start depends on parameters too.
+            self.linearise();
+            if let Some(consider) = &mut self.consider {
+                consider.start(&mut self.model);
             }
             self.started = true;
         }

@@ -8,6 +8,7 @@ use super::uncertain::Tolerance;
 use crate::check::{expect, expect_length};
 use crate::error::DesignError;
 use crate::estimate::measurement::Channel;
+use crate::linear;
 use crate::robot::Robot;
 
 /// How the state moves: f, Q, and the adjoint that a smoother needs.
@@ -111,6 +112,26 @@ pub trait Measurement: Clone + Send + Sync {
 
     /// ∂h/∂p where the channels were linearised (channels × `stride`).
     fn signatures(&mut self, _stride: usize, _out: &mut [f64]) {}
+
+    /// Σ of a first sample (states × `stride`), links being where motors' readings and the predicted torsion put them;
+    /// `scratch` is as `out` of [`signatures`](Self::signatures).
+    fn start_columns(&mut self, stride: usize, scratch: &mut [f64], columns: &mut [f64]) {
+        self.signatures(stride, scratch);
+        for (channel, signature) in self.channels().iter().zip(scratch.chunks_exact(stride)) {
+            if let Channel::Motor(joint) = *channel {
+                linear::add_scaled(&mut columns[joint * stride..][..stride], -1.0, signature);
+            }
+        }
+    }
+
+    /// √(Mⱼⱼ/φ′) of each joint where the channels were linearised (n) [s/rad]: by it a link that swings on its spring is behind
+    /// its velocity; 0 of a rigid joint.
+    fn swings(&self, _out: &mut [f64]) {}
+
+    /// The state that is the velocity of joint `j`'s motor behind a spring, of a model that has it.
+    fn motor_velocity(&self, _j: usize) -> Option<usize> {
+        None
+    }
 }
 
 /// What an estimate says of links and motors.
@@ -217,6 +238,15 @@ pub trait Model: Clone + Send + Sync {
 
     /// See [`Measurement::signatures`].
     fn signatures(&mut self, stride: usize, out: &mut [f64]);
+
+    /// See [`Measurement::swings`].
+    fn swings(&self, out: &mut [f64]);
+
+    /// See [`Measurement::motor_velocity`].
+    fn motor_velocity(&self, j: usize) -> Option<usize>;
+
+    /// See [`Measurement::start_columns`].
+    fn start_columns(&mut self, stride: usize, scratch: &mut [f64], columns: &mut [f64]);
 
     /// See [`Report::report`].
     fn report(&mut self, memory: &[f64], state: &[f64], i: usize, out: &mut FilterOutput);
@@ -426,6 +456,20 @@ impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
         if let Some(late) = &self.late {
             late.mask_signatures(stride, out);
         }
+    }
+
+    #[inline(always)]
+    fn swings(&self, out: &mut [f64]) {
+        self.measurement.swings(out);
+    }
+
+    #[inline(always)]
+    fn motor_velocity(&self, j: usize) -> Option<usize> {
+        self.measurement.motor_velocity(j)
+    }
+
+    fn start_columns(&mut self, stride: usize, scratch: &mut [f64], columns: &mut [f64]) {
+        self.measurement.start_columns(stride, scratch, columns);
     }
 
     #[inline(always)]

@@ -110,7 +110,7 @@ impl FilterOutput {
     ) {
         let n = robot.len();
         for j in 0..n {
-            self.q_std[i * n + j] = covariance(j, j).max(0.0).sqrt();
+            self.q_std[i * n + j] = deviation(covariance(j, j));
         }
         if let Some(position) = tool.set(robot, &state[..n]) {
             self.tool[i * 3..][..3].copy_from_slice(&position);
@@ -121,7 +121,7 @@ impl FilterOutput {
                         variance += row[r] * covariance(r, c) * row[c];
                     }
                 }
-                *std = variance.max(0.0).sqrt();
+                *std = deviation(variance);
             }
         }
     }
@@ -184,6 +184,11 @@ impl FilterOutput {
     }
 }
 
+/// Of a variance; infinite where that overflowed, and nothing is known.
+fn deviation(variance: f64) -> f64 {
+    if variance.is_nan() { f64::INFINITY } else { variance.max(0.0).sqrt() }
+}
+
 /// The tool centre point and how it moves with the joints.
 #[derive(Clone, Debug)]
 pub(crate) struct Tool {
@@ -229,5 +234,15 @@ impl Kernel for SetTool<'_> {
     #[inline(always)]
     fn run(self) -> Self::Output {
         self.tool.set_here(self.robot, self.q)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn a_variance_that_overflowed_is_not_certainty() {
+        assert_eq!(super::deviation(f64::NAN), f64::INFINITY);
+        assert_eq!(super::deviation(-1e-30), 0.0);
+        assert_eq!(super::deviation(4.0), 2.0);
     }
 }

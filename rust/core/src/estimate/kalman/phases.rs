@@ -135,8 +135,7 @@ impl<M: Model> Kernel for Judge<'_, '_, M> {
     fn run(self) {
         let Self { model, correction, mut consider, monitor, sample } = self;
         if let Some(consider) = &mut consider {
-            let states = model.states();
-            consider.update(model, correction, states);
+            consider.update(model, correction);
             correction.nis = consider.nis();
         }
         if let Some(monitor) = monitor {

@@ -322,7 +322,7 @@ impl<M: Phases> Smoother<M> {
         let rows = if whole { states } else { self.filter.model.robot().len() };
         self.information.smooth(predicted, rows, &mut self.smoothed);
         if let Some(consider) = &mut self.consider {
-            consider.sum_up(&history.consider, i, &predicted[..rows * stride], rows);
+            consider.sum_up(&history.consider, i, predicted, stride, rows, history.dt[i]);
             for r in 0..rows {
                 linear::add_scaled(&mut self.smoothed[r * stride..][..rows], 1.0, &consider.total[r * rows..][..rows]);
             }

@@ -7,6 +7,9 @@ use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
 use crate::spatial::Vec3;
 
+/// Three tolerances of a logarithm count for no more than this.
+const MOST: f64 = 20.0;
+
 /// A number of the robot that is not known exactly. Positive ones are told by their logarithm: 0.2 is 20 %.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Uncertain {
@@ -28,6 +31,8 @@ pub enum Uncertain {
     MotorFriction(usize),
     /// ln B of a motor; likewise.
     MotorInertia(usize),
+    /// How far a joint's motor position is from the link's zero, all the time [rad].
+    EncoderZero(usize),
     /// Rotation of an accelerometer about one of its own axes [rad].
     Rotation(usize, usize),
     /// Displacement of an accelerometer along one of its own axes [m].
@@ -47,9 +52,22 @@ impl Uncertain {
             | Self::LinkFriction(j)
             | Self::TorqueConstant(j)
             | Self::MotorFriction(j)
-            | Self::MotorInertia(j) => Some(j),
+            | Self::MotorInertia(j)
+            | Self::EncoderZero(j) => Some(j),
             _ => None,
         }
+    }
+
+    /// Whether it is the logarithm of a positive number.
+    fn is_logarithm(self) -> bool {
+        !matches!(
+            self,
+            Self::CubicStiffness(_)
+                | Self::Yielding(_)
+                | Self::EncoderZero(_)
+                | Self::Rotation(..)
+                | Self::Translation(..)
+        )
     }
 }
 
@@ -60,6 +78,16 @@ pub struct Tolerance {
     pub parameter: Uncertain,
     /// Its standard deviation.
     pub std: f64,
+}
+
+impl Tolerance {
+    /// The standard deviation to count linear effects with: three of it reach as far as three tolerances.
+    ///
+    /// Of a logarithm p, effects go with eᵖ (a damper's torque, a weight) or with e⁻ᵖ (a spring's torsion), which at three
+    /// tolerances on the far side is (e³ˢ − 1)/3s times what its slope says: 1.37 times for 20 %.
+    pub(super) fn counted(self) -> f64 {
+        if self.parameter.is_logarithm() { (Scalar::exp((3.0 * self.std).min(MOST)) - 1.0) / 3.0 } else { self.std }
+    }
 }
 
 impl<T: Scalar> LinkMotion<T> {
@@ -102,7 +130,12 @@ impl<T: Scalar> LinkMotion<T> {
     ) {
         use Uncertain as U;
         let n = robot.len();
-        let (U::Stiffness(j) | U::CubicStiffness(j) | U::Damping(j) | U::Yielding(j) | U::LinkFriction(j)) = parameter
+        let (U::Stiffness(j)
+        | U::CubicStiffness(j)
+        | U::Damping(j)
+        | U::Yielding(j)
+        | U::LinkFriction(j)
+        | U::EncoderZero(j)) = parameter
         else {
             return;
         };
@@ -112,6 +145,9 @@ impl<T: Scalar> LinkMotion<T> {
             put(row, friction);
         }
         let Some(row) = position(channels, Channel::Motor(j)) else { return };
+        if let U::EncoderZero(_) = parameter {
+            return put(row, T::constant(1.0));
+        }
         if !drive.elastic {
             if parameter == U::Yielding(j) {
                 put(row, (self.tau[j] + friction) / self.mass[j * n + j]);
@@ -260,5 +296,22 @@ impl<T: Scalar> Kernel for Signatures<'_, T> {
                 parameter => of_sensor(&motion.kinematics, robot, channels, parameter, put),
             }
         }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::disallowed_methods)] // the oracle is the platform's
+mod tests {
+    use super::*;
+
+    #[test]
+    fn three_standard_deviations_reach_as_far_as_three_tolerances_of_a_logarithm() {
+        for std in [1e-6, 0.05, 0.2, 1.0] {
+            let softer = Tolerance { parameter: Uncertain::Stiffness(0), std };
+            assert!((3.0 * softer.counted() - (3.0 * std).exp_m1()).abs() < 1e-9 * std, "{std}");
+            let turned = Tolerance { parameter: Uncertain::Rotation(0, 1), std };
+            assert_eq!(turned.counted(), std);
+        }
+        assert!(Tolerance { parameter: Uncertain::Mass(0), std: 1e3 }.counted().is_finite());
     }
 }

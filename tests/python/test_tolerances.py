@@ -1,0 +1,94 @@
+"""What single tolerances do to standard deviations, against closed forms and against robots that truly differ."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from linkside import (
+    ElasticJointFilter,
+    ElasticJointSmoother,
+    ExtendedKalmanFilter,
+    Log,
+    RauchTungStriebelSmoother,
+    Robot,
+)
+from linkside.control.controllers import JointPD
+from linkside.simulation import simulate
+
+from .robots import ARM, spring
+
+ESTIMATORS = [ExtendedKalmanFilter, RauchTungStriebelSmoother, ElasticJointFilter, ElasticJointSmoother]
+JOINTS = [spring("shoulder"), spring("elbow")]
+ENCODER = {"resolution": 1e-6}
+ZERO = 2e-4
+UNTOLD = dict.fromkeys(("stiffness", "damping", "mass_scale", "motor_inertia", "torque_constant"), 1e-9)
+
+
+def robot(joints: Any = JOINTS, **tolerances: float) -> Robot:
+    """An arm without a sensor on its links: nothing is told of its parameters."""
+    return Robot.from_urdf(
+        ARM, joints, encoder=ENCODER, torque={"noise_std": 0.01}, tolerances={**UNTOLD, **tolerances}
+    )
+
+
+def moving(true: Robot, seconds: float = 0.6, move: float = 0.3) -> Any:
+    """Motors that rest, go on within 0.2 s and rest again; the links ring."""
+    start = np.array([0.9, 0.6])
+    held = true.gravity_torque(start)
+    times = np.arange(0.1, 0.31, 0.01)
+    u = (times - 0.1) / 0.2
+    path = start + held / [d.stiffness for d in true.drives] + move * (3 * u**2 - 2 * u**3)[:, None]
+    inertia = np.diag(true.mass_matrix(start)) + [d.motor_inertia for d in true.drives]
+    control = JointPD(kp=2e3 * inertia, kd=60 * inertia, times=times, theta=list(path), tau=held)
+    return simulate(true, control, seconds, 1000.0, substeps=4, q=start)
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_an_encoder_zero_counts_as_far_as_it_moves_the_estimate(estimator: Any) -> None:
+    """Linear to the last percent: how far a shift of all motor positions moves the links, over the shift."""
+    log = moving(robot()).log
+    shifted = replace(log, theta=log.theta + ZERO)
+    moved = estimator(robot()).run(shifted).q - estimator(robot()).run(log).q
+    with_zero, without = (estimator(robot(encoder_zero=wide)).run(shifted).q_std for wide in (ZERO, 0.0))
+    counted = np.sqrt(with_zero**2 - without**2)
+    np.testing.assert_allclose(counted, np.abs(moved), rtol=0.02)
+    np.testing.assert_allclose(counted, ZERO, rtol=0.1)  # from the first row on
+
+
+def test_without_a_declared_zero_positions_are_relative_to_the_encoders() -> None:
+    from linkside.robot.considered import considered
+
+    assert not any(one.kind == "encoder_zero" for one in considered(robot()))
+    assert [one.std for one in considered(robot(encoder_zero=ZERO)) if one.kind == "encoder_zero"] == [ZERO, ZERO]
+
+
+@pytest.mark.parametrize(("key", "share"), [("stiffness", -0.6), ("stiffness", 0.6), ("mass_scale", 0.3)])
+def test_three_deviations_reach_as_far_as_three_tolerances(key: str, share: float) -> None:
+    """At rest the torsion is the weight over the stiffness: e^0.6 − 1 of it on the soft side, and not 0.6."""
+    nominal = robot(**{key: abs(share) / 3})
+    elbow = {**JOINTS[1], key: JOINTS[1].get(key, 1.0) * np.exp(share)}
+    true = robot([JOINTS[0], elbow])
+    q = np.array([0.9, 0.6])
+    theta = q + true.gravity_torque(q) / [d.stiffness for d in true.drives]
+    rows = {"t": 1e-3 * np.arange(60)} | {f"theta_{n}": np.full(60, theta[i]) for i, n in enumerate(nominal.names)}
+    estimate = ExtendedKalmanFilter(nominal).run(Log.from_table(rows, nominal))
+    ratio = (np.abs(estimate.q - q) / estimate.q_std)[:, 1]
+    assert ratio.max() < 3.05
+    assert (ratio.min() > 2.8) == (share != 0.6)  # the far side, which it is made for
+
+
+@pytest.mark.parametrize("softer", [0.8, 0.9, 1.5])
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_a_vibration_of_another_frequency_is_covered_at_all_its_phases(estimator: Any, softer: float) -> None:
+    """A link that rings on long after the motion, undamped and unseen, on a spring that is not that of robot.yaml."""
+    joints = [spring("shoulder", stiffness=3e3, damping=0.0), spring("elbow", stiffness=1e3, damping=0.0)]
+    nominal = robot(joints, stiffness=0.2)
+    true = robot([{**joints[0], "stiffness": softer * joints[0]["stiffness"]}, joints[1]])
+    run = moving(true, seconds=4.0)
+    estimate = estimator(nominal).run(run.log)
+    error = np.abs(estimate.q - run.truth["q"])
+    assert ((error > 3 * estimate.q_std).any(axis=1)).mean() < 0.02
+    swing = np.abs(run.truth["theta"] - run.truth["q"])[2000:].max(axis=0)
+    assert (estimate.q_std[2000:].max(axis=0) < 2.5 * swing).all()  # the vibration's size, however long it lasts
