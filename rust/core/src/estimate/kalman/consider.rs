@@ -363,11 +363,10 @@ impl Held {
             *held = if *swing > 0.0 { now.max(*held * period / (period + dt)) } else { now };
             *factor = if *held > now && now > 0.0 { (*held / now).sqrt() } else { 1.0 };
         }
-        for (r, row) in self.factors.iter().zip(total.chunks_exact_mut(rows)) {
-            row.iter_mut().for_each(|x| *x *= r);
-        }
-        for row in total.chunks_exact_mut(rows) {
-            row.iter_mut().zip(&self.factors).for_each(|(x, c)| *x *= c);
+        let n = self.factors.len();
+        let factor = |i: usize| if i < n { self.factors[i] } else { 1.0 };
+        for (r, row) in total.chunks_exact_mut(rows).take(rows).enumerate() {
+            row.iter_mut().enumerate().for_each(|(c, x)| *x *= factor(r) * factor(c)); // symmetric to the last bit
         }
     }
 }

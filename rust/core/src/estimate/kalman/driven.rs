@@ -159,8 +159,8 @@ impl Measurement for JerkMeasurement {
     /// A motor position changes with its link's acceleration by Mⱼⱼ/φ′.
     #[inline(always)]
     fn swings(&self, out: &mut [f64]) {
-        let n = out.len();
-        for (j, (out, row)) in out.iter_mut().zip(self.evaluation.jacobian.chunks_exact(3 * n)).enumerate() {
+        let (n, d) = (out.len(), self.reference.len());
+        for (j, (out, row)) in out.iter_mut().zip(self.evaluation.jacobian.chunks_exact(d)).enumerate() {
             *out = row[2 * n + j].max(0.0).sqrt();
         }
     }
