@@ -12,6 +12,7 @@ __all__ = [
     "ExtendedKalmanFilter",
     "Likelihood",
     "ParticleFilter",
+    "Response",
     "Robot",
     "State",
     "StretchSmoother",
@@ -145,6 +146,22 @@ class Likelihood:
     def evaluate(
         self, names: Sequence[tuple[str, int, int]], values: Sequence[float], detail: bool = False
     ) -> dict[str, Any]: ...
+
+@final
+class Response:
+    """What sensors would read if nothing but the motors moved the links."""
+
+    def __new__(
+        cls,
+        robot: Robot,
+        motion: Mapping[str, _Array],
+        *,
+        kinds: Sequence[str],
+        fixed: Sequence[tuple[tuple[str, int, int], float]],
+    ) -> Response: ...
+    def evaluate(
+        self, names: Sequence[tuple[str, int, int]], values: Sequence[float], offset: Sequence[float]
+    ) -> tuple[_Array, _Array]: ...
 
 @final
 class ExtendedKalmanFilter:

@@ -19,8 +19,6 @@ from linkside.calibration.signals import derivative, signals
 from linkside.calibration.uncertainty import Alone, Uncertainty, compare, long_run
 from linkside.errors import ConfigError, EstimatorError, LogError
 
-from . import drawn
-
 DATA = Path(__file__).parents[1] / "data"
 MISMATCH = DATA / "arm2_square_mismatch"
 FREE = ["stiffness", "damping", "sensor_noise"]
@@ -140,6 +138,15 @@ ARM = """<robot name="one"><link name="base"/><link name="arm"><inertial><origin
 INERTIA = 0.2 + 5 * 0.4**2
 
 
+def one_joint(stiffness, encoder, mass=1.0):
+    return Robot.from_urdf(
+        ARM.replace('value="5"', f'value="{5 / mass}"').replace('"0.2"', f'"{0.2 / mass}"'),
+        [{"name": "j", "stiffness": stiffness, "damping": 0.0, "motor_inertia": 1.0}],
+        encoder={"resolution": encoder},
+        accelerometers=[{"name": "a", "link": "arm", "xyz": [0.5, 0, 0], "axes": "xy", "noise_std": 0.05}],
+    )
+
+
 def smooth(stiffness, nominal, encoder=1e-6, mass=1.0, seed=0):
     """Rest to rest along 35 s⁴ − 84 s⁵ + 70 s⁶ − 20 s⁷, which leaves no vibration, there and back; no damping."""
     rng, period, length = np.random.default_rng(seed), 1e-3, 0.6
@@ -148,19 +155,14 @@ def smooth(stiffness, nominal, encoder=1e-6, mass=1.0, seed=0):
     there = np.polynomial.Polynomial([0, 0, 0, 0, 35, -84, 70, -20])
     sign = np.where((t / length) % 3 < 1.5, 1, -1)
     q, dq, ddq = (0.8 * there.deriv(k)(s) * (sign / length) ** k for k in range(3))
-    robot = Robot.from_urdf(
-        ARM.replace('value="5"', f'value="{5 / mass}"').replace('"0.2"', f'"{0.2 / mass}"'),
-        [{"name": "j", "stiffness": nominal, "damping": 0.0, "motor_inertia": 1.0}],
-        encoder={"resolution": encoder},
-        accelerometers=[{"name": "a", "link": "arm", "xyz": [0.5, 0, 0], "axes": "xy", "noise_std": 0.05}],
-    )
+    robot = one_joint(nominal, encoder, mass)
     noise = rng.normal(0, 0.05, (2, len(t)))
     theta = np.round((q + INERTIA * ddq / stiffness) / encoder) * encoder
     columns = {"t": t, "theta_j": theta, "a_x": noise[0] - 0.5 * dq**2, "a_y": noise[1] + 0.5 * ddq}
     return robot, Log.from_table(columns, robot)
 
 
-@pytest.mark.parametrize("encoder", [1e-6, 1e-5])
+@pytest.mark.parametrize("encoder", [1e-6, 1e-5, 1e-4])
 @pytest.mark.parametrize("factor", [0.8, 1.0, 3.0])
 def test_a_smooth_motion_tells_the_spring_too(factor, encoder):
     robot, log = smooth(6000.0, factor * 6000.0, encoder)
@@ -210,8 +212,10 @@ def test_the_report_is_one_file(calibrated, tmp_path):
     assert page.count("data:image/png") == 4
     assert all(e.parameter.name in page for e in calibrated.estimates)
     assert 'src="http' not in page
-    for line in ("stiffness_axis2", "at its bound", "log-likelihood"):
-        assert line in calibrated.to_text()
+    text = calibrated.to_text()
+    assert "stiffness_axis2" in text
+    assert "log-likelihood" in text
+    assert text.count("at its bound") == sum(e.at_bound for e in calibrated.estimates)
 
 
 def test_a_profile_is_of_two_estimates(calibrated):
@@ -316,7 +320,7 @@ def test_contradictory_recordings_are_told():
 def test_recordings_of_a_robot_that_changed_are_told_to_contradict_each_other():
     robot, log = load(DATA / "arm2_square")
     _, changed = load(MISMATCH)
-    found = calibrate(robot, [log[:1500], changed[:1500]], FREE)
+    found = calibrate(robot, [log[:1500], changed[:1500]])
     (contradiction,) = found.contradictions
     assert "warning: " + str(contradiction) in found.to_text()
 
@@ -404,50 +408,3 @@ def test_the_command_line_refuses_in_one_line(tmp_path):
     result = command(MISMATCH / "robot.yaml", MISMATCH / "log.parquet", "--out", tmp_path / "a.yaml", "--bound", "x=1")
     assert result.exit_code == 2
     assert "--bound x=1: expected NAME=LOW:HIGH" in result.output
-
-
-def continuous(rng, arrays, n, rows):
-    """Links under jerk that is white in continuous time."""
-    dt = drawn.PERIOD
-    spread = np.array([[dt**4 / 20, dt**3 / 8, dt**2 / 6], [dt**3 / 8, dt**2 / 3, dt / 2], [dt**2 / 6, dt / 2, 1]]) * dt
-    factor = np.linalg.cholesky(spread)
-    out = np.empty((rows, 3, n))
-    out[0] = np.reshape(arrays["initial"], (3, n)) * rng.standard_normal((3, n)) + [[0.3, 0.9], [0, 0], [0, 0]]
-    for row in range(1, rows):
-        q, dq, ddq = out[row - 1]
-        shock = factor @ rng.standard_normal((3, n)) * arrays["jerk"]
-        out[row] = np.add([q + dt * dq + 0.5 * dt**2 * ddq, dq + dt * ddq, ddq], shock)
-    return np.ascontiguousarray(out.transpose(1, 0, 2))
-
-
-def intervals(repeats, monkeypatch):
-    """Estimates less truth in standard errors, (repeats, parameters), on recordings drawn from the model."""
-    monkeypatch.setattr(drawn, "links", continuous)
-    true = drawn.arm()  # drawn without damping
-    still = tuple(joint.model_copy(update={"damping": 0.0}) for joint in true.drives)
-    true = Robot(true.config.model_copy(update={"joints": still}), true.model)
-    noise = Noise(jerk=300.0, torsion=0.0, acceleration_bias=0.0)
-    joints = [j.model_copy(update={"stiffness": 1.1 * j.stiffness}) for j in true.drives]
-    nominal = Robot(true.config.model_copy(update={"joints": tuple(joints)}), true.model)
-    names = [f"stiffness_{joint}" for joint in true.names]
-    scores = []
-    for seed in range(repeats):
-        log, _ = drawn.draw(true, noise, 600, seed)
-        found = calibrate(nominal, log, ["stiffness", "bias"], noise=noise)
-        truth = [drive.stiffness for drive in true.drives]
-        scores.append([(found[n].value - k) / found[n].std for n, k in zip(names, truth, strict=True)])
-    return np.array(scores)
-
-
-def test_estimates_are_within_their_standard_errors(monkeypatch):
-    scores = intervals(6, monkeypatch)
-    assert np.abs(scores).max() < 4
-    assert np.abs(scores.mean(axis=0)).max() < 4 / np.sqrt(len(scores))
-
-
-@pytest.mark.slow
-def test_intervals_of_95_percent_cover(monkeypatch):
-    scores = intervals(100, monkeypatch)
-    assert np.all(np.abs(scores.mean(axis=0)) < 3 / np.sqrt(len(scores)))
-    inside = np.mean(np.abs(scores) < 1.96, axis=0)
-    assert np.all((inside >= 0.90) & (inside <= 0.99)), inside

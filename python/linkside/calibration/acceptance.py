@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from linkside.arrays import FloatArray
-from linkside.recording.log import Log
 
 from .parameters import NOISE, Parameter
-from .problem import Problem
+from .posterior import Posterior
+from .problem import OF_SENSORS, Problem
 from .search import ROUGH, Search
 
 FOLDS = 2
@@ -54,7 +54,7 @@ class Foretold:
         return f"readings held back: log-likelihood {self.gain:+.1f} ± {self.std:.1f}"
 
 
-def foretell(problem: Problem, z: FloatArray) -> Foretold:
+def foretell(problem: Posterior, nominal: Sequence[FloatArray], z: FloatArray) -> Foretold:
     """Fit without a part of the readings in turn, and see how those are foretold.
 
     What is held back are the readings of all sensors but the motors' encoders, in every other stretch of time
@@ -64,55 +64,51 @@ def foretell(problem: Problem, z: FloatArray) -> Foretold:
     ----------
     problem
         What was solved.
+    nominal : list of (T,)
+        Each sample's part of the log-likelihood with the values of robot.yaml, noise levels fitted.
     z : (p,)
         Its outcome: where the fits begin.
     """
-    nominal = problem.evidence(_noise_alone(problem), detail=True).densities
     gains: list[float] = []
     for fold in range(FOLDS):
         stretches = [_stretches(len(log), fold) for log in problem.logs]
-        fitted = problem.on([_without(log, parts) for log, parts in zip(problem.logs, stretches, strict=True)])
-        found = problem.evidence(Search(fitted, gain=ROUGH).maximise(z), detail=True).densities
+        fitted = Search(problem.without(stretches), gain=ROUGH).maximise(z)
+        found = problem.evidence(fitted, detail=True).densities
         for ours, theirs, parts in zip(found, nominal, stretches, strict=True):
             gains += [float(np.sum((ours - theirs)[part])) for part in parts]
     return Foretold(sum(gains), float(np.std(gains) * np.sqrt(len(gains))), min(gains))
 
 
-def objections(free: Sequence[Parameter], z: FloatArray, foretold: Foretold | None) -> tuple[str, ...]:
-    """Reasons not to believe an outcome, the weightiest first."""
+def filters_gain(problem: Problem, z: FloatArray) -> float:
+    """Log-likelihood that a Kalman filter's model of the links gains, with noise as filters assume it.
+
+    That model shares nothing with the links' response but the robot: what explains the encoders' noise, and not the
+    robot, is worse there. Sensors are as they were found in both cases.
+    """
+    nominal = np.where([p.kind in OF_SENSORS for p in problem.free], z, 0.0)
+    return problem.log_likelihood(z) - problem.log_likelihood(nominal)
+
+
+def objections(
+    free: Sequence[Parameter], z: FloatArray, foretold: Foretold | None, gain: float | None
+) -> tuple[str, ...]:
+    """Reasons not to believe an outcome, the weightiest first; ``gain`` is that of `filters_gain`."""
     found = []
     if foretold is not None and not foretold.better:
         found.append(f"it does not foretell better than robot.yaml as it is ({foretold})")
+    if gain is not None and gain < 0:
+        found.append(f"a Kalman filter foretells less well with it than with robot.yaml (log-likelihood {gain:+.1f})")
     for p, x in zip(free, z.tolist(), strict=True):
         if p.kind in NOISE:
             continue
         value = f"{p.name} = {p.value(x):.4g} {p.unit}".rstrip()
         if p.exceeds(x) and not p.exceeds(0.0):
             found.append(f"{value} is at its bound")
-        elif abs(x) > FAR:
+        elif abs(x) > FAR and p.stated:
             found.append(f"{value} is {abs(x):.1f} tolerances from {p.start:.4g}, its value in robot.yaml")
     return tuple(found)
-
-
-def _noise_alone(problem: Problem) -> FloatArray:
-    """The values of robot.yaml, with noise levels fitted."""
-    noise = [p for p in problem.free if p.kind in NOISE]
-    levels = iter(Search(problem.holding({}, noise), gain=ROUGH).maximise(np.zeros(len(noise))))
-    return np.array([float(next(levels)) if p.kind in NOISE else 0.0 for p in problem.free])
 
 
 def _stretches(count: int, fold: int) -> list[slice]:
     edges = np.linspace(0, count, STRETCHES + 1).astype(int)
     return [slice(a, b) for i, (a, b) in enumerate(pairwise(edges)) if i % FOLDS == fold]
-
-
-def _without(log: Log, stretches: Sequence[slice]) -> Log:
-    def silenced(values: FloatArray | None) -> FloatArray | None:
-        if values is None:
-            return None
-        out: FloatArray = values.copy()
-        for part in stretches:
-            out[part] = np.nan
-        return out
-
-    return replace(log, acceleration=silenced(log.acceleration), tau=silenced(log.tau))

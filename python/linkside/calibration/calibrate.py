@@ -16,19 +16,21 @@ from linkside.recording.log import Log
 from linkside.recording.motion import moving
 from linkside.robot import Robot
 
-from .acceptance import foretell, objections
+from .acceptance import filters_gain, objections
 from .calibration import Calibration
-from .equations import better
-from .parameters import NOISE, Bounds, Parameter, choose
+from .filter_run import FilterRun
+from .parameters import Bounds, Parameter, choose
+from .posterior import Posterior
 from .problem import Problem
 from .recordings import refuse, use_torque
-from .result import Estimated, Fit
-from .search import GAIN, ROUGH, Progress, Search
-from .starts import other_springs
+from .response import ResponseProblem, recordings
+from .response_run import ResponseRun
+from .result import Estimated
+from .search import Progress, Search
 from .uncertainty import Alone, Contradiction, Uncertainty, compare, uncertainty, unidentifiable
 
-ROUNDS = 3
-"""How often parameters that turn out not to be identifiable are left out and the rest is estimated anew."""
+OF_FILTERS = ("motor_noise", "jerk_noise")
+"""Kinds without a part where motors are taken as they were measured and nothing else moves the links."""
 
 
 @contextmanager
@@ -102,24 +104,28 @@ def calibrate(
     began = time.perf_counter()
     logs = [logs] if isinstance(logs, Log) else list(logs)
     refuse(robot, logs)
+    if held_out:
+        refuse(robot, held_out)
     torque = use_torque(robot, logs, torque)
-    problem = Problem(robot, logs, noise or Noise(), torque, choose(robot, free, torque, bounds or {}))
-    _refuse_unknown(problem, start or {})
-    before = Fit.of(problem.evidence(np.zeros(len(problem.free)), detail=True))
-    run = _Run(problem, dict(start or {}), progress)
+    chosen = choose(robot, free, torque, bounds or {})
+    _refuse_unknown(chosen, start or {})
+    run = _run(robot, logs, noise or Noise(), torque, chosen, start or {}, progress)
     run.solve()
-    after = run.problem.evidence(run.z, detail=True)
-    foretold = foretell(run.problem, run.z) if len(run.problem.free) else None
-    found = uncertainty(after, min(log.period for log in logs))
+    after, found = run.after()
+    foretold = run.foretold() if len(run.problem.free) else None
+    gain = None
+    if foretold is not None and not torque and robot.acceleration_channels:
+        gain = filters_gain(Problem(robot, logs, noise or Noise(), False, run.problem.free), run.z)
     return Calibration(
         estimates=_estimates(run.problem.free, run.z, found),
         refused=run.refused,
-        before=before,
-        after=Fit.of(after),
-        held_out=_held_out(run.problem, run.z, held_out),
+        before=run.before,
+        after=after,
+        held_out=run.held_out(held_out) if held_out else None,
         contradictions=_contradictions(run.problem, run.z),
+        notes=run.notes,
         foretold=foretold,
-        objections=objections(run.problem.free, run.z, foretold),
+        objections=objections(run.problem.free, run.z, foretold, gain),
         evaluations=run.evaluations,
         seconds=time.perf_counter() - began,
         problem=run.problem,
@@ -128,8 +134,26 @@ def calibrate(
     )
 
 
-def _refuse_unknown(problem: Problem, start: Mapping[str, float]) -> None:
-    known = [parameter.name for parameter in problem.free]
+def _run(
+    robot: Robot,
+    logs: list[Log],
+    noise: Noise,
+    torque: bool,
+    free: list[Parameter],
+    start: Mapping[str, float],
+    progress: Progress | None,
+) -> FilterRun | ResponseRun:
+    """Choose how: by a filter where motor torques are readings, else by the links' response."""
+    moves = np.any([moving(log) for log in logs], axis=0)
+    still = [name for name, does in zip(robot.names, moves, strict=True) if not does]
+    if torque:
+        return FilterRun(Problem(robot, logs, noise, torque, free), still, start, progress)
+    seen = [p for p in free if p.kind not in OF_FILTERS]
+    return ResponseRun(ResponseProblem(robot, recordings(robot, logs), seen), still, start, progress)
+
+
+def _refuse_unknown(free: Sequence[Parameter], start: Mapping[str, float]) -> None:
+    known = [parameter.name for parameter in free]
     for name, z in start.items():
         if name not in known:
             raise EstimatorError(f"start: '{name}' is not a free parameter of this calibration; {suggest(name, known)}")
@@ -137,82 +161,18 @@ def _refuse_unknown(problem: Problem, start: Mapping[str, float]) -> None:
             raise EstimatorError(f"start: '{name}' is {z}, expected a finite number")
 
 
-class _Run:
-    """Search, leave out what the recordings do not tell, search again."""
-
-    def __init__(self, problem: Problem, start: dict[str, float], progress: Progress | None) -> None:
-        self.problem, self.progress = problem, progress
-        self.at = self._filters(problem) | start if start else better(problem, self._filters(problem))
-        self.refused: dict[str, str] = {}
-        self.evaluations = 0
-        moves = np.any([moving(log) for log in problem.logs], axis=0)
-        self.still = [name for name, does in zip(problem.robot.names, moves, strict=True) if not does]
-
-    @staticmethod
-    def _filters(problem: Problem) -> dict[str, float]:
-        """Half a sample for a filter that robot.yaml does not have: at zero it could not be told from a delay."""
-        half = 0.5 * min(log.period for log in problem.logs)
-        filters = [p for p in problem.free if p.kind == "time_constant" and p.start < half]
-        return {p.name: p.z(half) for p in filters}
-
-    @property
-    def z(self) -> FloatArray:
-        """The best point so far."""
-        return np.array([self.at.get(p.name, 0.0) for p in self.problem.free])
-
-    def solve(self) -> None:
-        """Noise levels first, then springs, then all: what is misjudged, the next would wander to make up for."""
-        self._search(ROUGH, self._of(NOISE))
-        self.at = other_springs(self.problem, self.at)
-        self._search(ROUGH, self._of((*NOISE, "stiffness", "bias")))
-        self._leave_out()
-        self._search(ROUGH, self.problem.free)
-        self.at = other_springs(self.problem, self.at)
-        self._leave_out()
-        for _ in range(ROUNDS):
-            self._search(GAIN, self.problem.free)
-            if not self._leave_out():
-                return
-
-    def _of(self, kinds: Sequence[str]) -> list[Parameter]:
-        return [p for p in self.problem.free if p.kind in kinds]
-
-    def _search(self, gain: float, free: Sequence[Parameter]) -> None:
-        """Improve the parameters ``free``; the others stay where they are."""
-        search = Search(self.problem.holding(self.at, free), self.progress, gain)
-        found = search.maximise(np.array([self.at.get(p.name, 0.0) for p in free]))
-        self.evaluations += search.evaluations
-        self.at |= dict(zip([p.name for p in free], found.tolist(), strict=True))
-
-    def _leave_out(self) -> bool:
-        """Whether anything had to be left out."""
-        reasons = unidentifiable(self.problem, self.problem.evidence(self.z, detail=True), self.still)
-        if reasons:
-            self.refused |= reasons
-            self.problem = self.problem.restricted([p for p in self.problem.free if p.name not in reasons])
-        return bool(reasons)
-
-
 def _estimates(free: Sequence[Parameter], z: FloatArray, found: Uncertainty) -> tuple[Estimated, ...]:
     rows = zip(free, z.tolist(), found.std.tolist(), found.widening.tolist(), strict=True)
     return tuple(Estimated(p, p.value(x), std * p.slope(x), wide, p.exceeds(x)) for p, x, std, wide in rows)
 
 
-def _held_out(problem: Problem, z: FloatArray, logs: Sequence[Log]) -> tuple[float, float] | None:
-    if not logs:
-        return None
-    refuse(problem.robot, logs)
-    test = problem.on(logs)
-    return test.log_likelihood(np.zeros(len(z))), test.log_likelihood(z)
-
-
-def _contradictions(problem: Problem, z: FloatArray) -> tuple[Contradiction, ...]:
+def _contradictions(problem: Posterior, z: FloatArray) -> tuple[Contradiction, ...]:
     """Estimate by each recording alone, from the joint estimate on."""
     if len(problem.logs) < 2:
         return ()
     fits = []
-    for log in problem.logs:
-        alone = problem.on([log])
+    for i, log in enumerate(problem.logs):
+        alone = problem.alone(i, z)
         best = Search(alone).maximise(z)
         evidence = alone.evidence(best, detail=True)
         still = [name for name, does in zip(problem.robot.names, moving(log), strict=True) if not does]

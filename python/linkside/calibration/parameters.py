@@ -106,6 +106,8 @@ class Parameter:
         One standard deviation of the prior: relative for positive parameters.
     low, high : float
         Bounds of its value.
+    stated : bool
+        Whether robot.yaml says anything of it.
     """
 
     name: str
@@ -115,6 +117,7 @@ class Parameter:
     tolerance: float
     low: float
     high: float
+    stated: bool = True
 
     @property
     def unit(self) -> str:
@@ -198,9 +201,11 @@ def _of_kind(robot: Robot, kind: str, tolerances: TolerancesConfig) -> list[Para
     owner, tolerance = KINDS[kind].owner, getattr(tolerances, kind)
     sensors = list(enumerate(robot.accelerometers))
     if owner == "joint":
-        joints = enumerate(robot.drives)
+        inertia = robot.mass_matrix(np.zeros((1, robot.n)))[0].diagonal().tolist()
         return [
-            _of_joint(kind, j, d, tolerance) for j, d in joints if d.elastic or kind in ("mass_scale", "motor_noise")
+            _of_joint(kind, j, d, tolerance, inertia[j])
+            for j, d in enumerate(robot.drives)
+            if d.elastic or kind in ("mass_scale", "motor_noise")
         ]
     if owner == "coupling":
         pairs = [(i, j) for i in range(robot.n) for j in range(i + 1, robot.n) if robot.elastic[[i, j]].all()]
@@ -224,7 +229,8 @@ def _made(kind: str, name: str, index: tuple[int, int], start: float, tolerance:
     return Parameter(name, kind, (kind, *index), max(start, KINDS[kind].least), tolerance, low, high)
 
 
-def _of_joint(kind: str, index: int, drive: JointConfig, tolerance: float) -> Parameter:
+def _of_joint(kind: str, index: int, drive: JointConfig, tolerance: float, inertia: float) -> Parameter:
+    """Damping that robot.yaml does not state is at most what is critical with the link's ``inertia`` at q = 0."""
     stiffness = drive.stiffness or 0.0
     values = {
         "stiffness": stiffness,
@@ -237,7 +243,10 @@ def _of_joint(kind: str, index: int, drive: JointConfig, tolerance: float) -> Pa
     }
     if kind == "cubic_stiffness":
         tolerance *= stiffness
-    return _made(kind, f"{kind}_{drive.name}", (index, 0), values.get(kind, 1.0), tolerance)
+    made = _made(kind, f"{kind}_{drive.name}", (index, 0), values.get(kind, 1.0), tolerance)
+    if kind == "damping" and not drive.damping:
+        return replace(made, high=max(made.high, 2 * np.sqrt(stiffness * inertia)), stated=False)
+    return made
 
 
 def _of_payload(robot: Robot, kind: str, tolerance: float) -> list[Parameter]:

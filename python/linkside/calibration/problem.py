@@ -114,6 +114,14 @@ class Problem:
         """Give the same problem on other recordings."""
         return Problem(self.robot, logs, self.noise, self.torque, self.free)
 
+    def alone(self, index: int, z: FloatArray) -> Problem:
+        """Give the same problem on one of its recordings."""
+        return self.on([self.logs[index]])
+
+    def without(self, stretches: Sequence[Sequence[slice]]) -> Problem:
+        """Give the same problem where stretches of each recording were not read, but for the motors' positions."""
+        return self.on([_silenced(log, parts) for log, parts in zip(self.logs, stretches, strict=True)])
+
     @property
     def channels(self) -> tuple[str, ...]:
         """Names of the channels, in the order of `Evidence.innovations`."""
@@ -185,6 +193,18 @@ class Problem:
         noise: dict[str, Any] = noise_arrays(alone, log, self.noise, False, [])
         fixed = [(name, value) for name, value in self._fixed() if name[0] not in OF_SENSORS]
         return _likelihood(alone, signals(alone, log, False), noise, False, fixed)
+
+
+def _silenced(log: Log, stretches: Sequence[slice]) -> Log:
+    def silenced(values: FloatArray | None) -> FloatArray | None:
+        if values is None:
+            return None
+        out: FloatArray = values.copy()
+        for part in stretches:
+            out[part] = np.nan
+        return out
+
+    return replace(log, acceleration=silenced(log.acceleration), tau=silenced(log.tau))
 
 
 def _likelihood(

@@ -13,6 +13,8 @@ from linkside.recording.motion import LEAST_MOTION, moving
 from linkside.robot import Robot
 from linkside.robot.requirements import refuse_unsupported
 
+from .response import kinds
+
 SATURATED = 10
 """So many samples in a row at an extreme value are a sensor at the end of its range."""
 
@@ -23,16 +25,19 @@ def use_torque(robot: Robot, logs: Sequence[Log], torque: bool | None) -> bool:
     Raises
     ------
     EstimatorError
-        Neither accelerometers nor torques.
+        No sensor of the links, and no torques.
     """
-    there = all(log.tau is not None for log in logs)
+    seen = bool(kinds(robot, logs))
     if torque is None:
-        torque = not robot.acceleration_channels and there
+        torque = not seen and all(log.tau is not None for log in logs)
     if torque:
         for log in logs:
             log.require("tau", purpose="calibration with motor torques")
-    elif not robot.acceleration_channels:
-        raise EstimatorError("motor positions alone tell nothing of a spring: record accelerometers or motor torques")
+    elif not seen:
+        raise EstimatorError(
+            "motor positions alone tell nothing of a spring: record accelerometers, link encoders, gyroscopes, joint "
+            "torques or motor torques"
+        )
     return torque
 
 

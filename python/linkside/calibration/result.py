@@ -11,7 +11,8 @@ from linkside.statistics import autocovariance
 
 from .acceptance import Foretold
 from .parameters import Parameter
-from .problem import Evidence, Problem
+from .posterior import Posterior
+from .problem import Evidence
 from .uncertainty import Contradiction, Uncertainty
 
 LAGS = 50
@@ -89,6 +90,8 @@ class Result:
         Log-likelihood of recordings that were not used, before and after.
     contradictions : tuple of Contradiction
         Between recordings.
+    notes : tuple of str
+        Other outcomes that a search ended at.
     foretold : Foretold, optional
         How well readings are foretold by parameters that were fitted without them.
     objections : tuple of str
@@ -111,11 +114,12 @@ class Result:
     after: Fit
     held_out: tuple[float, float] | None
     contradictions: tuple[Contradiction, ...]
+    notes: tuple[str, ...]
     foretold: Foretold | None
     objections: tuple[str, ...]
     evaluations: int
     seconds: float
-    problem: Problem
+    problem: Posterior
     z: FloatArray
     uncertainty: Uncertainty
 
@@ -149,7 +153,7 @@ class Result:
         wide = max((e.widening for e in self.estimates), default=1.0)
         if wide > 1.5:
             lines.append(f"standard errors are up to {wide:.1f} times wider than white innovations would have them")
-        lines += [f"warning: {c}" for c in self.contradictions]
+        lines += [f"warning: {c}" for c in (*self.contradictions, *self.notes)]
         return "\n".join(lines) + "\n"
 
     def _fit_line(self) -> str:

@@ -12,7 +12,8 @@ import scipy.optimize
 from linkside.arrays import FloatArray
 from linkside.errors import NumericalError
 
-from .problem import Evidence, Problem
+from .posterior import Posterior
+from .problem import Evidence
 
 Progress = Callable[["Step"], None]
 
@@ -75,7 +76,7 @@ class Search:
     derivatives, in twenty or so evaluations.
     """
 
-    problem: Problem
+    problem: Posterior
     progress: Progress | None = None
     gain: float = GAIN
     evaluations: int = 0

@@ -11,7 +11,8 @@ from scipy import stats
 from linkside.arrays import FloatArray
 
 from .parameters import NOISE, Parameter
-from .problem import Evidence, Problem
+from .posterior import Posterior
+from .problem import Evidence
 
 MEMORY = 0.1
 """Errors of a model are correlated over about this time [s]."""
@@ -21,6 +22,12 @@ IDENTIFIABLE = 0.5
 
 HIDING = 0.2
 """A parameter that is less correlated with a stiffness is not what hides it."""
+
+ALIKE = 0.9
+"""Of what hides a stiffness nearly as well, a load goes first: stiffness and damping scale with it."""
+
+OF_DRIVES = ("damping", "cubic_stiffness")
+"""What a drive has beside its stiffness."""
 
 SIGNIFICANT = 1e-4
 """Recordings contradict each other when estimates as far apart as theirs have a smaller probability than this."""
@@ -90,7 +97,7 @@ def long_run(scores: FloatArray, lags: int) -> FloatArray:
     return total
 
 
-def unidentifiable(problem: Problem, evidence: Evidence, still: Sequence[str]) -> dict[str, str]:
+def unidentifiable(problem: Posterior, evidence: Evidence, still: Sequence[str]) -> dict[str, str]:
     """Parameters that the recordings cannot tell, each with the reason; the worst first, then anew without it.
 
     ``still`` are the names of joints that do not move.
@@ -126,11 +133,12 @@ def _hiding(index: int, covariance: FloatArray, free: Sequence[Parameter]) -> in
     std = np.sqrt(np.diag(covariance))
     likeness = np.abs(covariance[index]) / (std * std[index])
     likeness[[p.kind in ("stiffness", *NOISE) for p in free]] = 0.0
-    most = int(np.argmax(likeness))
-    return most if likeness[most] > HIDING else None
+    most = float(likeness.max())
+    alike = np.flatnonzero(likeness > max(HIDING, ALIKE * most)).tolist()
+    return max(alike, key=lambda i: (free[i].kind not in OF_DRIVES, likeness[i]), default=None)
 
 
-def _of_joint(parameter: Parameter, problem: Problem, still: Sequence[str]) -> bool:
+def _of_joint(parameter: Parameter, problem: Posterior, still: Sequence[str]) -> bool:
     owned = any(parameter.name == f"{parameter.kind}_{joint}" for joint in still)
     return owned and parameter.kind != "mass_scale"
 
@@ -204,7 +212,7 @@ class Alone:
     unidentifiable: frozenset[str] = frozenset()
 
 
-def compare(problem: Problem, fits: Sequence[Alone]) -> list[Contradiction]:
+def compare(problem: Posterior, fits: Sequence[Alone]) -> list[Contradiction]:
     """Compare the estimates by each recording alone, pair by pair, in units of their joint covariance.
 
     Only what both recordings tell is compared, away from bounds.
@@ -214,7 +222,7 @@ def compare(problem: Problem, fits: Sequence[Alone]) -> list[Contradiction]:
     return [contradiction for contradiction in found if contradiction is not None]
 
 
-def _between(problem: Problem, logs: tuple[int, int], a: Alone, b: Alone) -> Contradiction | None:
+def _between(problem: Posterior, logs: tuple[int, int], a: Alone, b: Alone) -> Contradiction | None:
     chosen = [
         i
         for i, p in enumerate(problem.free)

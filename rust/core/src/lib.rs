@@ -19,6 +19,7 @@ pub mod error;
 pub mod estimate;
 pub mod interrupt;
 mod linear;
+mod lu;
 pub mod memory;
 pub mod parallel;
 mod random;

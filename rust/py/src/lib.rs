@@ -27,7 +27,7 @@ mod _core {
     #[pymodule_export]
     use crate::kalman::{ExtendedKalmanFilter, StretchSmoother, largest_nis};
     #[pymodule_export]
-    use crate::likelihood::Likelihood;
+    use crate::likelihood::{Likelihood, Response};
     #[pymodule_export]
     use crate::observer::{AccelerationObserver, acceleration_inverse, observer_gains, sampled_observer};
     #[pymodule_export]

@@ -5,7 +5,10 @@ use crate::error::{EstimatorError, IntoPyErr};
 use crate::gil::Release;
 use crate::kalman::NoiseFields;
 use crate::robot::Robot;
-use linkside_core::estimate::likelihood::{self, Evidence, LikelihoodRecording, LikelihoodSettings, Parameter};
+use linkside_core::estimate::likelihood::{
+    self, Evidence, LikelihoodRecording, LikelihoodSettings, MotorMotion, Parameter,
+};
+use linkside_core::estimate::measurement::Kind;
 use numpy::{IntoPyArray, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -116,6 +119,61 @@ impl Likelihood {
         let evidence = py.release(|| self.0.evaluate(&parameters, &values, detail))?;
         into_dict(py, evidence, self.0.len(), self.0.channels())
     }
+}
+
+/// What sensors would read if nothing but the motors moved the links.
+#[pyclass(frozen, module = "linkside._core")]
+pub(crate) struct Response {
+    response: likelihood::Response,
+    joints: usize,
+}
+
+#[pymethods]
+impl Response {
+    #[new]
+    #[pyo3(signature = (robot, motion, *, kinds, fixed))]
+    fn new(robot: &Robot, motion: Motion<'_>, kinds: Vec<String>, fixed: Vec<(Name, f64)>) -> PyResult<Self> {
+        let joints = robot.0.len();
+        let motion = MotorMotion {
+            t: rows("t", &motion.t, motion.t.len())?.to_vec(),
+            theta: rows("theta", &motion.theta, joints)?.to_vec(),
+            dtheta: rows("dtheta", &motion.dtheta, joints)?.to_vec(),
+            ddtheta: rows("ddtheta", &motion.ddtheta, joints)?.to_vec(),
+        };
+        let kind = |name: &String| {
+            Kind::named(name).ok_or_else(|| EstimatorError::new_err(format!("{name:?} is no kind of channel")))
+        };
+        let kinds: PyResult<Vec<_>> = kinds.iter().map(kind).collect();
+        let fixed: PyResult<Vec<_>> = fixed.iter().map(|(name, value)| Ok((parameter(name)?, *value))).collect();
+        let response = likelihood::Response::new(robot.0.clone(), &kinds?, fixed?, motion);
+        Ok(Self { response: response.map_err(IntoPyErr::into_py_err)?, joints })
+    }
+
+    fn evaluate<'py>(
+        &self,
+        py: Python<'py>,
+        names: Vec<Name>,
+        values: Vec<f64>,
+        offset: Vec<f64>,
+    ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+        let parameters = parameters(&names)?;
+        let out = py.release(|| self.response.evaluate(&parameters, &values, &offset))?;
+        let (count, channels) = (self.response.len(), self.response.channels());
+        let width = parameters.len() + 2 * self.joints;
+        let prediction = shaped(py, out.prediction, vec![count, channels])?;
+        let slopes = shaped(py, out.slopes, vec![count, channels, width])?;
+        Ok((prediction.into_any(), slopes.into_any()))
+    }
+}
+
+/// How motors moved, by name.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct Motion<'py> {
+    t: PyReadonlyArray1<'py, f64>,
+    theta: Matrix<'py>,
+    dtheta: Matrix<'py>,
+    ddtheta: Matrix<'py>,
 }
 
 fn into_dict(py: Python<'_>, e: Evidence, count: usize, channels: usize) -> PyResult<Bound<'_, PyDict>> {

@@ -41,6 +41,11 @@ impl<T: Scalar> Kinematics<T> {
         self.masses = masses;
     }
 
+    /// Exchanges those masses for others.
+    pub(crate) fn swap_masses(&mut self, masses: &mut Vec<Inertia<T>>) {
+        core::mem::swap(&mut self.masses, masses);
+    }
+
     /// Positions, velocities and accelerations at once; each of length n, in the order of the log.
     #[inline]
     pub fn set(&mut self, tree: &Tree, q: &[T], dq: &[T], ddq: &[T]) {

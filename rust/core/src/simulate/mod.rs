@@ -3,7 +3,6 @@
 mod adaptive;
 mod feedback;
 mod integrator;
-mod lu;
 mod plant;
 mod recording;
 mod rosenbrock;

@@ -1,8 +1,8 @@
 //! One step of RODAS: a stiff robot is moved by solving linear equations, without iteration.
 
-use super::lu::Lu;
 use super::plant::Plant;
 use crate::linear::add_scaled;
+use crate::lu::Lu;
 use crate::robot::Robot;
 
 /// γ, the diagonal.

@@ -11,7 +11,9 @@ mod filter;
 mod instants;
 mod parameters;
 mod recording;
+mod response;
 
 pub use evidence::{Evidence, Likelihood, LikelihoodSettings};
 pub use parameters::Parameter;
 pub use recording::LikelihoodRecording;
+pub use response::{MotorMotion, Responded, Response};

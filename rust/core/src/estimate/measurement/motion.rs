@@ -6,7 +6,7 @@ use crate::dynamics::{Kinematics, Loads, NewtonEuler};
 use crate::robot::{Robot, Sensor};
 use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
-use crate::spatial::Vec3;
+use crate::spatial::{Inertia, Vec3};
 
 /// What accelerometers and gyroscopes on moving links read.
 ///
@@ -66,8 +66,8 @@ pub(crate) struct LinkMotion<T> {
     pub(crate) kinematics: Kinematics<T>,
     loads: Loads<T>,
     pub(crate) tau: Vec<T>,
-    by_q: Vec<T>,
-    by_dq: Vec<T>,
+    pub(crate) by_q: Vec<T>,
+    pub(crate) by_dq: Vec<T>,
     pub(crate) mass: Vec<T>,
 }
 
@@ -104,6 +104,14 @@ impl<T: Scalar> LinkMotion<T> {
     pub(crate) fn set_loads(&mut self, robot: &Robot) {
         let Self { kinematics, loads, tau, by_q, by_dq, mass } = self;
         loads.inverse_dynamics_derivatives_into(&robot.tree, kinematics, tau, by_q, by_dq, mass);
+    }
+
+    /// Torques (n) that links of other `masses` would need for the motion that was set.
+    #[inline(always)]
+    pub(crate) fn loads_of(&mut self, robot: &Robot, masses: &mut Vec<Inertia<T>>, tau: &mut [T]) {
+        self.kinematics.swap_masses(masses);
+        self.loads.inverse_dynamics_into(&robot.tree, &self.kinematics, tau);
+        self.kinematics.swap_masses(masses);
     }
 
     /// Torques (n) that hold the links at rest at `q`.

@@ -60,6 +60,35 @@ impl Lu {
             b[i] = (b[i] - known) / row[i];
         }
     }
+
+    /// X of A X = B for several right-hand sides, row-major with `width` of them, in place.
+    #[inline(always)]
+    pub(super) fn solve_rows(&self, b: &mut [f64], width: usize) {
+        let (n, a) = (self.size, &self.matrix);
+        let subtract = |row: &mut [f64], factor: f64, other: &[f64]| {
+            for (x, y) in row.iter_mut().zip(other) {
+                *x -= factor * y;
+            }
+        };
+        for (k, &pivot) in self.exchanged.iter().enumerate().filter(|&(k, &pivot)| pivot > k) {
+            let (above, below) = b.split_at_mut(pivot * width);
+            above[k * width..][..width].swap_with_slice(&mut below[..width]);
+        }
+        for i in 1..n {
+            let (above, row) = b.split_at_mut(i * width);
+            for (k, other) in above.chunks_exact(width).enumerate() {
+                subtract(&mut row[..width], a[i * n + k], other);
+            }
+        }
+        for i in (0..n).rev() {
+            let (row, below) = b[i * width..].split_at_mut(width);
+            for (k, other) in below.chunks_exact(width).enumerate() {
+                subtract(row, a[i * n + i + 1 + k], other);
+            }
+            let inverse = 1.0 / a[i * n + i];
+            row.iter_mut().for_each(|x| *x *= inverse);
+        }
+    }
 }
 
 #[cfg(test)]
@@ -79,6 +108,11 @@ mod tests {
             lu.factorise();
             let mut x = b.as_slice().to_vec();
             lu.solve(&mut x);
+            let mut twice: Vec<f64> = b.iter().flat_map(|&x| [x, -2.0 * x]).collect();
+            lu.solve_rows(&mut twice, 2);
+            for (pair, x) in twice.chunks(2).zip(&x) {
+                prop_assert!((pair[0] - x).abs() < 1e-10 * (1.0 + x.abs()) && pair[1] == -2.0 * pair[0]);
+            }
             let theirs = a.lu().solve(&b).unwrap();
             for (ours, theirs) in x.iter().zip(&theirs) {
                 prop_assert!((ours - theirs).abs() < 1e-10 * (1.0 + theirs.abs()), "{ours} {theirs}");

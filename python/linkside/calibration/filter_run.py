@@ -1,0 +1,108 @@
+"""Calibration with motor torques: the likelihood of all readings, given the motors', by a Kalman filter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from linkside.arrays import FloatArray
+from linkside.recording.log import Log
+
+from .acceptance import Foretold, foretell
+from .equations import better
+from .parameters import NOISE, Parameter
+from .problem import Problem
+from .result import Fit
+from .search import GAIN, ROUGH, Progress, Search
+from .starts import other_springs
+from .uncertainty import Uncertainty, uncertainty, unidentifiable
+
+ROUNDS = 3
+"""How often parameters that turn out not to be identifiable are left out and the rest is estimated anew."""
+
+
+class FilterRun:
+    """Search, leave out what the recordings do not tell, search again.
+
+    Parameters
+    ----------
+    problem
+        What is to be solved.
+    still
+        Joints that do not move.
+    start
+        Where to begin, z by name; robot.yaml, or where the equations of motion fit better, where empty.
+    progress
+        Called with every better point.
+    """
+
+    def __init__(
+        self, problem: Problem, still: Sequence[str], start: Mapping[str, float], progress: Progress | None
+    ) -> None:
+        self.problem, self.still, self.progress = problem, still, progress
+        self.at = filters(problem) | dict(start) if start else better(problem, filters(problem))
+        self.refused: dict[str, str] = {}
+        self.evaluations = 0
+        self.notes: tuple[str, ...] = ()
+        self.before = Fit.of(problem.evidence(np.zeros(len(problem.free)), detail=True))
+
+    @property
+    def z(self) -> FloatArray:
+        """The best point so far."""
+        return np.array([self.at.get(p.name, 0.0) for p in self.problem.free])
+
+    def solve(self) -> None:
+        """Noise levels first, then springs, then all: what is misjudged, the next would wander to make up for."""
+        self._search(ROUGH, self._of(NOISE))
+        self.at = other_springs(self.problem, self.at)
+        self._search(ROUGH, self._of((*NOISE, "stiffness", "bias")))
+        self._leave_out()
+        self._search(ROUGH, self.problem.free)
+        self.at = other_springs(self.problem, self.at)
+        self._leave_out()
+        for _ in range(ROUNDS):
+            self._search(GAIN, self.problem.free)
+            if not self._leave_out():
+                return
+
+    def after(self) -> tuple[Fit, Uncertainty]:
+        """How well the outcome explains the recordings, and how uncertain it is."""
+        evidence = self.problem.evidence(self.z, detail=True)
+        return Fit.of(evidence), uncertainty(evidence, min(log.period for log in self.problem.logs))
+
+    def foretold(self) -> Foretold:
+        """How well the outcome foretells readings, against robot.yaml with noise levels fitted."""
+        noise = self._of(NOISE)
+        levels = iter(Search(self.problem.holding({}, noise), gain=ROUGH).maximise(np.zeros(len(noise))))
+        nominal = np.array([float(next(levels)) if p.kind in NOISE else 0.0 for p in self.problem.free])
+        return foretell(self.problem, self.problem.evidence(nominal, detail=True).densities, self.z)
+
+    def held_out(self, logs: Sequence[Log]) -> tuple[float, float]:
+        """Log-likelihood of other recordings, before and after."""
+        test = self.problem.on(logs)
+        return test.log_likelihood(np.zeros(len(self.z))), test.log_likelihood(self.z)
+
+    def _of(self, kinds: Sequence[str]) -> list[Parameter]:
+        return [p for p in self.problem.free if p.kind in kinds]
+
+    def _search(self, gain: float, free: Sequence[Parameter]) -> None:
+        """Improve the parameters ``free``; the others stay where they are."""
+        search = Search(self.problem.holding(self.at, free), self.progress, gain)
+        found = search.maximise(np.array([self.at.get(p.name, 0.0) for p in free]))
+        self.evaluations += search.evaluations
+        self.at |= dict(zip([p.name for p in free], found.tolist(), strict=True))
+
+    def _leave_out(self) -> bool:
+        """Whether anything had to be left out."""
+        reasons = unidentifiable(self.problem, self.problem.evidence(self.z, detail=True), self.still)
+        if reasons:
+            self.refused |= reasons
+            self.problem = self.problem.restricted([p for p in self.problem.free if p.name not in reasons])
+        return bool(reasons)
+
+
+def filters(problem: Problem) -> dict[str, float]:
+    """Half a sample for a filter that robot.yaml does not have: at zero it could not be told from a delay."""
+    half = 0.5 * min(log.period for log in problem.logs)
+    return {p.name: p.z(half) for p in problem.free if p.kind == "time_constant" and p.start < half}

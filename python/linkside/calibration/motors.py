@@ -1,0 +1,87 @@
+"""How motors moved: positions smoothed by what their own noise allows, with velocity and acceleration."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.interpolate
+import scipy.signal
+
+from linkside.arrays import FloatArray
+from linkside.recording.log import Log
+from linkside.robot import Robot
+
+from .signals import filled, without_spikes
+
+CORNERS = (0.4, 2.0)
+"""Corner frequencies that are tried: a share of the sampling rate at most, and at least so many Hz."""
+
+PER_OCTAVE = 6
+SHORTEST = 16
+"""Fewer samples are not smoothed."""
+
+ALLOWED = 1.05
+"""What smoothing takes away may be so much larger than the encoder's noise."""
+
+FOURTH = float(np.sqrt(70.0))
+"""Fourth differences of white noise are so much larger."""
+
+
+SHARE = 0.3
+"""Of the accelerometers' noise, what the encoders' may make of what they should read."""
+
+
+def motors(robot: Robot, log: Log, wider: float = 1.0) -> dict[str, FloatArray]:
+    """Give time, position, velocity and acceleration of all motors, nothing missing, as the core takes them.
+
+    The smoother of a white jerk behind white noise is 1/(1 + (ω/ω_c)⁶), forwards and backwards a Butterworth filter of
+    third order. Of its corner the lowest is taken at which what it takes away is still the encoder's noise (V. A.
+    Morozov, Soviet Math. Dokl. 7, 1966), unless the acceleration of that noise is still far below what an accelerometer
+    at an arm's length of 1 m tells: motors' vibration may be hidden in the encoder's steps and show there.
+
+    Parameters
+    ----------
+    robot, log
+        A recording and its robot.
+    wider
+        A factor on the corners.
+    """
+    step = np.full(robot.n, robot.config.encoder.resolution)
+    theta = without_spikes(log.theta, step)
+    theta[0] = log.theta[0]
+    uniform = filled(theta)
+    told = min((sensor.noise_std for sensor in robot.accelerometers), default=0.0)
+    least = step / np.sqrt(12)
+    rate = 1 / log.period
+    corners = [_corner(x, float(n), SHARE * told, rate) for x, n in zip(uniform.T, least, strict=True)]
+    columns = [_smooth(x, wider * corner, rate) for x, corner in zip(uniform.T, corners, strict=True)]
+    spline = scipy.interpolate.CubicSpline(log.t, np.stack(columns, axis=1))
+    arrays = {"t": log.t, "theta": spline(log.t), "dtheta": spline(log.t, 1), "ddtheta": spline(log.t, 2)}
+    return {name: np.ascontiguousarray(array, dtype=np.float64) for name, array in arrays.items()}
+
+
+def _corner(values: FloatArray, least: float, told: float, rate: float) -> float:
+    """Corner frequency [Hz] for one motor's positions, recorded at ``rate`` [Hz] with noise of at least ``least``.
+
+    Noise whose acceleration is less than ``told`` [rad/s²] stays.
+    """
+    noise = max(least, float(np.median(np.abs(np.diff(values, 4)))) / 0.6745 / FOURTH)
+    high, low = CORNERS[0] * rate, CORNERS[1]
+    lowest = high
+    for corner in np.geomspace(high, low, max(2, round(PER_OCTAVE * np.log2(high / low)))).tolist():
+        settled = round(rate / corner)
+        taken = (_smooth(values, corner, rate) - values)[settled : len(values) - settled]
+        accelerated = noise * (2 * np.pi) ** 2 * corner**2.5 * np.sqrt(0.4 / rate)
+        few = len(taken) < len(values) // 2
+        if few or accelerated < told or float(np.sqrt(np.mean(taken**2))) > ALLOWED * noise:
+            break
+        lowest = corner
+    return lowest
+
+
+def _smooth(values: FloatArray, corner: float, rate: float) -> FloatArray:
+    """Filter one motor's positions forwards and backwards."""
+    if len(values) < SHORTEST or corner > CORNERS[0] * rate:
+        return values
+    sections = scipy.signal.butter(3, corner, fs=rate, output="sos")
+    padding = min(len(values) - 1, round(3 * rate / corner))
+    return np.asarray(scipy.signal.sosfiltfilt(sections, values, padtype="odd", padlen=padding))

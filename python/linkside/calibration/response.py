@@ -1,0 +1,372 @@
+"""The posterior of a robot's parameters by the links' response to their motors: output error, stage by stage.
+
+Motors are where they were measured; nothing else moves the links. What sensors on them should then read is compared
+with what they read, so that no density of the motors' positions is there to be improved by a wrong spring.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from linkside._core import Response
+from linkside.arrays import FloatArray
+from linkside.channels import CHANNELS
+from linkside.recording.log import Log
+from linkside.robot import Robot
+
+from .band import Band
+from .lag import Lag
+from .motors import motors
+from .parameters import NOISE, Parameter, catalogue
+from .problem import HUBER, STATED, Evidence, bare
+from .signals import filled, without_spikes
+from .spread import spread
+
+KINDS = ("acceleration", "rate", "q", "torque", "dq")
+"""Signals that tell of the links, as the core calls them."""
+
+ZEROS = ("rate", "q", "torque")
+"""Signals with zeros that nobody knows, which are estimated in each recording."""
+
+LEAST_ZERO = 1e-3
+"""Uncertainty of a zero, in the signal's unit, beside the largest reading."""
+
+OF_TIME = ("time_constant", "delay")
+LEAST_NOISE = 1e-9
+FIRST = 0.05
+"""So long motors are looked at to see whether a recording starts in motion [s]."""
+
+LEAST_START, LEAST_SPEED = 1e-4, 1e-3
+"""Uncertainty of the links' first positions [rad] and velocities [rad/s], beside what gravity and motion make of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """One log as a response sees it.
+
+    Attributes
+    ----------
+    log : Log
+        The recording.
+    motors : dict
+        How its motors moved.
+    readings : (T, m)
+        What sensors read, filled where it is missing.
+    missing : (T, m)
+        Where that is.
+    offset : (2n + zeros,)
+        Positions and velocities of the links in the first sample, less those at which springs hold them, and what
+        sensors of `ZEROS` read too much.
+    """
+
+    log: Log
+    motors: dict[str, FloatArray]
+    readings: FloatArray
+    missing: npt.NDArray[np.bool_]
+    offset: FloatArray
+
+    @classmethod
+    def of(cls, robot: Robot, log: Log, kinds: Sequence[str]) -> Prepared:
+        """Prepare ``log``."""
+        readings = np.concatenate([_readings(robot, log, kind) for kind in kinds], axis=1)
+        missing = np.isnan(readings)
+        readings[:, missing.all(axis=0)] = 0.0
+        zeros = sum(_width(robot, kind) for kind in kinds if kind in ZEROS)
+        return cls(log, motors(robot, log), filled(readings), missing, np.zeros(2 * robot.n + zeros))
+
+    def without(self, stretches: Sequence[slice]) -> Prepared:
+        """Leave out what sensors read in some stretches."""
+        missing = self.missing.copy()
+        for stretch in stretches:
+            missing[stretch] = True
+        return replace(self, missing=missing)
+
+
+def _readings(robot: Robot, log: Log, kind: str) -> FloatArray:
+    values = getattr(log, kind)
+    if kind == "acceleration":
+        bias, scale = robot.acceleration_errors
+        noise = np.array([sensor.noise_std for sensor in robot.accelerometers for _ in sensor.axes])
+        return without_spikes(values * scale + bias, noise)
+    if kind == "torque":
+        return np.where(robot.elastic, values, np.nan)
+    return np.array(values)
+
+
+class ResponseProblem:
+    """Recordings of one robot, the parameters that are free, and the band that is looked at.
+
+    Parameters
+    ----------
+    robot
+        The robot as robot.yaml has it.
+    recordings
+        Its recordings, by `recordings`.
+    free
+        The free parameters.
+    held
+        Further parameters and the z that each is held at; all others are as in robot.yaml.
+    corner
+        Frequencies above it are left out [Hz].
+    size
+        Standard deviations of residuals in that band, (m,); as small as can be where they are not known.
+    base
+        `robot` without what `bare` takes off, where it is known.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        recordings: Sequence[Prepared],
+        free: Sequence[Parameter],
+        held: Sequence[tuple[Parameter, float]] = (),
+        corner: float = np.inf,
+        size: FloatArray | None = None,
+        base: Robot | None = None,
+    ) -> None:
+        self.robot, self.recordings = robot, list(recordings)
+        self.logs = [recording.log for recording in recordings]
+        self.free, self.held, self.corner = tuple(free), tuple(held), corner
+        self.kinds = kinds(robot, self.logs)
+        self._bands = [Band.below(corner, log.period, len(log)) for log in self.logs]
+        self.base, fixed = base or bare(robot), self._fixed()
+        self._cores = [Response(self.base.core, r.motors, kinds=self.kinds, fixed=fixed) for r in recordings]
+        self.size = self._least() if size is None else size
+        self._zeros = [c for c, kind in enumerate(self._kind_of_channels()) if kind in ZEROS]
+        largest = [float(np.abs(recordings[0].readings[:, c]).max()) for c in self._zeros]
+        self._start = np.concatenate([_uncertain_start(robot, self.recordings), np.array(largest) + LEAST_ZERO])
+
+    def _like(self, **changes: Any) -> ResponseProblem:
+        own = {name: getattr(self, name) for name in ("robot", "recordings", "free", "held", "corner", "size", "base")}
+        return ResponseProblem(**own | changes)
+
+    def restricted(self, free: Sequence[Parameter]) -> ResponseProblem:
+        """Give the same problem with other parameters free."""
+        return self._like(free=free, held=())
+
+    def holding(self, at: Mapping[str, float], free: Sequence[Parameter]) -> ResponseProblem:
+        """Give the same problem with only some of its parameters free, the others held at ``at``, their z by name."""
+        return self._like(free=free, held=[(p, at.get(p.name, 0.0)) for p in self.free if p not in free])
+
+    def without(self, stretches: Sequence[Sequence[slice]]) -> ResponseProblem:
+        """Give the same problem where stretches of each recording were not read, but for the motors' positions."""
+        pairs = zip(self.recordings, stretches, strict=True)
+        return self._like(recordings=[recording.without(parts) for recording, parts in pairs])
+
+    def smoothed(self, wider: float) -> ResponseProblem:
+        """Give the same problem with motors' positions smoothed less, by this factor on the corner frequency."""
+        smoother = [replace(r, motors=motors(self.robot, r.log, wider)) for r in self.recordings]
+        return self._like(recordings=smoother)
+
+    def alone(self, index: int, z: FloatArray) -> ResponseProblem:
+        """Give the same problem on one of its recordings."""
+        return self._like(recordings=[self.recordings[index]]).settled(z)
+
+    def settled(self, z: FloatArray, corner: float | None = None) -> ResponseProblem:
+        """Give the same problem with residuals as large, and the links' start, as the residuals at ``z`` have them.
+
+        ``corner`` is of another band.
+        """
+        there = self._like(corner=self.corner if corner is None else corner, size=None)
+        rough = there._like(size=there._spread(z))
+        started = []
+        for i, recording in enumerate(self.recordings):
+            residual, _, start = rough._residuals(i, z)
+            started.append(replace(recording, offset=recording.offset + _restart(residual, start, self._start)))
+        there = rough._like(recordings=started)
+        return there._like(size=there._spread(z))
+
+    def _spread(self, z: FloatArray) -> FloatArray:
+        residuals = [self._residuals(i, z)[0] * self.size for i in range(len(self.logs))]
+        return spread(residuals, self._least())
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels, in the order of `Evidence.innovations`."""
+        return tuple(column for kind in self.kinds for column in self.logs[0].columns(kind))
+
+    def values(self, z: FloatArray) -> list[float]:
+        """Physical values."""
+        return [p.value(x) for p, x in zip(self.free, z, strict=True)]
+
+    def evidence(self, z: FloatArray, detail: bool = False) -> Evidence:
+        """Evaluate at one point; raises NumericalError where links fly away."""
+        p = len(self.free)
+        total = Evidence(0.0, np.zeros(p), np.zeros((p, p)), 0, [], [], [])
+        for i, log in enumerate(self.logs):
+            total = _sum(total, self._of_log(i, z, detail, len(log)))
+        return total
+
+    def log_likelihood(self, z: FloatArray) -> float:
+        """Log-likelihood alone."""
+        return self.evidence(z).log_likelihood
+
+    def _of_log(self, i: int, z: FloatArray, detail: bool, count: int) -> Evidence:
+        residual, slopes, start = self._residuals(i, z)
+        given = np.isfinite(residual)
+        clean = residual - np.where(given, start @ _restart(residual, start, self._start), 0.0)
+        size = np.where(given, np.abs(clean), 0.0)
+        outlying = size > HUBER
+        weight = np.where(outlying, HUBER / np.maximum(size, HUBER), given).reshape(-1, 1)
+        loss = np.where(outlying, HUBER * (2 * size - HUBER), size**2)
+        densities = np.where(given, -0.5 * (loss + np.log(2 * np.pi * self.size**2)), 0.0)
+        # What another start of the links would explain is not told: it is projected out (Golub and Pereyra 1973).
+        by, nuisance = (x.reshape(given.size, x.shape[2]) for x in (slopes, start))
+        gram = nuisance.T @ (weight * nuisance) + np.diag(1 / self._start**2)
+        by = by - nuisance @ np.linalg.solve(gram, nuisance.T @ (weight * by))
+        pull = by * (weight * np.where(given, clean, 0.0).reshape(-1, 1))
+        information = slopes.reshape(by.shape).T @ (weight * by)
+        information += np.diag([self._of_noise(p, given) for p in self.free])
+        out = Evidence(float(densities.sum()), pull.sum(axis=0), information, int(given.sum()), [], [], [])
+        if not detail:
+            return out
+        rows = self._bands[i].rows(count)
+        return replace(
+            out,
+            densities=[_placed(densities.sum(axis=1), rows, count, 0.0)],
+            scores=[_placed(pull.reshape(*given.shape, len(self.free)).sum(axis=1), rows, count, 0.0)],
+            innovations=[_placed(clean, rows, count, np.nan)],
+        )
+
+    def _of_noise(self, p: Parameter, given: npt.NDArray[np.bool_]) -> float:
+        """Information on a sensor's noise, which is not sought but seen in what is left."""
+        if p.kind != "sensor_noise" or "acceleration" not in self.kinds:
+            return 0.0
+        return 2 * p.tolerance**2 * float(given[:, self._columns()[p.core[1]]].sum())
+
+    def noise_of(self, p: Parameter) -> float:
+        """Give the factor on the noise of an accelerometer, whose parameter is ``p``, that residuals show."""
+        size = float(np.sqrt(np.mean(self.size[self._columns()[p.core[1]]] ** 2)))
+        return float(np.clip(size / self.robot.accelerometers[p.core[1]].noise_std, p.low, p.high))
+
+    def _columns(self) -> list[slice]:
+        """Columns of each accelerometer."""
+        ends = np.cumsum([0, *(len(sensor.axes) for sensor in self.robot.accelerometers)])
+        offset = next((i for i, name in enumerate(self.channels) if name in self.robot.acceleration_channels), 0)
+        return [slice(offset + a, offset + b) for a, b in pairwise(ends.tolist())]
+
+    def _residuals(self, i: int, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Residuals (R, m) of a log over their spread, NaN where missing; slopes of predictions in z and the start."""
+        recording, band = self.recordings[i], self._bands[i]
+        moving = [k for k, p in enumerate(self.free) if p.kind not in (*NOISE, *OF_TIME)]
+        names, values = [self.free[k].core for k in moving], self.values(z)
+        prediction, by = self._cores[i].evaluate(
+            names, [values[k] for k in moving], recording.offset[: 2 * self.robot.n].tolist()
+        )
+        p, (count, m, width) = len(self.free), by.shape
+        at_start = p + width - len(moving)
+        slopes = np.zeros((count, m, at_start + len(self._zeros)))
+        slopes[:, :, moving] = by[:, :, : len(moving)] * [self.free[k].slope(float(z[k])) for k in moving]
+        slopes[:, :, p:at_start] = by[:, :, len(moving) :]
+        self._lag(z, recording.log.period, prediction, slopes)
+        prediction[:, self._zeros] += recording.offset[2 * self.robot.n :]
+        slopes[:, self._zeros, range(at_start, slopes.shape[2])] = 1.0
+        residual = np.where(band.told(recording.missing), band(recording.readings - prediction), np.nan)
+        residual, slopes = residual / self.size, band(slopes) / self.size[:, None]
+        slopes[~np.isfinite(residual)] = 0.0
+        return residual, slopes[:, :, :p], slopes[:, :, p:]
+
+    def _lag(self, z: FloatArray, period: float, prediction: FloatArray, slopes: FloatArray) -> None:
+        """Let the accelerometers' own filters and delays act, in place."""
+        at = {p.core: (k, p, float(x)) for k, (p, x) in enumerate(zip(self.free, z, strict=True))}
+        held = {p.core: p.value(x) for p, x in self.held}
+        fixed = dict(self._times())
+        for s, columns in enumerate(self._columns() if "acceleration" in self.kinds else ()):
+            of = [("time_constant", s, 0), ("delay", s, 0)]
+            free = [at.get(core) for core in of]
+            values = [f[1].value(f[2]) if f else held.get(c, fixed.get(c, 0.0)) for f, c in zip(free, of, strict=True)]
+            lag = Lag(*(value / period for value in values))
+            if not any(values):
+                continue
+            by = lag.slopes(prediction[:, columns])
+            prediction[:, columns] = lag(prediction[:, columns])
+            slopes[:, columns] = lag(slopes[:, columns])
+            for f, slope in zip(free, by, strict=True):
+                if f:
+                    slopes[:, columns, f[0]] = slope * (f[1].slope(f[2]) / period)
+
+    def _times(self) -> list[tuple[tuple[str, int, int], float]]:
+        out = []
+        for s, sensor in enumerate(self.robot.accelerometers):
+            if sensor.corner_frequency:
+                out.append((("time_constant", s, 0), 1 / (2 * np.pi * sensor.corner_frequency)))
+            out.append((("delay", s, 0), sensor.delay))
+        return out
+
+    def _fixed(self) -> list[tuple[tuple[str, int, int], float]]:
+        estimated = {p.name for p in (*self.free, *(p for p, _ in self.held))}
+        stated = [p for p in catalogue(self.robot, False) if p.kind in STATED and p.name not in estimated]
+        held = [(p.core, p.value(z)) for p, z in self.held if p.kind not in (*NOISE, *OF_TIME)]
+        return held + [(p.core, p.start) for p in stated if p.kind not in OF_TIME]
+
+    def _kind_of_channels(self) -> list[str]:
+        return [kind for kind in self.kinds for _ in range(_width(self.robot, kind))]
+
+    def _least(self) -> FloatArray:
+        """A tenth of what the noise of sensors can be."""
+        told = [0.1 * s.noise_std for s in self.robot.accelerometers for _ in s.axes]
+        parts = [told if kind == "acceleration" else [LEAST_NOISE] * _width(self.robot, kind) for kind in self.kinds]
+        shrunk = min(float(np.linalg.norm(band.weights)) for band in self._bands)
+        return np.array([x * shrunk for part in parts for x in part], dtype=np.float64)
+
+
+def _width(robot: Robot, signal: str) -> int:
+    return next(channel for channel in CHANNELS.values() if channel.signal == signal).width(robot)
+
+
+def kinds(robot: Robot, logs: Sequence[Log]) -> tuple[str, ...]:
+    """Give the signals that tell of the links in all of ``logs``."""
+    return tuple(kind for kind in KINDS if all(_has(robot, log, kind) for log in logs))
+
+
+def recordings(robot: Robot, logs: Sequence[Log]) -> list[Prepared]:
+    """Prepare logs, all by the signals that they have in common."""
+    common = kinds(robot, logs)
+    return [Prepared.of(robot, log, common) for log in logs]
+
+
+def _has(robot: Robot, log: Log, kind: str) -> bool:
+    values = getattr(log, kind)
+    if kind == "acceleration" and not robot.acceleration_channels:
+        return False
+    return values is not None and values.shape[1] > 0 and bool(np.isfinite(values).any())
+
+
+def _uncertain_start(robot: Robot, recordings: Sequence[Prepared]) -> FloatArray:
+    """How far positions and velocities of links may be from rest on their springs at first, (2n,).
+
+    By what gravity twists the springs, and by what the first motion of the motors may do besides.
+    """
+    stiffness = np.array([drive.stiffness or np.inf for drive in robot.drives])
+    twist, speed = np.full(robot.n, LEAST_START), np.full(robot.n, LEAST_SPEED)
+    for recording in recordings:
+        count = max(1, round(FIRST / recording.log.period))
+        theta, dtheta, ddtheta = (recording.motors[name][:count] for name in ("theta", "dtheta", "ddtheta"))
+        load = np.abs(robot.gravity_torque(theta)) + np.abs(robot.inverse_dynamics(theta, dtheta, ddtheta))
+        twist = np.maximum(twist, load.max(axis=0) / stiffness)
+        speed = np.maximum(speed, np.abs(dtheta).max(axis=0))
+    return np.concatenate([twist, speed])
+
+
+def _restart(residual: FloatArray, start: FloatArray, std: FloatArray) -> FloatArray:
+    """By how much another start of the links, uncertain by ``std``, explains the residuals better."""
+    by, e = start.reshape(residual.size, start.shape[2]), np.nan_to_num(residual).reshape(-1)
+    weight = np.minimum(1.0, HUBER / np.maximum(np.abs(e), HUBER))
+    normal = by.T @ (weight[:, None] * by) + np.diag(1 / std**2)
+    return np.asarray(np.linalg.solve(normal, by.T @ (weight * e)))
+
+
+def _placed(values: FloatArray, rows: npt.NDArray[np.int64], count: int, empty: float) -> FloatArray:
+    out = np.full((count, *values.shape[1:]), empty)
+    out[rows] = values
+    return out
+
+
+def _sum(a: Evidence, b: Evidence) -> Evidence:
+    return Evidence(*(getattr(a, f.name) + getattr(b, f.name) for f in fields(Evidence)))

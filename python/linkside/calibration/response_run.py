@@ -1,0 +1,181 @@
+"""Calibration by the links' response to their motors: from slow motion to fast, from several starts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from linkside.arrays import FloatArray
+from linkside.errors import NumericalError
+from linkside.recording.log import Log
+
+from .acceptance import Foretold, foretell
+from .parameters import NOISE
+from .response import ResponseProblem, recordings
+from .result import Fit
+from .search import GAIN, ROUGH, Progress, Search
+from .uncertainty import Uncertainty, uncertainty, unidentifiable
+
+CORNERS = (5.0, 12.0, 50.0)
+"""Bands that are looked at in turn [Hz], before all of it: the lower, the farther a search finds its way."""
+
+ROUNDS = 3
+"""How often, in each band, noise is taken from the residuals anew, and what is not told is left out."""
+
+SETTLED = 0.02
+"""A round that changes no parameter by more than this, in tolerances, is a band's last."""
+
+FACTORS = (1 / 3, 3.0)
+"""Of all springs, other starts."""
+
+FIRST = ("stiffness", "damping", "bias")
+"""Kinds that the way is found with; what makes up for these, such as a load, comes later."""
+
+WIDER = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8)
+"""Factors that are tried on the corner frequencies by which motors' positions are smoothed."""
+
+APART = 1.0
+"""Springs that differ by more than this, in tolerances, are another outcome."""
+
+
+class ResponseRun:
+    """Search in one band after the other, leave out what the recordings do not tell, search again.
+
+    Parameters
+    ----------
+    problem
+        What is to be solved.
+    still
+        Joints that do not move.
+    start
+        Where to begin, z by name; robot.yaml, and springs far from it, where empty.
+    progress
+        Called with every better point.
+    """
+
+    def __init__(
+        self, problem: ResponseProblem, still: Sequence[str], start: Mapping[str, float], progress: Progress | None
+    ) -> None:
+        self.still, self.progress, self.resumed = still, progress, bool(start)
+        half = 0.5 * min(log.period for log in problem.logs)
+        filters = {p.name: p.z(half) for p in problem.free if p.kind == "time_constant" and p.start < half}
+        self.at = filters | dict(start)
+        self.noise = [p for p in problem.free if p.kind in NOISE]
+        self.refused: dict[str, str] = {}
+        self.evaluations = 0
+        self.notes: tuple[str, ...] = ()
+        self.problem = problem.restricted([p for p in problem.free if p.kind not in NOISE])
+        nominal = self.problem.settled(np.zeros(len(self.problem.free)))
+        self._nominal = nominal.evidence(np.zeros(len(self.problem.free)), detail=True)
+        self.before = Fit.of(self._nominal)
+
+    @property
+    def z(self) -> FloatArray:
+        """The best point so far."""
+        return np.array([self.at.get(p.name, 0.0) for p in self.problem.free])
+
+    def solve(self) -> None:
+        """Find the way in low bands, from several starts; then take in all bands and leave out what is not told."""
+        everything = self.problem.free
+        if not self.resumed:
+            self.problem = self.problem.restricted([p for p in everything if p.kind in FIRST])
+            self._begin()
+            self._climb(CORNERS[2], ROUGH)
+        self.problem = self.problem.restricted(everything)
+        self._climb(CORNERS[2], ROUGH)
+        self._smooth()
+        self._climb(np.inf, ROUGH)
+        self._leave_out()
+        for _ in range(ROUNDS):
+            self._climb(np.inf, GAIN)
+            if not self._leave_out():
+                break
+        self._judge_noise()
+
+    def after(self) -> tuple[Fit, Uncertainty]:
+        """How well the outcome explains the recordings, and how uncertain it is."""
+        evidence = self.problem.evidence(self.z, detail=True)
+        return Fit.of(evidence), uncertainty(evidence, min(log.period for log in self.problem.logs))
+
+    def foretold(self) -> Foretold:
+        """How well the outcome foretells readings, against robot.yaml with noise levels fitted."""
+        return foretell(self.problem, self._nominal.densities, self.z)
+
+    def held_out(self, logs: Sequence[Log]) -> tuple[float, float]:
+        """Log-likelihood of other recordings, before and after; noise levels are fitted for both."""
+        problem = self.problem
+        test = ResponseProblem(problem.robot, recordings(problem.robot, logs), problem.free, base=problem.base)
+        before, after = (test.settled(z).log_likelihood(z) for z in (np.zeros(len(self.z)), self.z))
+        return before, after
+
+    def _begin(self) -> None:
+        """Keep the best outcome of all starts in the low bands; tell of others."""
+        springs = [p for p in self.problem.free if p.kind == "stiffness"]
+        starts = [self.at] + [self.at | {p.name: p.z(f * p.start) for p in springs} for f in FACTORS]
+        found = []
+        for start in starts:
+            self.at = dict(start)
+            try:
+                for corner in CORNERS[:2]:
+                    self._climb(corner, ROUGH)
+            except NumericalError:
+                continue
+            found.append(self.at)
+        if not found:
+            raise NumericalError("the links fly away at the values of robot.yaml: look for absurd ones there")
+        self.at = found[0]
+        common = self.problem.settled(self.z, CORNERS[1])
+        worth = [self._posterior(common, at) for at in found]
+        best = int(np.argmax(worth))
+        self.at = found[best]
+        self.notes = tuple(
+            self._other(at, worth[best] - value)
+            for at, value in zip(found, worth, strict=True)
+            if springs and max(abs(at[p.name] - self.at[p.name]) for p in springs) > APART
+        )
+
+    def _posterior(self, problem: ResponseProblem, at: Mapping[str, float]) -> float:
+        z = np.array([at.get(p.name, 0.0) for p in problem.free])
+        return problem.log_likelihood(z) - 0.5 * float(z @ z)
+
+    def _other(self, at: Mapping[str, float], less: float) -> str:
+        springs = [p for p in self.problem.free if p.kind == "stiffness"]
+        p = max(springs, key=lambda p: abs(at[p.name] - self.at[p.name]))
+        return (
+            f"from another start the search ends at {p.name} = {p.value(at[p.name]):.4g} {p.unit}; the recordings are "
+            f"less probable there, by {less:.1f} in log-likelihood below {CORNERS[1]:g} Hz"
+        )
+
+    def _climb(self, corner: float, gain: float) -> None:
+        """Search in one band, and again with noise as it then is."""
+        for _ in range(ROUNDS):
+            z = self.z
+            self.problem = self.problem.settled(z, corner)
+            search = Search(self.problem, self.progress, gain)
+            found = search.maximise(z)
+            self.evaluations += search.evaluations
+            self.at |= dict(zip([p.name for p in self.problem.free], found.tolist(), strict=True))
+            if not len(z) or np.abs(found - z).max() < SETTLED:
+                return
+
+    def _smooth(self) -> None:
+        """Smooth motors' positions as it explains what the other sensors read best."""
+        z = self.z
+        tried = [self.problem.smoothed(wider).settled(z, np.inf) for wider in WIDER]
+        self.problem = max(tried, key=lambda problem: problem.log_likelihood(z))
+
+    def _leave_out(self) -> bool:
+        """Whether anything had to be left out."""
+        reasons = unidentifiable(self.problem, self.problem.evidence(self.z, detail=True), self.still)
+        if reasons:
+            self.refused |= reasons
+            self.problem = self.problem.restricted([p for p in self.problem.free if p.name not in reasons])
+        return bool(reasons)
+
+    def _judge_noise(self) -> None:
+        """Take sensors' noise from what is left."""
+        self.problem = self.problem.settled(self.z)
+        seen = [p for p in self.noise if p.kind == "sensor_noise"]
+        self.at |= {p.name: p.z(self.problem.noise_of(p)) for p in seen}
+        self.problem = self.problem.restricted([*self.problem.free, *seen])

@@ -1,0 +1,147 @@
+//! What sensors on the links read, and its derivatives.
+
+use super::super::parameters::{Parameter, Parameters, SensorParameters};
+use super::equation::Equation;
+use super::links::Links;
+use crate::dynamics::Placed;
+use crate::estimate::measurement::Channel;
+use crate::scalar::Dual;
+use crate::spatial::{Mat3, Vec3};
+
+/// An accelerometer's own rotation, and its derivatives about each of its axes.
+#[derive(Clone, Debug)]
+struct Turn {
+    own: Mat3<f64>,
+    by: [Mat3<f64>; 3],
+}
+
+impl Turn {
+    fn of(sensor: &SensorParameters<f64>) -> Self {
+        let zero = Dual::<3>::default();
+        let vector = |v: &Vec3<f64>| Vec3::<Dual<3>>::constant(v);
+        let mut rotation = vector(&sensor.rotation);
+        for (k, angle) in rotation.0.iter_mut().enumerate() {
+            *angle = Dual::variable(angle.value, k);
+        }
+        let turned = SensorParameters {
+            translation: vector(&sensor.translation),
+            rotation,
+            bias: vector(&sensor.bias),
+            scale: vector(&sensor.scale),
+            time_constant: zero,
+            delay: zero,
+            noise: zero,
+        }
+        .turn();
+        let part = |f: &dyn Fn(Dual<3>) -> f64| Mat3(turned.0.map(|column| Vec3(column.0.map(f))));
+        Self { own: part(&|x| x.value), by: [0, 1, 2].map(|k| part(&move |x| x.gradient[k])) }
+    }
+}
+
+/// All sensors of a robot.
+#[derive(Clone, Debug)]
+pub(super) struct Sensors<'a> {
+    channels: &'a [Channel],
+    free: &'a [Parameter],
+    sensors: Vec<SensorParameters<f64>>,
+    turns: Vec<Turn>,
+    width: usize,
+}
+
+impl<'a> Sensors<'a> {
+    pub(super) fn new(parameters: &Parameters<f64>, free: &'a [Parameter], channels: &'a [Channel]) -> Self {
+        let sensors = parameters.sensors.clone();
+        let width = free.len() + 2 * parameters.joints.len();
+        Self { channels, free, turns: sensors.iter().map(Turn::of).collect(), sensors, width }
+    }
+
+    /// One sample's readings and their derivatives (channels × width).
+    pub(super) fn read(&mut self, links: &mut Links<'_>, prediction: &mut [f64], slopes: &mut [f64]) {
+        for (c, &channel) in self.channels.iter().enumerate() {
+            let row = &mut slopes[c * self.width..][..self.width];
+            prediction[c] = match channel {
+                Channel::Acceleration { sensor, axis } => self.specific_force(links, sensor, axis, row),
+                Channel::Rate { sensor, axis } => self.angular_rate(links, sensor, axis, row),
+                Channel::Link(j) => along(links, j, row),
+                Channel::LinkVelocity(j) => along(links, links.motors.theta.len() + j, row),
+                Channel::Torque(j) => self.torque(links, j, row),
+                Channel::Motor(j) => links.motors.theta[j],
+                Channel::MotorVelocity(j) => links.motors.dtheta[j],
+            };
+        }
+    }
+
+    fn specific_force(&self, links: &Links<'_>, s: usize, axis: usize, row: &mut [f64]) -> f64 {
+        let Links { equation: Equation { robot, motion, .. }, .. } = links;
+        let (kinematics, own, turn) = (&motion.kinematics, &self.sensors[s], &self.turns[s]);
+        let Placed { body, axes, point } = kinematics.place(&robot.accelerometers[s].frame);
+        let nominal = Placed { body, axes, point: point + axes.apply(&own.translation) };
+        let placed = Placed { axes: axes.mul(&turn.own), ..nominal };
+        let scale = own.scale.0[axis];
+        let untouched = kinematics.specific_force_at(&nominal);
+        let force = turn.own.apply_transposed(&untouched).0[axis];
+        kinematics.specific_force_derivatives_at(&robot.tree, &placed, |joint, by| {
+            chain(links, joint, by.map(|column| scale * column.0[axis]), row);
+        });
+        for (k, parameter) in self.free.iter().enumerate() {
+            row[k] += match *parameter {
+                Parameter::SensorBias(i, a) if (i, a) == (s, axis) => 1.0,
+                Parameter::SensorScale(i, a) if (i, a) == (s, axis) => force,
+                Parameter::SensorRotation(i, a) if i == s => scale * turn.by[a].apply_transposed(&untouched).0[axis],
+                // Specific force is affine in the sensor's place.
+                Parameter::SensorTranslation(i, a) if i == s => {
+                    let moved = Placed { point: placed.point + axes.0[a], ..placed };
+                    scale * (kinematics.specific_force_at(&moved).0[axis] - force)
+                }
+                _ => 0.0,
+            };
+        }
+        scale * force + own.bias.0[axis]
+    }
+
+    fn angular_rate(&self, links: &Links<'_>, s: usize, axis: usize, row: &mut [f64]) -> f64 {
+        let Links { equation: Equation { robot, motion, .. }, .. } = links;
+        let frame = &robot.gyroscopes[s].frame;
+        motion.kinematics.angular_rate_derivatives(&robot.tree, frame, |joint, [by_q, by_dq]| {
+            chain(links, joint, [by_q.0[axis], by_dq.0[axis], 0.0], row);
+        });
+        motion.kinematics.angular_rate(frame).0[axis]
+    }
+
+    /// What the transmission gives the link; of a joint without a spring, what the link needs.
+    fn torque(&self, links: &Links<'_>, j: usize, row: &mut [f64]) -> f64 {
+        let Links { equation, state, motors, .. } = links;
+        let n = motors.theta.len();
+        if !equation.robot.drives[j].elastic {
+            for k in 0..n {
+                let e = j * n + k;
+                let motion = &equation.motion;
+                chain(links, k, [motion.by_q[e], motion.by_dq[e], motion.mass[e]], row);
+            }
+            return equation.motion.tau[j];
+        }
+        let [torque, stiffness, damping] = equation.transmission(j, motors, state);
+        chain(links, j, [-stiffness, -damping, 0.0], row);
+        for (k, &parameter) in self.free.iter().enumerate() {
+            if let Some((_, slope)) = Equation::transmission_by(parameter, motors, state).filter(|own| own.0 == j) {
+                row[k] += slope;
+            }
+        }
+        torque
+    }
+}
+
+/// A number of the state, and its derivatives.
+fn along(links: &Links<'_>, i: usize, row: &mut [f64]) -> f64 {
+    row.copy_from_slice(&links.slopes[i * row.len()..][..row.len()]);
+    links.state[i]
+}
+
+/// Adds what a reading changes by because joint `joint` moves: `by` are its derivatives in q, q̇ and q̈.
+fn chain(links: &Links<'_>, joint: usize, by: [f64; 3], row: &mut [f64]) {
+    let (n, width) = (links.motors.theta.len(), row.len());
+    for (order, slope) in by.into_iter().enumerate() {
+        let own = &links.slopes[(order * n + joint) * width..][..width];
+        row.iter_mut().zip(own).for_each(|(x, y)| *x += slope * y);
+    }
+}
