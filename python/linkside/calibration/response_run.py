@@ -12,6 +12,7 @@ from linkside.recording.log import Log
 
 from .acceptance import Foretold, foretell
 from .parameters import NOISE
+from .problem import OF_SENSORS
 from .response import ResponseProblem, recordings
 from .result import Fit
 from .search import GAIN, ROUGH, Progress, Search
@@ -99,8 +100,13 @@ class ResponseRun:
         return Fit.of(evidence), uncertainty(evidence, min(log.period for log in self.problem.logs))
 
     def foretold(self) -> Foretold:
-        """How well the outcome foretells readings, against robot.yaml with noise levels fitted."""
-        return foretell(self.problem, self._nominal.densities, self.z)
+        """How well the outcome foretells readings, against robot.yaml with what is of the sensors alone fitted."""
+        free = [p for p in self.problem.free if p.kind in OF_SENSORS and p.kind not in NOISE]
+        held = self.problem.holding({}, free).settled(np.zeros(len(free)))
+        at = dict(zip([p.name for p in free], Search(held, gain=ROUGH).maximise(np.zeros(len(free))), strict=True))
+        nominal = np.array([at.get(p.name, 0.0) for p in self.problem.free])
+        densities = self.problem.settled(nominal).evidence(nominal, detail=True).densities
+        return foretell(self.problem, densities, self.z)
 
     def held_out(self, logs: Sequence[Log]) -> tuple[float, float]:
         """Log-likelihood of other recordings, before and after; noise levels are fitted for both."""
