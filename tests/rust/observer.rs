@@ -288,7 +288,7 @@ proptest! {
         prop_assume!(worst_std(&map) < 5.0);
         let expected = map.svd(true, true).solve(&rest, 0.0).unwrap();
         let (found, sight) = scene.solve(&robot, &scene.reading, 10.0);
-        prop_assert_eq!(sight, "Clear");
+        prop_assert_eq!(sight, "Full");
         prop_assert_eq!(&found[..scene.rigid], &scene.ddq[..scene.rigid]);
         for (found, expected) in found[scene.rigid..].iter().zip(&expected) {
             prop_assert!((found - expected).abs() <= 1e-9 * (1.0 + expected.abs()));
@@ -373,7 +373,7 @@ fn through_a_singular_posture_the_solution_is_continuous() {
 #[test]
 fn near_a_singular_posture_sight_goes_from_clear_to_blind() {
     let sights: Vec<_> = (0..=2000).map(|i| stretched(-1.2 + 1.2e-3 * f64::from(i), 0.5).1).collect();
-    for sight in ["Clear", "Damped", "Blind"] {
+    for sight in ["Full", "Damped", "Unobservable"] {
         assert!(sights.iter().any(|s| s == sight), "never {sight}");
     }
     let changes = sights.windows(2).filter(|w| w[0] != w[1]).count();
