@@ -3,11 +3,10 @@
 use super::plant::Plant;
 use crate::check::{expect, expect_length};
 use crate::error::DesignError;
-use crate::estimate::measurement::{Channel, Elastic, Kind, Values, read_all};
+use crate::estimate::measurement::{Channel, Elastic, Kind, Values, low_pass_or_none, read_all};
 use crate::memory::filled;
 use crate::random::{Purpose, Stream};
 use crate::robot::Robot;
-use crate::scalar::exp_m1;
 use core::f64::consts::TAU;
 
 /// One channel: low-pass, then delay, bias, noise, steps, and a reading every so many samples.
@@ -47,8 +46,9 @@ const LONGEST_DELAY: f64 = 1e6;
 #[derive(Clone, Debug)]
 struct Reader {
     model: SensorModel,
-    /// What the low-pass takes over in a sample.
-    share: f64,
+    /// Of the low-pass' output and input a sample before, and of its input.
+    weights: [f64; 3],
+    input: f64,
     low_pass: f64,
     /// Ring of the low-pass' output, long enough for the delay.
     past: Vec<f64>,
@@ -60,18 +60,20 @@ impl Reader {
     fn new(model: SensorModel, period: f64) -> Result<Self, DesignError> {
         let lag = model.delay / period;
         expect(lag <= LONGEST_DELAY, "delay", model.delay, "at most 1000000 samples")?;
-        let share = -exp_m1(-TAU * model.corner_frequency * period);
+        let weights = low_pass_or_none(1.0 / (TAU * model.corner_frequency), period);
         let past = filled(0.0, lag.ceil() as usize + 1, 1)?;
-        Ok(Self { model, share, low_pass: 0.0, past, lag })
+        Ok(Self { model, weights, input: 0.0, low_pass: 0.0, past, lag })
     }
 
     #[inline(always)]
     fn read(&mut self, truth: f64, random: Stream, channel: u32, sample: usize) -> f64 {
         if sample == 0 {
-            (self.low_pass, self.past) = (truth, core::mem::take(&mut self.past));
+            (self.low_pass, self.input) = (truth, truth);
             self.past.fill(truth);
         }
-        self.low_pass += self.share * (truth - self.low_pass);
+        let [output, before, now] = self.weights;
+        self.low_pass = output * self.low_pass + before * self.input + now * truth;
+        self.input = truth;
         let size = self.past.len();
         self.past[sample % size] = self.low_pass;
         if !sample.is_multiple_of(self.model.every) {

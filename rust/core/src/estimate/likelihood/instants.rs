@@ -1,6 +1,7 @@
 //! The instants at which readings were true, in order of time.
 
 use super::parameters::SensorParameters;
+use crate::estimate::measurement::low_pass;
 use crate::scalar::Scalar;
 
 /// A instant of a recording.
@@ -32,8 +33,8 @@ pub(super) fn instants(t: &[f64], lags: &[Option<f64>]) -> Vec<Instant> {
 
 /// A first-order filter inside an accelerometer, and its delay.
 ///
-/// Sampled with step h, a filter with time constant T that is fed what runs straight over a sample is
-/// y = α y₋ + (1 − α) f, with α = exp(−h/T) and f the specific force T − h α/(1 − α) before the sample, to second order.
+/// The two inputs of [`low_pass`], one sample apart, are taken as one at their mean moment, which is the same to second
+/// order: y = α y₋ + (1 − α) f, with f the specific force at that moment.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SampledLag<T> {
     /// How long before its time stamp a reading was true [s].
@@ -48,9 +49,8 @@ impl<T: Scalar> SampledLag<T> {
         if !filtered {
             return Self { lag: sensor.delay, memory: None };
         }
-        let memory = (T::constant(-period) / sensor.time_constant).exp();
-        let lag = sensor.time_constant - memory * period / (T::constant(1.0) - memory) + sensor.delay;
-        Self { lag, memory: Some(memory) }
+        let [memory, before, now] = low_pass(sensor.time_constant, T::constant(period));
+        Self { lag: before * period / (before + now) + sensor.delay, memory: Some(memory) }
     }
 }
 

@@ -9,6 +9,7 @@
 
 mod channel;
 mod evaluation;
+mod low_pass;
 mod motion;
 mod rows;
 mod view;
@@ -16,6 +17,7 @@ mod wanted;
 
 pub use channel::{Channel, Kind};
 pub use evaluation::Evaluation;
+pub(crate) use low_pass::{low_pass, low_pass_or_none};
 pub(crate) use motion::{LinkMotion, Loading, Sensing};
 pub(crate) use rows::{read, read_all};
 pub(crate) use view::{Driven, Elastic, Springs};
