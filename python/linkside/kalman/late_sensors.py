@@ -1,4 +1,4 @@
-"""Filters and delays inside accelerometers and gyroscopes, as the core makes states of them."""
+"""Filters and delays inside sensors, as the core makes states of them."""
 
 from __future__ import annotations
 
@@ -8,30 +8,28 @@ import numpy as np
 
 from linkside.channels import CHANNELS
 from linkside.robot import Robot
+from linkside.robot.config import Lateness
 
 Inside = tuple[float, float, int]
 """Time constant [s], delay [s], and how many steps of time the delay can have."""
 
 
-def is_late(robot: Robot) -> bool:
-    """Whether an accelerometer or a gyroscope has a filter or a delay inside."""
-    return any(sensor.corner_frequency or sensor.delay for sensor in (*robot.accelerometers, *robot.gyroscopes))
-
-
 def inside(robot: Robot, kinds: Sequence[str], period: float) -> list[Inside | None]:
     """What is inside the sensor of each channel of ``kinds``, sampled every ``period`` [s]."""
-    sensors = {"acceleration": robot.accelerometers, "rate": robot.gyroscopes}
-    channels: list[Inside | None] = []
-    for kind in kinds:
-        if kind in sensors:
-            channels += [_inside(s.corner_frequency, s.delay, period) for s in sensors[kind] for _ in s.axes]
-        else:
-            channels += [None] * CHANNELS[kind].width(robot)
-    return channels
+    return [_inside(sensor, period) for kind in kinds for sensor in sensors(robot, kind)]
 
 
-def _inside(corner_frequency: float | None, delay: float, period: float) -> Inside | None:
-    if not corner_frequency and not delay:
+def sensors(robot: Robot, kind: str) -> list[Lateness | None]:
+    """What robot.yaml says of the sensor of each channel of a kind; None where it says nothing."""
+    if kind in ("acceleration", "rate"):
+        carriers = robot.accelerometers if kind == "acceleration" else robot.gyroscopes
+        return [sensor for sensor in carriers for _ in sensor.axes]
+    of_joints = {"q": robot.config.link_encoder, "torque": robot.config.joint_torque}
+    return [of_joints.get(kind)] * CHANNELS[kind].width(robot)
+
+
+def _inside(sensor: Lateness | None, period: float) -> Inside | None:
+    if sensor is None or not (sensor.corner_frequency or sensor.delay):
         return None
-    time_constant = 1 / (2 * np.pi * corner_frequency) if corner_frequency else 0.0
-    return time_constant, delay, int(np.ceil(delay / period)) + 1 if delay else 0
+    time_constant = 1 / (2 * np.pi * sensor.corner_frequency) if sensor.corner_frequency else 0.0
+    return time_constant, sensor.delay, int(np.ceil(sensor.delay / period)) + 1 if sensor.delay else 0

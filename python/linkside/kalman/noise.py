@@ -57,9 +57,10 @@ class Noise(BaseModel):
     acceleration, rate
         Noise of accelerometers and gyroscopes, in multiples of their ``noise_std``.
     link
-        Noise of link encoders [rad].
+        Noise of link encoders beside their steps, ``resolution`` of ``link_encoder`` in robot.yaml [rad].
     joint_torque
-        Noise of joint torque sensors [N m].
+        Noise of joint torque sensors, in multiples of ``noise_std`` of ``joint_torque`` in robot.yaml, or where that is
+        not given in N m.
     link_velocity
         Noise of tachometers on the links [rad/s].
     position_walk, velocity_walk
@@ -163,8 +164,12 @@ def _bias(noise: Any, channel: Channel) -> tuple[float, float, float]:
 
 
 def _reading_noise(noise: Any, channel: Channel, robot: Robot) -> FloatArray:
-    """In the channel's unit; of an inertial sensor a multiple of what robot.yaml gives."""
+    """In the channel's unit; of inertial and torque sensors a multiple of what robot.yaml gives."""
     value = getattr(noise, channel.noise)
+    if channel.kind == "q" and robot.config.link_encoder is not None:
+        value = np.hypot(robot.config.link_encoder.resolution / np.sqrt(12), value)
+    if channel.kind == "torque" and robot.config.joint_torque is not None:
+        value = robot.config.joint_torque.noise_std * value
     if channel.carrier == "joint":
         return np.full(robot.n, value)
     sensors = robot.accelerometers if channel.carrier == "accelerometer" else robot.gyroscopes

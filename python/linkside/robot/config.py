@@ -233,14 +233,19 @@ class FrameConfig(_Section):
     rpy: Vector3 = (0.0, 0.0, 0.0)
 
 
-class SensorConfig(FrameConfig):
+class Lateness(_Section):
+    """What is inside a sensor whose readings are of the past."""
+
+    corner_frequency: Positive | None = None  # Hz; of the first-order filter inside the sensor, where it has one
+    delay: NonNegative = 0.0  # s; by how much a reading is later than its time stamp says
+
+
+class SensorConfig(FrameConfig, Lateness):
     """What accelerometers and gyroscopes share."""
 
     name: Name
     axes: Literal["x", "y", "z", "xy", "xz", "yz", "xyz"] = "xyz"
     noise_std: Positive
-    corner_frequency: Positive | None = None  # Hz; of the first-order filter inside the sensor, where it has one
-    delay: NonNegative = 0.0  # s; by how much a reading is later than its time stamp says
 
 
 class AccelerometerConfig(SensorConfig):
@@ -261,6 +266,18 @@ class EncoderConfig(_Section):
     """The motor encoders, as seen on the link side."""
 
     resolution: Positive = 1e-6  # rad; a 20-bit encoder behind a short gear
+
+
+class LinkEncoderConfig(Lateness):
+    """The encoders behind the gears, log columns `q_<joint>`."""
+
+    resolution: NonNegative = 0.0  # rad; 0: beside `Noise.link` it does not matter
+
+
+class JointTorqueConfig(Lateness):
+    """The sensors of the torque that a transmission gives its link, log columns `torque_<joint>`."""
+
+    noise_std: Positive = 1.0  # N m
 
 
 class TorqueConfig(_Section):
@@ -341,6 +358,8 @@ class RobotConfig(_Section):
     gyroscopes: tuple[GyroscopeConfig, ...] = ()
     encoder: EncoderConfig = EncoderConfig()
     torque: TorqueConfig = TorqueConfig()
+    link_encoder: LinkEncoderConfig | None = None
+    joint_torque: JointTorqueConfig | None = None
     tool: FrameConfig | None = None
     payload: PayloadConfig = PayloadConfig()
     tolerances: TolerancesConfig = TolerancesConfig()
@@ -359,7 +378,7 @@ class RobotConfig(_Section):
     @property
     def log_columns(self) -> tuple[str, ...]:
         """Every column that a log of this robot may have."""
-        signals = ("theta", "dtheta", "tau", "qref", "dqref", "ddqref")
+        signals = ("theta", "dtheta", "tau", "q", "dq", "ddq", "torque", "qref", "dqref", "ddqref")
         motors = (f"{signal}_{joint.name}" for signal in signals for joint in self.joints)
         return ("t", *motors, *self.acceleration_channels, *self.gyroscope_channels)
 

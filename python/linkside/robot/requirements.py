@@ -8,22 +8,44 @@ from linkside.errors import EstimatorError
 
 from .robot import Robot
 
+LATE = ("corner_frequency", "delay")
+"""Keys of what makes a sensor late."""
+
+
+def _late(carrier: str, key: str) -> Callable[[Robot], list[str]]:
+    """The sensors of a ``carrier`` that have a key of `LATE`; of joints, the name of their section."""
+
+    def owners(robot: Robot) -> list[str]:
+        found = getattr(robot.config, carrier)
+        if isinstance(found, tuple):
+            return [sensor.name for sensor in found if getattr(sensor, key)]
+        return [carrier] if found is not None and getattr(found, key) else []
+
+    return owners
+
+
 FEATURES: dict[str, Callable[[Robot], list[str]]] = {
     "coupling": lambda robot: [row for row, entries in robot.config.coupling.items() if any(entries.values())],
     "rotors": lambda robot: list(robot.config.rotors),
     "stiffness_table": lambda robot: [drive.name for drive in robot.drives if drive.stiffness_table],
     "backlash": lambda robot: [drive.name for drive in robot.drives if drive.backlash.half_gap],
-    "corner_frequency": lambda robot: [sensor.name for sensor in robot.accelerometers if sensor.corner_frequency],
-    "delay": lambda robot: [sensor.name for sensor in robot.accelerometers if sensor.delay],
+    **{key: _late("accelerometers", key) for key in LATE},
+    **{f"link_encoder.{key}": _late("link_encoder", key) for key in LATE},
+    **{f"joint_torque.{key}": _late("joint_torque", key) for key in LATE},
 }
-"""By key of robot.yaml: the joints or sensors that have it."""
+"""By key of robot.yaml, of a section where it is a dotted one: the joints or sensors that have it."""
+
+JOINT_SIDE = tuple(f"{carrier}.{key}" for carrier in ("link_encoder", "joint_torque") for key in LATE)
+"""What is inside sensors behind the gears."""
 
 UNSUPPORTED: dict[str, tuple[str, ...]] = {
     "the acceleration-driven observer": ("rotors", "backlash", "corner_frequency", "delay"),
     "the acceleration-driven observer on joint accelerations": ("rotors", "backlash"),
     "a filter on the acceleration-driven model": ("coupling", "rotors"),
     "a velocity observer": ("rotors",),
+    "a velocity observer on the links": ("rotors", *JOINT_SIDE),
     "the momentum residual": ("rotors",),
+    "the momentum residual on the links": ("rotors", *JOINT_SIDE),
     "inverse dynamics along a motion": ("rotors",),
     "state feedback": ("rotors",),
     "calibration": ("rotors", "stiffness_table", "backlash"),
@@ -36,6 +58,7 @@ def refuse_unsupported(robot: Robot, method: str) -> None:
     for key in UNSUPPORTED[method]:
         if owners := FEATURES[key](robot):
             raise EstimatorError(
-                f"robot.yaml gives {', '.join(map(repr, owners))} {key}, which {method} does not account for; "
+                f"robot.yaml gives {', '.join(map(repr, owners))} {key.rpartition('.')[2]}, which {method} does not "
+                "account for; "
                 "use another method, or take it out"
             )

@@ -24,6 +24,7 @@ from linkside.kalman.elastic_joint import ElasticJointFilter
 from linkside.observers.acceleration import AccelerationObserver
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.config import Lateness
 
 Truth: TypeAlias = dict[str, FloatArray]
 FeedbackSource: TypeAlias = bool | tuple[_core.ElasticJointFilter, list[int]] | _core.AccelerationObserver
@@ -31,6 +32,9 @@ Feedback: TypeAlias = Literal["truth", "sensors"] | ElasticJointFilter | Acceler
 
 SIGNALS = {channel.signal: channel for channel in CHANNELS.values()}
 """What sensors measure, in the core's order."""
+
+EXTRA = {channel.signal for channel in CHANNELS.values() if channel.extra}
+"""Signals that few robots have."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +142,8 @@ def simulate(
     sensors
         A `Sensor` of each kind: ``theta``, ``dtheta``, ``acceleration``, ``rate``, ``q``, ``torque``, ``dq``. A kind
         not given is as robot.yaml has it, or exact; link positions and velocities, and joint torques (what the
-        transmission gives the link), are in the log only if given.
+        transmission gives the link), are in the log only if given, or if robot.yaml has a ``link_encoder`` or
+        ``joint_torque``.
     integrator
         ``"rk4"``, the fourth-order method of Runge and Kutta in fixed steps, as fast as can be where nothing is stiff;
         or ``"adaptive"``, RODAS (Hairer and Wanner, Solving Ordinary Differential Equations II, 1996, section VI.4),
@@ -177,7 +182,7 @@ def simulate(
     channels = [dataclasses.asdict(channel) for kind in SIGNALS for channel in models[kind]]
     source = _feedback_source(feedback, robot, 1.0 / rate)
     result = _core.simulate(robot.core, settings, channels, source, law_of(controller, robot))
-    return _assemble(robot, result, left_out={c.signal for c in CHANNELS.values() if c.extra} - set(sensors or {}))
+    return _assemble(robot, result, left_out=EXTRA - set(sensors or {}) - set(_declared(robot)))
 
 
 def _stepping(integrator: str, substeps: int, rtol: float | None, atol: float | None) -> dict[str, Any]:
@@ -223,20 +228,26 @@ def _models(sensors: Mapping[str, Sensor], robot: Robot) -> dict[str, list[Senso
     """One model a channel, by kind."""
     if unknown := set(sensors) - set(SIGNALS):
         raise EstimatorError(f"sensors: {min(unknown)!r} is not one of {', '.join(map(repr, SIGNALS))}")
-    accelerometers, gyroscopes = (
-        [
-            Sensor(noise=s.noise_std, delay=s.delay, corner_frequency=s.corner_frequency or np.inf)
-            for s in sensors_of_a_kind
-            for _ in s.axes
-        ]
-        for sensors_of_a_kind in (robot.accelerometers, robot.gyroscopes)
-    )
-    models = {signal: [Sensor()] * channel.width(robot) for signal, channel in SIGNALS.items()} | {
-        "theta": [Sensor(resolution=robot.config.encoder.resolution)] * robot.n,
-        "acceleration": accelerometers,
-        "rate": gyroscopes,
-    }
+    models = {signal: [Sensor()] * channel.width(robot) for signal, channel in SIGNALS.items()} | _declared(robot)
     return models | {kind: [model] * SIGNALS[kind].width(robot) for kind, model in sensors.items()}
+
+
+def _declared(robot: Robot) -> dict[str, list[Sensor]]:
+    """Models of the sensors that robot.yaml describes, one a channel, by kind."""
+    config, n = robot.config, robot.n
+    declared = {"theta": [Sensor(resolution=config.encoder.resolution)] * n}
+    for signal, carriers in (("acceleration", robot.accelerometers), ("rate", robot.gyroscopes)):
+        declared[signal] = [_late(s, noise=s.noise_std) for s in carriers for _ in s.axes]
+    if config.link_encoder is not None:
+        declared["q"] = [_late(config.link_encoder, resolution=config.link_encoder.resolution)] * n
+    if config.joint_torque is not None:
+        declared["torque"] = [_late(config.joint_torque, noise=config.joint_torque.noise_std)] * n
+    return declared
+
+
+def _late(inside: Lateness, *, noise: float = 0.0, resolution: float = 0.0) -> Sensor:
+    corner = inside.corner_frequency or np.inf
+    return Sensor(noise=noise, resolution=resolution, delay=inside.delay, corner_frequency=corner)
 
 
 def _feedback_source(feedback: Feedback, robot: Robot, period: float) -> FeedbackSource:

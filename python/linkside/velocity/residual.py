@@ -79,7 +79,7 @@ def momentum_residual(
     EstimatorError
         An estimate of other rows than the log, or a setting out of its range.
     """
-    refuse_unsupported(robot, "the momentum residual")
+    refuse_unsupported(robot, "the momentum residual" + (" on the links" if side == "links" else ""))
     if len(estimate) != len(log) or len(log) < 2:
         raise EstimatorError(
             f"the estimate has {len(estimate)} rows, the log {len(log)}, expected as many and at least 2"
