@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,20 @@ def one_of(name: str, value: object, allowed: Sequence[str]) -> None:
     """Insist on one of a few words."""
     if value not in allowed:
         raise EstimatorError(f"{name} is {value!r}, expected {' or '.join(map(repr, allowed))}")
+
+
+def start_of(start: str | Mapping[str, npt.ArrayLike], signals: Sequence[str], n: int) -> dict[str, FloatArray] | None:
+    """Give the state that an observer starts from, each signal (n,); None of ``"auto"`` and ``"rest"``."""
+    if isinstance(start, str):
+        one_of("start", start, ("auto", "rest"))
+        return None
+    if set(start) != set(signals):
+        raise EstimatorError(f"start has {', '.join(start) or 'nothing'}, expected {', '.join(signals)}")
+    state = {name: sized(f"start: {name}", value, n) for name, value in start.items()}
+    for name, values in state.items():
+        if not np.isfinite(values).all():
+            raise EstimatorError(f"start: {name} is {values}, expected finite numbers")
+    return state
 
 
 def whole(name: str, value: Any, least: int = 0) -> int:

@@ -8,7 +8,7 @@ use core::cell::Cell;
 use core::hint::black_box;
 use linkside_core::dynamics::{Kinematics, Loads};
 use linkside_core::estimate::kalman::{
-    ExtendedKalmanFilter, FilterSettings, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanSample,
+    ExtendedKalmanFilter, FilterSettings, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanSample, Lateness,
 };
 use linkside_core::estimate::measurement::Kind;
 use linkside_core::estimate::observer::{
@@ -188,7 +188,10 @@ fn a_velocity_observers_step_allocates_nothing() {
 
 #[test]
 fn a_particle_filters_step_allocates_nothing() {
-    for marginalised in [Marginalised::Nothing, Marginalised::Biases, Marginalised::Accelerations] {
+    let inside = Some(Lateness { time_constant: 2e-3, delay: 1.2e-3, steps: 4 });
+    let late = [vec![], [vec![None; 6], vec![inside; 6]].concat()];
+    let kinds = [Marginalised::Nothing, Marginalised::Biases, Marginalised::Accelerations];
+    for (marginalised, late) in kinds.into_iter().flat_map(|kind| late.iter().map(move |late| (kind, late))) {
         let model = JerkModel::new(Arc::new(robot()), &[Kind::Motor, Kind::Acceleration], &[true; 12]).unwrap();
         let noise = JerkNoise {
             jerk: vec![20.0; 6],
@@ -213,7 +216,7 @@ fn a_particle_filters_step_allocates_nothing() {
             collapse: Collapse::Flag,
             quantiles: vec![],
         };
-        let model = JerkDriven::new(model, noise, true).unwrap();
+        let model = JerkDriven::new(model, noise, true).unwrap().with_late(late).unwrap();
         let mut filter = ParticleFilter::new(model, settings, marginalised).unwrap();
         let mut step = |readings: &[f64]| {
             let inputs = Inputs { dtheta: &[0.1; 6], jerk: &[0.5; 6], tau: &[] };
@@ -225,7 +228,7 @@ fn a_particle_filters_step_allocates_nothing() {
                 step(&readings);
             }
         });
-        assert_eq!(count, 0, "{marginalised:?}");
+        assert_eq!(count, 0, "{marginalised:?} {}", late.len());
     }
 }
 

@@ -327,7 +327,13 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter])
         return ("motor", *(kind for kind, use in wanted.items() if use))
 
     def _start(self) -> _core.ElasticJointFilter:
-        return self.core(self.live_kinds, self._period, self.noise, held=self._held)
+        return self._told(self._period, held=self._held)
+
+    def _told(self, period: float, *, held: bool) -> _core.ElasticJointFilter:
+        """Build a filter of the core that starts where the user says, if that is a state."""
+        core = self.core(self.live_kinds, period, self.noise, held=held)
+        self._begin(core, None, self.live_kinds, self.noise, np.zeros(self.robot.n))
+        return core
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
         """Estimate a recording that comes piece by piece, in bounded memory; the same bits as `run`."""
@@ -348,7 +354,7 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter])
 
         It has taken no sample; a sample's torques are those that have acted, held, since the one before.
         """
-        return self.core(self.live_kinds, period, self.noise, held=True), self.live_kinds
+        return self._told(period, held=True), self.live_kinds
 
 
 class ElasticJointSmoother(ElasticJoint):

@@ -168,8 +168,10 @@ class KalmanMethod(ABC):
         except NumericalError as error:
             raise blame_settings(error, self.robot, self.noise) from None
 
-    def _begin(self, core: Startable, first: Readings, kinds: tuple[str, ...], noise: Any, jerk: FloatArray) -> None:
-        """Tell a filter of the core where it starts, by its first samples, or by what the user says."""
+    def _begin(
+        self, core: Startable, first: Readings | None, kinds: tuple[str, ...], noise: Any, jerk: FloatArray
+    ) -> None:
+        """Tell a filter of the core where it starts: what the user says, or its first samples, if there are any."""
         if self._at == "rest":
             return
         arrays = noise.arrays(self.robot, kinds)
@@ -178,6 +180,8 @@ class KalmanMethod(ABC):
         if not isinstance(self._at, str):
             dense = core.own_states - len(bias)
             core.set_start(*given(self._at, np.concatenate([np.zeros(dense), bias]), dense))
+            return
+        if first is None:
             return
         n = self.robot.n
         sensors = np.array(arrays["reading"])[n:][: self.width("acceleration") if "acceleration" in kinds else 0]

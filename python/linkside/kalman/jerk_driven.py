@@ -11,7 +11,6 @@ import numpy as np
 from linkside import _core
 from linkside.arguments import time_step
 from linkside.arrays import FloatArray, Signal
-from linkside.errors import EstimatorError
 from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
@@ -19,7 +18,7 @@ from linkside.robot.considered import considered
 from linkside.robot.requirements import refuse_unsupported
 
 from .filtering import CoreFilter, KalmanEstimate, KalmanMethod, LiveFilter, Startable
-from .late_sensors import inside, is_late
+from .late_sensors import inside
 from .noise import Noise
 from .start import Moving, Readings, Start
 from .starting import DecidingFilter, first_readings, in_pieces
@@ -122,14 +121,6 @@ class JerkDriven(KalmanMethod):
         self._damping = damping
         self._uncertain = considered(robot) if tolerances else []
 
-    def refuse_late(self, what: str) -> None:
-        """Raise `EstimatorError` where a sensor has a filter or delay inside, which ``what`` does not know."""
-        if is_late(self.robot):
-            raise EstimatorError(
-                f"{what} takes readings as they come, and robot.yaml gives a sensor a corner_frequency or a delay; "
-                "use a Kalman filter"
-            )
-
     _run_all = staticmethod(_core.ExtendedKalmanFilter.run_all)
 
     def _job(self, log: Log) -> Job[KalmanEstimate]:
@@ -148,22 +139,21 @@ class JerkDriven(KalmanMethod):
         """Build a filter of the core, without a sample yet, for channels of these kinds every ``period`` [s]."""
         return _core.ExtendedKalmanFilter(
             self.robot.core,
-            **self.settings(kinds, noise),
+            **self.settings(kinds, noise, period),
             gate=self._gate,
             iterations=self._iterations,
-            late=inside(self.robot, kinds, period),
             told=[parameter.told for parameter in self._uncertain],
         )
 
     def started_core(
-        self, kinds: tuple[str, ...], noise: Noise, first: Readings, period: float
+        self, kinds: tuple[str, ...], noise: Noise, first: Readings | None, period: float
     ) -> _core.ExtendedKalmanFilter:
-        """Build a filter of the core that starts where the ``first`` samples say."""
+        """Build a filter of the core that starts where the ``first`` samples say, if they are to."""
         core = self.core(kinds, noise, period)
         self.begin(core, first, kinds, noise)
         return core
 
-    def begin(self, core: Startable, first: Readings, kinds: tuple[str, ...], noise: Noise) -> None:
+    def begin(self, core: Startable, first: Readings | None, kinds: tuple[str, ...], noise: Noise) -> None:
         """Tell a filter of the core where the ``first`` samples say that it starts."""
         self._begin(core, first, kinds, noise, np.array(noise.arrays(self.robot, kinds)["jerk"]))
 
@@ -171,9 +161,13 @@ class JerkDriven(KalmanMethod):
         mean = np.concatenate([moving.q, moving.dq, moving.ddq])
         return mean, np.concatenate([moving.q_std, moving.dq_std, moving.ddq_std])
 
-    def settings(self, kinds: tuple[str, ...], noise: Noise) -> dict[str, Any]:
-        """Settings of the model: its channels, which of them have a bias, noise, damping."""
-        return self._channels(kinds) | {"noise": noise.arrays(self.robot, kinds), "damping": self._damping}
+    def settings(self, kinds: tuple[str, ...], noise: Noise, period: float) -> dict[str, Any]:
+        """Settings of the model: its channels, which have a bias, which are late, noise, damping."""
+        return self._channels(kinds) | {
+            "noise": noise.arrays(self.robot, kinds),
+            "damping": self._damping,
+            "late": inside(self.robot, kinds, period),
+        }
 
     def arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:
         """Steps of time, readings, motor velocities and commanded jerk, one row a sample."""
@@ -232,8 +226,9 @@ class ExtendedKalmanFilter(
 
     Notes
     -----
-    ``corner_frequency`` and ``delay`` of accelerometers and gyroscopes in robot.yaml are accounted for: what the sensor
-    holds is part of the state, behind the biases. In `step` the first ``dt`` says how many samples a delay spans.
+    ``corner_frequency`` and ``delay`` of accelerometers, gyroscopes, ``link_encoder`` and ``joint_torque`` in
+    robot.yaml are accounted for: what the sensor holds is part of the state, behind the biases. In `step` the first
+    ``dt`` says how many samples a delay spans.
 
     A reading that is NaN is missing, which equals deleting it. Steps of time may vary, and sensors have rates of their
     own: leave NaN where a sensor has no sample.
@@ -253,7 +248,7 @@ class ExtendedKalmanFilter(
         return ("motor", "acceleration", *(kind for kind, wanted in self._wanted.items() if wanted))
 
     def _start(self) -> _core.ExtendedKalmanFilter:
-        return self.core(self.live_kinds, self.noise, self._period)
+        return self.started_core(self.live_kinds, self.noise, None, self._period)
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
         """Estimate a recording that comes piece by piece, in bounded memory.

@@ -12,16 +12,20 @@ from linkside import _core
 from linkside.arguments import finite_or_missing, numbers, sized, time_step
 from linkside.errors import EstimatorError, NumericalError
 from linkside.recording.log import Log
+from linkside.robot import Robot
 
-from .filtering import Core, KalmanMethod, LiveFilter
-from .start import WINDOW, Readings
+from .filtering import Core, LiveFilter
+from .start import WINDOW, Readings, Start
 
 Filter = TypeVar("Filter")
 Found = TypeVar("Found")
 
 
-class DecidingFilter(KalmanMethod, LiveFilter[Core]):
+class DecidingFilter(LiveFilter[Core]):
     """A live filter whose first samples decide where it starts: each of them redoes those before it."""
+
+    robot: Robot
+    _at: Start
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
@@ -76,7 +80,7 @@ class DecidingFilter(KalmanMethod, LiveFilter[Core]):
     def _early_readings(self) -> Readings:
         """The first samples that `step` took."""
         n = self.robot.n
-        columns = {"theta": n, "dtheta": n, "acceleration": self.width("acceleration")}
+        columns = {"theta": n, "dtheta": n, "acceleration": len(self.robot.acceleration_channels)}
         signals = {name: np.array([sized(name, s.get(name), k) for s in self._early]) for name, k in columns.items()}
         t = np.cumsum([s["dt"] for s in self._early])
         there = {name: None if np.isnan(values).all() else values for name, values in signals.items()}

@@ -7,9 +7,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Literal, overload
 
 import numpy as np
+import numpy.typing as npt
 
 from linkside import _core
-from linkside.arguments import one_of
+from linkside.arguments import one_of, start_of
 from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError, NumericalError
 from linkside.recording.batch import Copies, Job, run_each
@@ -50,8 +51,8 @@ class AccelerationObserver(Copies):
         Combinations of link accelerations that the sensors determine worse than this [rad/s²] are damped, as near a
         singular posture, and flagged in ``status``.
     start
-        ``"auto"``: the first samples tell how fast the robot moves. ``"rest"``: it does not at the first one. A state
-        can be given to `start`.
+        ``"auto"``: the first samples tell how fast the robot moves. ``"rest"``: it does not at the first one. Or a
+        state one period before the first sample, a mapping of ``theta``, ``q``, ``dtheta`` and ``dq``, each (n,).
 
     Raises
     ------
@@ -81,9 +82,9 @@ class AccelerationObserver(Copies):
         accelerations: Literal["sensors", "joints"] = "sensors",
         period: float | None = None,
         worst_acceleration_std: float = 10.0,
-        start: Literal["auto", "rest"] = "auto",
+        start: Literal["auto", "rest"] | Mapping[str, npt.ArrayLike] = "auto",
     ) -> None:
-        one_of("start", start, ("auto", "rest"))
+        self._given = start_of(start, ("theta", "q", "dtheta", "dq"), robot.n)
         one_of("form", form, ("current", "predictor"))
         one_of("accelerations", accelerations, ("sensors", "joints"))
         on_joints = " on joint accelerations" if accelerations == "joints" else ""
@@ -97,7 +98,7 @@ class AccelerationObserver(Copies):
             "predictor": form == "predictor",
             "joint_accelerations": accelerations == "joints",
             "worst_acceleration_std": worst_acceleration_std,
-            "rest": start == "rest",
+            "rest": isinstance(start, str) and start == "rest",
         }
         self._signal = "acceleration" if accelerations == "sensors" else "ddq"
         rate = robot.config.rate_hz
@@ -205,9 +206,12 @@ class AccelerationObserver(Copies):
         if self._period is not None and np.isclose(period, self._period, rtol=1e-6):
             period = self._period
         try:
-            return _core.AccelerationObserver(self.robot.core, period=period, **self._settings)
+            core = _core.AccelerationObserver(self.robot.core, period=period, **self._settings)
         except EstimatorError as error:
             raise EstimatorError(_named(str(error), self.robot.names)) from None
+        if self._given is not None:
+            core.begin(**self._given)
+        return core
 
     def _arrays(self, log: Log, before: Log | None = None, first: int = 0) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Check a log, or a piece of one that begins at row ``first`` after the rows ``before``; give its arrays."""

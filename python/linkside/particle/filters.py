@@ -18,8 +18,8 @@ from linkside.errors import EstimatorError
 from linkside.findings import named
 from linkside.kalman.jerk_driven import ExtendedKalmanFilter, JerkDrivenFilter
 from linkside.kalman.noise import Noise
-from linkside.kalman.start import Readings
-from linkside.kalman.starting import first_readings, in_pieces
+from linkside.kalman.start import Readings, Start
+from linkside.kalman.starting import DecidingFilter, first_readings, in_pieces
 from linkside.recording.batch import Job, run_each
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
@@ -76,7 +76,7 @@ class ParticleEstimate(Estimate):
     channels: tuple[str, ...] = ()
 
 
-class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
+class ParticleFilter(DecidingFilter[_core.ParticleFilter], JerkDrivenFilter[_core.ParticleFilter]):
     """Particle filter on the acceleration-driven model, with the same noise as `ExtendedKalmanFilter`.
 
     Axelsson, Karlsson and Norrlöf, "Tool position estimation of a flexible industrial robot using recursive Bayesian
@@ -115,8 +115,9 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         Link positions at rest that particles start from in turn, each spread by ``noise.position`` [rad]: a belief with
         several peaks, say. None: as ``start`` says.
     start
-        ``"auto"``, the first samples of a recording decide, as of `ExtendedKalmanFilter`; ``"rest"``, the posture in
-        which the first motor positions hold the links. `step` starts at rest.
+        As of `ExtendedKalmanFilter`: ``"auto"``, the first 32 samples decide; ``"rest"``, the posture in which the
+        first motor positions hold the links; or a mean and a covariance of the state, with or without its biases. Each
+        of the first samples of `step` redoes those before it.
     collapse
         What to do with a cloud that does not explain the readings, as a Kalman filter that runs beside it does.
         ``"reseed"`` flags the row `Status.CONTRADICTED` and spreads the cloud anew from the Kalman filter's belief; a
@@ -156,7 +157,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
         outliers: Mapping[str, float | Mixture] | None = None,
         limits: Mapping[str, tuple[float, float]] | None = None,
         initial: npt.ArrayLike | None = None,
-        start: Literal["auto", "rest"] = "auto",
+        start: Start = "auto",
         collapse: Literal["reseed", "flag", "raise"] = "reseed",
         quantiles: Sequence[float] = (),
         biases: Sequence[str] = ("motor", "acceleration", "rate"),
@@ -167,7 +168,6 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
     ) -> None:
         super().__init__()
         one_of("collapse", collapse, ("reseed", "flag", "raise"))
-        one_of("start", start, ("auto", "rest"))
         self.robot = robot
         self._front = ExtendedKalmanFilter(
             robot,
@@ -179,6 +179,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
             torque=torque,
             start=start if initial is None else "rest",
         )
+        self._at = start if initial is None else "rest"
         self.noise = self._front.noise
         self._outliers = _by_kind(outliers or {})
         self._settings = {
@@ -195,7 +196,7 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
             "collapse": collapse,
             "quantiles": list(quantiles),
         }
-        self._core(self._front.live_kinds, self.noise)  # settings are checked at once
+        self._start()  # settings are checked at once
 
     @overload
     def run(self, log: Log, *, covariance: bool = False) -> ParticleEstimate: ...
@@ -247,13 +248,24 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
 
         return in_pieces(pieces, self._prepared, run, self._estimate)
 
+    def step(self, **sample: Any) -> _core.State:
+        """Take one sample and give the state at its time; arguments as of `JerkDrivenFilter.step`."""
+        if not self._deciding():
+            return super().step(**sample)
+        return self._decide(sample, super().step, lambda first: self._begin(self._live, first))
+
     @property
     def effective(self) -> float:
         """Effective number of particles after the last `step`."""
         return self._live.effective
 
     def _start(self) -> _core.ParticleFilter:
-        return self._core(self._front.live_kinds, self.noise)
+        core = self._core(self._front.live_kinds, self.noise, self._period)
+        self._begin(core, None)
+        return core
+
+    def _begin(self, core: _core.ParticleFilter, first: Readings | None) -> None:
+        self._front.begin(core, first, self._front.live_kinds, self.noise)
 
     def _recorded(
         self, log: Log | Sequence[Log], *, smooth: bool, covariance: bool
@@ -267,13 +279,12 @@ class ParticleFilter(JerkDrivenFilter[_core.ParticleFilter]):
     def _prepared(self, log: Log, first: Readings) -> tuple[_core.ParticleFilter, tuple[str, ...]]:
         """A filter of the core that starts where the ``first`` samples say, and the kinds of its channels."""
         kinds, noise = self._front.kinds(log), self.noise.for_log(log)
-        core = self._core(kinds, noise)
+        core = self._core(kinds, noise, log.period)
         self._front.begin(core, first, kinds, noise)
         return core, kinds
 
-    def _core(self, kinds: tuple[str, ...], noise: Noise) -> _core.ParticleFilter:
-        self._front.refuse_late("a particle filter")
-        settings = self._front.settings(kinds, noise)
+    def _core(self, kinds: tuple[str, ...], noise: Noise, period: float) -> _core.ParticleFilter:
+        settings = self._front.settings(kinds, noise, period)
         each = zip(kinds, widths(self.robot, kinds), strict=True)
         outliers = [self._outliers.get(kind) for kind, width in each for _ in range(width)]
         return _core.ParticleFilter(

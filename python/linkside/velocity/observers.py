@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any, Literal, overload
@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside import _core
-from linkside.arguments import one_of, per_joint
+from linkside.arguments import one_of, per_joint, start_of
 from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError, NumericalError
 from linkside.recording.batch import Copies, Job, run_each
@@ -108,8 +108,8 @@ class ReducedOrderObserver(Copies):
     period
         Sampling period for `step` [s]; by default ``rate_hz`` of robot.yaml. `run` takes the log's.
     start
-        ``"auto"``: the first samples tell how fast the robot moves. ``"rest"``: it does not at the first one. A
-        velocity can be given to `start`.
+        ``"auto"``: the first samples tell how fast the robot moves. ``"rest"``: it does not at the first one. Or the
+        velocity there, a mapping of ``dq`` (n,).
 
     Raises
     ------
@@ -133,19 +133,19 @@ class ReducedOrderObserver(Copies):
         side: Literal["motors", "links"] = "motors",
         wrap: float | Sequence[float] | None = None,
         period: float | None = None,
-        start: Literal["auto", "rest"] = "auto",
+        start: Literal["auto", "rest"] | Mapping[str, npt.ArrayLike] = "auto",
     ) -> None:
-        one_of("start", start, ("auto", "rest"))
+        self._given = start_of(start, ("dq",), robot.n)
         one_of("side", side, ("motors", "links"))
         robot.require_masses("a velocity observer")
-        refuse_unsupported(robot, "a velocity observer")
+        refuse_unsupported(robot, "a velocity observer" + (" on the links" if side == "links" else ""))
         self.robot = robot
         self.side = side
         self.gain = gain
         self._wrap = _turns(robot) if wrap is None else per_joint("wrap", wrap, robot.n).tolist()
         rate = robot.config.rate_hz
         self._period = period if period is not None or rate is None else 1 / rate
-        self._rest = start == "rest"
+        self._rest = isinstance(start, str) and start == "rest"
         self._core: _core.VelocityObserver | None = None
         if self._period is not None:
             self._core = self._designed(self._period)
@@ -235,7 +235,7 @@ class ReducedOrderObserver(Copies):
     def _designed(self, period: float) -> _core.VelocityObserver:
         if self._period is not None and np.isclose(period, self._period, rtol=1e-6):
             period = self._period
-        return _core.VelocityObserver(
+        core = _core.VelocityObserver(
             self.robot.core,
             period=period,
             gains=[]
@@ -248,6 +248,9 @@ class ReducedOrderObserver(Copies):
             wrap=self._wrap,
             rest=self._rest,
         )
+        if self._given is not None:
+            core.begin(self._given["dq"], np.zeros(self.robot.n))
+        return core
 
     def _spring(self) -> list[float]:
         return [0.0] * self.robot.n
@@ -296,7 +299,7 @@ class NicosiaTomeiObserver(ReducedOrderObserver):
         side: Literal["motors", "links"] = "motors",
         wrap: float | Sequence[float] | None = None,
         period: float | None = None,
-        start: Literal["auto", "rest"] = "auto",
+        start: Literal["auto", "rest"] | Mapping[str, npt.ArrayLike] = "auto",
     ) -> None:
         if isinstance(gain, GainMap):
             raise EstimatorError("a gain map has no spring beside it: expected a ReducedOrderObserver")

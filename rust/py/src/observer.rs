@@ -66,6 +66,13 @@ impl AccelerationObserver {
             .map_err(IntoPyErr::into_py_err)
     }
 
+    /// From now on every recording, and `step` after a reset, starts from this state.
+    fn begin(&mut self, theta: Signal<'_>, q: Signal<'_>, dtheta: Signal<'_>, dq: Signal<'_>) -> PyResult<()> {
+        self.start(theta, q, dtheta, dq)?;
+        self.fresh = self.live.clone();
+        Ok(())
+    }
+
     fn step(&mut self, theta: Signal<'_>, tau: Signal<'_>, acceleration: Signal<'_>) -> PyResult<State> {
         let (n, m) = (self.live.joints(), self.live.channels());
         let sample = ObserverSample {

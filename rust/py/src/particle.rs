@@ -3,7 +3,9 @@
 use crate::array::{Signal, rows, shaped};
 use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
-use crate::kalman::{Arrays, Live, Matrix, NoiseFields, Signals, check_step, into_dict, named, recording};
+use crate::kalman::{
+    Arrays, Inside, Live, Matrix, NoiseFields, Signals, check_step, inside, into_dict, named, recording,
+};
 use crate::robot::Robot;
 use crate::state::State;
 use linkside_core::error::{DesignError, RunError};
@@ -105,7 +107,7 @@ pub(crate) struct ParticleFilter {
 #[pymethods]
 impl ParticleFilter {
     #[new]
-    #[pyo3(signature = (robot, *, kinds, biased, noise, damping, marginalised, settings))]
+    #[pyo3(signature = (robot, *, kinds, biased, noise, damping, marginalised, settings, late=None))]
     fn new(
         robot: &Robot,
         kinds: Vec<String>,
@@ -114,6 +116,7 @@ impl ParticleFilter {
         damping: bool,
         marginalised: &str,
         settings: ParticleFields,
+        late: Option<Vec<Inside>>,
     ) -> PyResult<Self> {
         let settings = settings.into_core()?;
         let marginalised = match marginalised {
@@ -125,7 +128,7 @@ impl ParticleFilter {
         let (levels, kinds) = (settings.quantiles.len(), named(&kinds)?);
         let build = || -> Result<_, DesignError> {
             let model = JerkModel::new(Arc::clone(&robot.0), &kinds, &biased)?;
-            let model = JerkDriven::new(model, noise.into(), damping)?;
+            let model = JerkDriven::new(model, noise.into(), damping)?.with_late(&inside(late))?;
             particle::ParticleFilter::new(model, settings, marginalised)
         };
         let filter = build().map_err(IntoPyErr::into_py_err)?;
@@ -150,7 +153,7 @@ impl ParticleFilter {
         self.states()
     }
 
-    /// From now on a first sample finds this mean, and the variances of this covariance.
+    /// From now on a first sample finds this belief.
     fn set_start(&mut self, mean: Signal<'_>, covariance: Matrix<'_>) -> PyResult<()> {
         let states = self.states();
         let start = Gaussian::new(mean.sized("mean", states)?, rows("covariance", &covariance, states)?);

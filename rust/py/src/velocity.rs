@@ -108,6 +108,13 @@ impl VelocityObserver {
         self.live.start(dq.get("dq")?, lag.get("lag")?).map_err(IntoPyErr::into_py_err)
     }
 
+    /// From now on every recording, and `step` after a reset, starts from this velocity.
+    fn begin(&mut self, dq: Signal<'_>, lag: Signal<'_>) -> PyResult<()> {
+        self.start(dq, lag)?;
+        self.fresh = self.live.clone();
+        Ok(())
+    }
+
     fn step(&mut self, q: Signal<'_>, tau: Signal<'_>) -> PyResult<State> {
         let n = self.live.joints();
         self.live.step(q.readings("q", n)?, tau.readings("tau", n)?).map_err(IntoPyErr::into_py_err)?;

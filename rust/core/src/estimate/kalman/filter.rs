@@ -2,6 +2,7 @@
 
 use super::consider::Consider;
 use super::correction::Correction;
+use super::driven::JerkDriven;
 use super::gaussian::{Gaussian, Symmetric};
 use super::monitor::{Finding, Monitor};
 use super::output::{FilterOutput, Keep, Tool};
@@ -56,6 +57,16 @@ pub struct ExtendedKalmanFilter<M> {
     started: bool,
     /// The belief at the first sample; none: at rest.
     start: Option<Gaussian>,
+}
+
+impl ExtendedKalmanFilter<JerkDriven> {
+    /// Goes on from another belief of the model's own states, late sensors having settled.
+    pub(crate) fn restart(&mut self, belief: &Gaussian) {
+        self.reset();
+        self.belief.begin_with(belief);
+        self.model.settle(&mut self.belief);
+        self.started = true;
+    }
 }
 
 impl<M: Phases> ExtendedKalmanFilter<M> {
@@ -134,13 +145,6 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         &self.belief
     }
 
-    /// Goes on from another belief.
-    pub(crate) fn restart(&mut self, belief: &Gaussian) {
-        self.reset();
-        self.belief.copy_from(belief);
-        self.started = true;
-    }
-
     /// How the last sample's readings fitted.
     pub(crate) fn fit(&self) -> Fit {
         let Correction { used, log_likelihood, .. } = self.correction;
@@ -177,8 +181,18 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
     /// A sample that cannot be used, or a first one from which the model cannot [start](Model::start): the state stays as it
     /// was. [`RunError::NotFinite`]: readings so absurd that nothing is left; the next sample starts anew.
     pub fn step(&mut self, sample: KalmanSample<'_>) -> Result<(), RunError> {
+        self.step_with(sample, |_, _| ())
+    }
+
+    /// [`step`](Self::step), showing `predicted` the belief before it uses the readings.
+    pub(crate) fn step_with(
+        &mut self,
+        sample: KalmanSample<'_>,
+        predicted: impl FnOnce(&M, &Gaussian),
+    ) -> Result<(), RunError> {
         sample.check(&self.model)?;
         self.advance(&sample)?;
+        predicted(&self.model, &self.belief);
         self.correct(&sample);
         let sample = self.taken;
         if !self.is_finite() {

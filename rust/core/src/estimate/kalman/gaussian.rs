@@ -51,6 +51,11 @@ impl Symmetric {
         self.data[i * self.stride + j]
     }
 
+    /// Whether there is anything off the diagonal.
+    pub(crate) fn is_correlated(&self) -> bool {
+        (0..self.n).any(|i| (0..i).any(|j| self.at(i, j) != 0.0))
+    }
+
     /// Sets entries (i, j) and (j, i).
     #[inline(always)]
     pub(crate) fn put(&mut self, i: usize, j: usize, value: f64) {
@@ -150,6 +155,18 @@ impl Gaussian {
             }
         }
         Ok(belief)
+    }
+
+    /// Its first entries as `own`; the others are zero, and known to be.
+    pub(super) fn begin_with(&mut self, own: &Self) {
+        let n = own.mean.len();
+        self.mean.fill(0.0);
+        self.covariance.data.fill(0.0);
+        self.mean[..n].copy_from_slice(&own.mean);
+        let Symmetric { stride, data, .. } = &mut self.covariance;
+        for (to, from) in data.chunks_exact_mut(*stride).zip(own.covariance.data.chunks_exact(own.covariance.stride)) {
+            to[..n].copy_from_slice(&from[..n]);
+        }
     }
 
     /// Takes over another belief of the same size, without allocating.

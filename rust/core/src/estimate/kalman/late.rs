@@ -5,14 +5,11 @@
 //! samples, between which the one that is read is interpolated. Each is given its new value by the time update, from h at
 //! the predicted state, so that to the measurement update the channel is a bias state and nothing else; smoother, gates and
 //! missing readings need know nothing of it, and neither step nor run looks ahead.
-//!
-//! A filter with time constant T that is fed what runs straight over a step of h gives
-//! w = α w₋ + (T/h (1 − α) − α) f₋ + (1 − T/h (1 − α)) f with α = exp(−h/T), exactly.
 
 use super::gaussian::{Gaussian, Symmetric};
 use super::model::Linearised;
+use crate::estimate::measurement::low_pass_or_none;
 use crate::linear;
-use crate::scalar::exp_m1;
 
 /// What is inside a sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,6 +43,17 @@ struct Weights {
     /// Of the output at the sample `at` steps ago what is left by the one before it, of which `part` is read.
     at: usize,
     part: f64,
+}
+
+/// A late channel at the end of a step of time.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LateChannel<'a> {
+    pub(crate) channel: usize,
+    /// The state that is read.
+    pub(crate) state: usize,
+    /// What its sensor sees, without bias, and how that depends on the state.
+    pub(crate) prediction: f64,
+    pub(crate) row: &'a [f64],
 }
 
 /// The late channels of a model, and their past.
@@ -95,6 +103,17 @@ impl Late {
         }
     }
 
+    /// The late channels, where the last step of time linearised them.
+    pub(super) fn channels(&self) -> impl Iterator<Item = LateChannel<'_>> {
+        let rows = self.rows.chunks_exact(self.dense());
+        self.lines.iter().zip(rows).map(|(&Line { channel, read, .. }, row)| LateChannel {
+            channel,
+            state: read,
+            prediction: self.prediction[channel],
+            row,
+        })
+    }
+
     /// Number of all states.
     pub(super) fn states(&self) -> usize {
         self.states
@@ -112,14 +131,11 @@ impl Late {
 
     /// A recording's first belief with what sensors hold: they have settled at what they see there.
     pub(super) fn start(&mut self, belief: &mut Gaussian, at: Linearised<'_>) {
-        let mut whole = Gaussian::independent(&vec![0.0; self.states]);
-        let n = belief.mean.len();
-        whole.mean[..n].copy_from_slice(&belief.mean);
-        let (from, to) = (&belief.covariance, &mut whole.covariance);
-        for (from, to) in from.data.chunks_exact(from.stride).zip(to.data.chunks_exact_mut(to.stride)) {
-            to[..n].copy_from_slice(&from[..n]);
+        if belief.mean.len() < self.states {
+            let mut whole = Gaussian::independent(&vec![0.0; self.states]);
+            whole.begin_with(belief);
+            *belief = whole;
         }
-        *belief = whole;
         self.ages.fill(0.0);
         self.keep(at);
         for i in 0..self.lines.len() {
@@ -146,13 +162,7 @@ impl Late {
     }
 
     fn weigh(&self, Lateness { time_constant, delay, steps }: Lateness, dt: f64) -> Weights {
-        let filter = if time_constant > 0.0 && dt > 0.0 {
-            let taken = -exp_m1(-dt / time_constant);
-            let mean = time_constant / dt * taken;
-            [1.0 - taken, mean - (1.0 - taken), 1.0 - mean]
-        } else {
-            [0.0, 0.0, 1.0]
-        };
+        let filter = low_pass_or_none(time_constant, dt);
         let at = (0..steps).rev().find(|&i| self.ages[i] <= delay).unwrap_or(0);
         let (age, span) = (self.ages[at], self.ages.get(at + 1).map_or(0.0, |older| older - self.ages[at]));
         let part = if span > 0.0 { ((delay - age) / span).clamp(0.0, 1.0) } else { 0.0 };

@@ -1,7 +1,7 @@
 //! What a Kalman filter asks of a model: a process, and the channels that measure it, each a part of its own.
 
 use super::gaussian::{Gaussian, Symmetric};
-use super::late::{Late, Lateness};
+use super::late::{Late, LateChannel, Lateness};
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample};
 use super::uncertain::Tolerance;
@@ -294,9 +294,25 @@ impl<P: Process, M: Measurement> Paired<P, M> {
         Ok(self)
     }
 
+    /// The same without what is inside sensors.
+    pub(crate) fn without_late(mut self) -> Self {
+        self.late = None;
+        self
+    }
+
+    /// Channels whose sensors are late, where the last step of time linearised them.
+    pub(crate) fn late_channels(&self) -> impl Iterator<Item = LateChannel<'_>> {
+        self.late.iter().flat_map(|late| late.channels())
+    }
+
     /// Takes over a first sample, and what the late sensors' states are at `belief`.
     fn begin(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
         self.measurement.take(sample, true);
+        self.settle(belief);
+    }
+
+    /// Adds to `belief` what late sensors hold that have settled.
+    pub(crate) fn settle(&mut self, belief: &mut Gaussian) {
         if let Some(late) = &mut self.late {
             self.measurement.linearise(&belief.mean[..self.measurement.dense()]);
             late.start(belief, self.measurement.linearised());

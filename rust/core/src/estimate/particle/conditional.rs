@@ -31,6 +31,8 @@ pub(super) struct ReadingSlope<'a, T> {
     pub(super) links: &'a [T],
     /// Which entry of l adds to it.
     pub(super) bias: Option<usize>,
+    /// ∂h/∂biases of a reading that depends on all of them; else empty.
+    pub(super) biases: &'a [f64],
 }
 
 impl<T: Scalar> Conditional<T> {
@@ -128,6 +130,9 @@ impl<T: Scalar> Conditional<T> {
         if let Some(bias) = row.bias {
             add(None, bias);
         }
+        for (b, h) in row.biases.iter().enumerate() {
+            add(Some(T::constant(*h)), n + b);
+        }
     }
 
     /// Takes a reading h l + noise of `variance`: P ← P − K s Kᵀ; returns s, and leaves the gain K.
@@ -139,11 +144,17 @@ impl<T: Scalar> Conditional<T> {
             for (j, h) in by_ddq.iter().enumerate() {
                 sum += self.at(r, j) * *h;
             }
+            for (b, h) in row.biases.iter().enumerate() {
+                sum += self.at(r, self.joints + b) * *h;
+            }
             self.gain[r] = sum;
         }
         let mut total = row.bias.map_or(T::default(), |b| self.gain[b]) + variance;
         for (h, gain) in by_ddq.iter().zip(&self.gain) {
             total += *h * *gain;
+        }
+        for (h, gain) in row.biases.iter().zip(&self.gain[self.joints..]) {
+            total += *gain * *h;
         }
         let inverse = (T::constant(1.0) / total).sqrt();
         self.scale_gain(inverse);

@@ -5,6 +5,7 @@ use super::density::Density;
 use super::guard::Guard;
 use super::initialise::InitialCloud;
 use super::output::{ParticleOutput, Summary, packed};
+use super::past::Past;
 use super::process_noise::ProcessNoise;
 use super::proposal::{ParticleReading, ParticleSample, Propagate, Walk};
 use super::rao_blackwell;
@@ -56,6 +57,8 @@ pub struct ParticleFilter {
     pub(super) started: bool,
     /// The belief at the first sample; none: at rest.
     start: Option<Gaussian>,
+    /// Whether entries of that are correlated.
+    correlated: bool,
 }
 
 impl ParticleFilter {
@@ -67,7 +70,17 @@ impl ParticleFilter {
         let jerk = model.jerk_model();
         settings.check(jerk, marginalised)?;
         let (n, m, d) = (jerk.joints(), jerk.channels(), jerk.states());
+        let past = Past::new(&model);
+        // Where sensors are late, biases are not independent of each other given the path.
+        let marginalised = match marginalised {
+            Marginalised::Biases if !past.is_empty() => Marginalised::Nothing,
+            other => other,
+        };
+        let guard = Guard::new(&model, &settings)?;
+        let model = model.without_late();
+        let jerk = model.jerk_model();
         let sample = ParticleSample {
+            past,
             seed: settings.seed,
             step: 0,
             dt: 0.0,
@@ -86,7 +99,7 @@ impl ParticleFilter {
             belief: Gaussian::independent(&vec![0.0; d]),
             cloud: Cloud::new(jerk, marginalised, settings.particles)?,
             sample,
-            guard: Guard::new(&model, &settings)?,
+            guard,
             shared: Shared::new(jerk),
             sharing: false,
             motion: (marginalised == Marginalised::Accelerations).then(|| ProcessNoise::new(jerk)),
@@ -101,18 +114,20 @@ impl ParticleFilter {
             taken: 0,
             started: false,
             start: None,
+            correlated: false,
             marginalised,
             settings,
             model,
         })
     }
 
-    /// From now on a first sample finds this mean, and the variances of this covariance; none: the robot at rest.
+    /// From now on a first sample finds this belief; none: the robot at rest.
     ///
     /// # Errors
     /// A belief of another number of states.
     pub fn set_start(&mut self, start: Option<Gaussian>) -> Result<(), DesignError> {
         self.guard.kalman.set_start(start.clone())?;
+        self.correlated = start.as_ref().is_some_and(|start| start.covariance.is_correlated());
         self.start = start;
         Ok(())
     }
@@ -167,7 +182,10 @@ impl ParticleFilter {
     /// [`step`](Self::step) with a sample that has been checked.
     fn take(&mut self, sample: KalmanSample<'_>) -> Result<(), RunError> {
         // Kalman filter beside the cloud first: its likelihood is what the cloud's is held against at the end.
-        self.guard.step(sample)?;
+        self.guard.step(sample, &mut self.sample.past)?;
+        if !self.started {
+            self.sample.past.clear(); // sensors have settled: what they see and what they hold is the same
+        }
         // 1. Resample. At the start of a sample and not at its end, so that estimates come from the weighted cloud: a
         // choice at random only adds variance to them (Liu and Chen 1998).
         self.resample_if_due();
@@ -191,6 +209,9 @@ impl ParticleFilter {
             self.guard()?;
         } else {
             self.recover()?;
+        }
+        if !self.started && self.correlated {
+            self.correlate();
         }
         self.started = true;
         self.taken += 1;
@@ -259,6 +280,7 @@ impl ParticleFilter {
         let first = !self.started;
         let Self { model, sample, bias_variance, settings, summary, marginalised, motion, belief, .. } = self;
         let closed = *marginalised == Marginalised::Biases;
+        let late = |sample: &ParticleSample, channel| sample.past.found.iter().any(|late| late.channel == channel);
         sample.readings.clear();
         sample.walks.clear();
         sample.decays.clear();
@@ -282,7 +304,9 @@ impl ParticleFilter {
             let walk = bias.filter(|_| motion.is_none()).map_or(0.0, |_| drift.variance);
             let density = settings.densities[channel];
             let read = !value.is_nan();
-            let drawn_late = closed || (read && settings.proposal != Proposal::Bootstrap && density.is_normal());
+            let past = late(sample, channel);
+            let drawn_late =
+                closed || (!past && read && settings.proposal != Proposal::Bootstrap && density.is_normal());
             // Where biases are drawn each particle knows its own: no variance is left from before, only the walk's.
             let before = if closed || first { bias_variance[channel] } else { 0.0 };
             let prior = before * drift.decay * drift.decay + walk;
@@ -302,11 +326,19 @@ impl ParticleFilter {
                 continue;
             }
             summary.used += 1;
+            if past {
+                continue;
+            }
             let rest = if closed { 0.0 } else { (extra * (1.0 - gain)).sqrt() };
             let noise = density.of_variance(variance);
             let draw = sample.draws;
             sample.draws += usize::from(rest > 0.0);
             sample.readings.push(ParticleReading { channel, value, bias, noise, gain, rest, draw });
+        }
+        for (late, variance) in sample.past.decorrelate(|channel| model.variance(channel)) {
+            let noise = settings.densities[late.channel].of_variance(variance);
+            let (channel, value) = (late.channel, late.value);
+            sample.readings.push(ParticleReading { channel, value, bias: None, noise, gain: 0.0, rest: 0.0, draw: 0 });
         }
         if summary.used == 0 {
             summary.status |= Status::PREDICTED;
@@ -318,7 +350,11 @@ impl ParticleFilter {
         let Self { model, sample, shared, sharing, motion, cloud, settings, belief, .. } = self;
         // Shared only where particles could not tell the difference: one iteration, normal noise, nothing marginalised.
         let once = matches!(settings.proposal, Proposal::Linearised { iterations: 1, .. });
-        *sharing = self.started && motion.is_none() && once && settings.densities.iter().all(Density::is_normal);
+        *sharing = self.started
+            && sample.past.found.is_empty()
+            && motion.is_none()
+            && once
+            && settings.densities.iter().all(Density::is_normal);
         if *sharing {
             let linearised = model.linearised();
             shared.set(sample, linearised, &belief.mean);
@@ -456,7 +492,8 @@ impl ParticleFilter {
     ) -> Vec<Result<ParticleOutput, RunError>> {
         parallel::map(jobs, |&(like, recording)| {
             // New, not cloned: a cloud is large, and this one's particles are none of the recording's business.
-            let mut filter = Self::new(like.model.clone(), like.settings.clone(), like.marginalised)?;
+            let model = like.guard.kalman.model().clone();
+            let mut filter = Self::new(model, like.settings.clone(), like.marginalised)?;
             filter.set_start(like.start.clone())?;
             one(&mut filter, recording)
         })

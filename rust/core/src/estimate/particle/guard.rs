@@ -6,6 +6,7 @@
 
 use super::filter::ParticleFilter;
 use super::output::{Summary, packed};
+use super::past::Past;
 use super::rao_blackwell;
 use super::settings::{Collapse, Marginalised, ParticleSettings};
 use crate::error::{DesignError, RunError};
@@ -75,8 +76,8 @@ impl Guard {
 
     /// Takes the sample that the cloud takes.
     #[inline(never)]
-    pub(super) fn step(&mut self, sample: KalmanSample<'_>) -> Result<(), RunError> {
-        self.kalman.step(sample)
+    pub(super) fn step(&mut self, sample: KalmanSample<'_>, past: &mut Past) -> Result<(), RunError> {
+        self.kalman.step_with(sample, |model, belief| past.foretell(model, belief, sample.readings))
     }
 
     /// Whether there is a belief to start anew from.
@@ -160,6 +161,13 @@ impl ParticleFilter {
         Ok(())
     }
 
+    /// A first cloud, whose entries were drawn one by one, from the Kalman filter's belief.
+    pub(super) fn correlate(&mut self) {
+        let reseeded = self.summary.reseeded;
+        self.reseed();
+        self.summary.reseeded = reseeded;
+    }
+
     /// The Kalman filter's belief from the cloud's, where it went out of the numbers.
     fn restart_guard(&mut self) {
         self.take_covariance();
@@ -191,8 +199,8 @@ impl ParticleFilter {
     fn want_belief(&mut self) {
         let Self { guard, summary, wanted, model, bias_variance, marginalised, cloud, .. } = self;
         let belief = guard.kalman.belief();
-        let d = belief.mean.len();
-        wanted.mean.copy_from_slice(&belief.mean);
+        let d = wanted.mean.len();
+        wanted.mean.copy_from_slice(&belief.mean[..d]);
         for r in 0..d {
             for c in r..d {
                 summary.products[packed(r, c, d)] = belief.covariance.at(r, c);

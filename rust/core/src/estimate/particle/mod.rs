@@ -7,6 +7,7 @@ mod filter;
 mod guard;
 mod initialise;
 mod output;
+mod past;
 mod process_noise;
 mod proposal;
 mod rao_blackwell;

@@ -2,6 +2,7 @@
 
 use super::cloud::{Block, Scratch, WIDE, Wide};
 use super::density::{NoiseDensity, log_gamma};
+use super::past::Past;
 use super::settings::Proposal;
 use super::shared::Shared;
 use super::sums::Weigh;
@@ -23,7 +24,9 @@ pub(super) struct ParticleSample {
     pub(super) dtheta: Vec<f64>,
     /// How each joint's (q, q̇, q̈) follow from its three standard normal numbers, see [`jerk_noise::factor`].
     pub(super) factors: Vec<[[f64; 3]; 3]>,
+    /// Late ones come last, where there is a sample before.
     pub(super) readings: Vec<ParticleReading>,
+    pub(super) past: Past,
     pub(super) walks: Vec<Walk>,
     /// What is left of each bias after the step, by entry of the state.
     pub(super) decays: Vec<(usize, f64)>,
@@ -138,7 +141,7 @@ impl Scratch {
         self.apply_noise(sample);
         // Weighed by the exact density at the place that was drawn; linearising serves the choice of q alone.
         self.evaluation.predict(&model.robot, &model.channels, &self.after, &sample.dtheta);
-        change += self.weigh_and_learn(sample);
+        change += self.weigh_and_learn(model, sample);
         change + self.within_limits(sample)
     }
 
@@ -235,6 +238,7 @@ impl Scratch {
             self.noise.copy_from_slice(&self.mode);
             self.apply_noise(sample);
             self.evaluation.evaluate(&model.robot, &model.channels, &self.after, &sample.dtheta);
+            sample.past.mix(model, &mut self.evaluation, &self.after, true);
             self.gather_information(sample, iteration > 0);
             linear::factorise(&mut self.factor, n);
             linear::solve(&self.factor, n, &mut self.mode, 1);
@@ -320,9 +324,14 @@ impl Scratch {
 
     /// log p(y | x), and what the biases learn from y.
     #[inline(always)]
-    fn weigh_and_learn(&mut self, sample: &ParticleSample) -> Wide {
+    fn weigh_and_learn(&mut self, model: &JerkModel, sample: &ParticleSample) -> Wide {
         let mut change = Wide::default();
-        for reading in &sample.readings {
+        let prompt = sample.readings.len() - sample.past.found.len();
+        for (i, reading) in sample.readings.iter().enumerate() {
+            if i == prompt {
+                // Of the present state, which by now has all of its biases.
+                sample.past.mix(model, &mut self.evaluation, &self.after, false);
+            }
             let error = reading.error(&self.after, &self.evaluation.prediction);
             change += reading.noise.log_density(error);
             if let Some(bias) = reading.bias {

@@ -167,6 +167,7 @@ impl Densities {
         for pass in 0..=passes {
             self.path.displace(motion, &scratch.before, &scratch.noise, &mut scratch.after);
             self.evaluation.evaluate(&model.robot, &model.channels, &scratch.after, &sample.dtheta);
+            sample.past.mix(model, &mut self.evaluation, &scratch.after, true);
             if pass == passes {
                 change += self.weigh_and_learn(&mut scratch.after, model, sample);
             } else {
@@ -198,9 +199,9 @@ impl Densities {
         factor.fill(Wide::default());
         mode.fill(Wide::default());
         factor.iter_mut().step_by(count + 1).for_each(|x| *x = Wide::constant(1.0));
-        for reading in &sample.readings {
-            let error = self.error(model, reading, after);
-            let row = slope(&self.evaluation, model, reading);
+        for (i, reading) in sample.readings.iter().enumerate() {
+            let row = slope(&self.evaluation, model, sample, i);
+            let error = self.error(reading, row, after);
             self.trial.by_noise(motion, row, &mut self.by_noise);
             let precision = Wide::constant(1.0) / self.trial.observe(row, reading.noise.variance);
             self.trial.tilt(&self.by_noise);
@@ -222,9 +223,9 @@ impl Densities {
     fn weigh_and_learn(&mut self, after: &mut [Wide], model: &JerkModel, sample: &ParticleSample) -> Wide {
         self.mean.copy_from_slice(after);
         let mut change = Wide::default();
-        for reading in &sample.readings {
-            let error = self.error(model, reading, after);
-            let row = slope(&self.evaluation, model, reading);
+        for (i, reading) in sample.readings.iter().enumerate() {
+            let row = slope(&self.evaluation, model, sample, i);
+            let error = self.error(reading, row, after);
             let variance = self.path.observe(row, reading.noise.variance);
             learn(&mut self.mean[2 * model.joints()..], &self.path.gain, error);
             change -= (error * error / variance + (variance * TAU).map(ln)) * 0.5;
@@ -235,21 +236,31 @@ impl Densities {
 
     /// y − h at the density's mean, h linearised at `at`; its bias enters as it is.
     #[inline(always)]
-    fn error(&self, model: &JerkModel, reading: &ParticleReading, at: &[Wide]) -> Wide {
-        let row = slope(&self.evaluation, model, reading);
+    fn error(&self, reading: &ParticleReading, row: ReadingSlope<'_, Wide>, at: &[Wide]) -> Wide {
         let mut error = reading.error(&self.mean, &self.evaluation.prediction);
         for ((h, at), mean) in row.links.iter().zip(at).zip(&self.mean) {
             error += *h * (*at - *mean);
+        }
+        let links = row.links.len();
+        for ((h, at), mean) in row.biases.iter().zip(&at[links..]).zip(&self.mean[links..]) {
+            error += (*at - *mean) * *h;
         }
         error
     }
 }
 
 #[inline(always)]
-fn slope<'a>(evaluation: &'a Evaluation<Wide>, model: &JerkModel, reading: &ParticleReading) -> ReadingSlope<'a, Wide> {
-    let n = model.joints();
+fn slope<'a>(
+    evaluation: &'a Evaluation<Wide>,
+    model: &JerkModel,
+    sample: &'a ParticleSample,
+    i: usize,
+) -> ReadingSlope<'a, Wide> {
+    let (n, reading) = (model.joints(), &sample.readings[i]);
     let links = &evaluation.jacobian[reading.channel * 3 * n..][..3 * n];
-    ReadingSlope { links, bias: reading.bias.map(|b| b - 2 * n) }
+    let prompt = sample.readings.len() - sample.past.found.len();
+    let biases = if i < prompt { &[][..] } else { &sample.past.row(i - prompt)[3 * n..] };
+    ReadingSlope { links, bias: reading.bias.map(|b| b - 2 * n), biases }
 }
 
 #[inline(always)]

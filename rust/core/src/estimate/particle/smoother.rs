@@ -8,6 +8,7 @@
 use super::filter::ParticleFilter;
 use super::output::{ParticleOutput, packed};
 use super::regularise::Moments;
+use crate::check::expect;
 use crate::error::{DesignError, RunError};
 use crate::estimate::kalman::{Gaussian, JerkModel, JerkNoise, KalmanRecording, Keep, Model, Symmetric};
 use crate::interrupt::Watch;
@@ -178,8 +179,10 @@ impl ParticleFilter {
     /// as N grows where beliefs are normal. Memory is little more than a mean and half a covariance a sample.
     ///
     /// # Errors
-    /// As [`run`](Self::run).
+    /// As [`run`](Self::run); late sensors, of which later readings tell what is no part of the cloud.
     pub fn smooth(&mut self, recording: KalmanRecording<'_>, keep: Keep) -> Result<ParticleOutput, RunError> {
+        let late = self.guard.kalman.model().late_channels().count();
+        expect(late == 0, "late", late as f64, "0 sensors with a filter or a delay where a cloud is smoothed")?;
         self.reset();
         let (count, d) = (recording.dt.len(), self.belief.mean.len());
         let mut history = CloudHistory::with_capacity(count, d, self.model.memory())?;

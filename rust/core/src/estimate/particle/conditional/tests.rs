@@ -17,6 +17,8 @@ const BIASES: [Option<usize>; 3] = [Some(2), None, Some(3)];
 /// What is left of each bias after the step.
 const DECAYS: [f64; L - N] = [0.6, 1.0];
 const VARIANCE: f64 = 0.2;
+/// How the second reading depends on all biases, as a late one does.
+const MIXED: [f64; L - N] = [0.3, -0.7];
 
 #[derive(Debug)]
 struct Case {
@@ -95,6 +97,9 @@ impl Case {
                 out[(i, 2 * N + b)] += 1.0;
             }
         }
+        for (b, slope) in MIXED.into_iter().enumerate() {
+            out[(1, 3 * N + b)] += slope;
+        }
         out
     }
 }
@@ -138,8 +143,10 @@ proptest! {
         let (mut pull, mut volume) = (DVector::zeros(2 * N), 1.0);
         for (i, bias) in BIASES.into_iter().enumerate() {
             let links: Vec<f64> = case.rows.row(i).iter().copied().collect();
-            let row = ReadingSlope { links: &links, bias };
-            let known: f64 = bias.map_or(0.0, |b| mean[b]) + (0..N).map(|j| links[2 * N + j] * mean[j]).sum::<f64>();
+            let biases = if i == 1 { &MIXED[..] } else { &[] };
+            let row = ReadingSlope { links: &links, bias, biases };
+            let mixed: f64 = biases.iter().enumerate().map(|(b, slope)| slope * mean[N + b]).sum();
+            let known = mixed + bias.map_or(0.0, |b| mean[b]) + (0..N).map(|j| links[2 * N + j] * mean[j]).sum::<f64>();
             let mut by_noise = DVector::zeros(2 * N);
             conditional.by_noise(&motion, row, by_noise.as_mut_slice());
             let variance = conditional.observe(row, VARIANCE);
