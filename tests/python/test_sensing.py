@@ -10,11 +10,9 @@ import pytest
 from linkside import (
     ElasticJointFilter,
     ElasticNoise,
-    EstimatorError,
     ExtendedKalmanFilter,
     Log,
     Noise,
-    ParticleFilter,
     RauchTungStriebelSmoother,
     Robot,
 )
@@ -98,11 +96,6 @@ def test_elastic_filters_take_late_sensors():
     robot = with_sensor(corner_frequency=60.0, delay=1e-3)
     estimate = ElasticJointFilter(robot).run(LOG[:60])
     assert np.isfinite(estimate.q).all()
-
-
-def test_particles_say_that_they_take_readings_as_they_come():
-    with pytest.raises(EstimatorError, match="use a Kalman filter"):
-        ParticleFilter(with_sensor(delay=1e-3), particles=10)
 
 
 @pytest.mark.parametrize(("method", "noise"), [(ExtendedKalmanFilter, Noise), (ElasticJointFilter, ElasticNoise)])

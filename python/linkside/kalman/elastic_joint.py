@@ -21,7 +21,7 @@ from linkside.robot.considered import considered
 
 from .filtering import KalmanEstimate, KalmanMethod
 from .late_sensors import inside
-from .noise import LEAST_JERK, PositiveStd, Std, Time, channel_arrays, jerk_scale, motor_noise
+from .noise import PositiveStd, Std, Time, channel_arrays, jerk_scale, motor_noise
 from .start import Moving, Readings, Start
 from .starting import DecidingFilter, first_readings, in_pieces
 
@@ -162,7 +162,7 @@ class ElasticJoint(KalmanMethod):
         """Build a filter of the core that starts where the ``first`` samples say."""
         noise = self.noise.for_log(log, self.robot)
         core = self.core(kinds, log.period, noise, held=self._held)
-        self._begin(core, first, kinds, noise, jerk_scale(log))
+        self._begin(core, first, kinds, noise, jerk_scale(first))
         return core
 
     def _state(self, moving: Moving, arrays: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
@@ -293,10 +293,11 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter])
         if self._deciding():
             sample: dict[str, Any] = {"dt": dt, "theta": theta, "tau": tau, "dtheta": dtheta}
             sample |= {"acceleration": acceleration, "further": further}
-            jerk = np.full(self.robot.n, LEAST_JERK)
-            return self._decide(
-                sample, self._step, lambda first: self._begin(self._live, first, self.live_kinds, self.noise, jerk)
-            )
+
+            def begin(first: Readings) -> None:
+                self._begin(self._live, first, self.live_kinds, self.noise, jerk_scale(first))
+
+            return self._decide(sample, self._step, begin)
         return self._step(dt, theta, tau, dtheta, acceleration, further)
 
     def _step(

@@ -16,6 +16,8 @@ from linkside.files.yaml_source import Source, write_yaml
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
+from .start import Readings
+
 Std = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 PositiveStd = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Time = Annotated[float, Field(gt=0)]
@@ -182,7 +184,7 @@ def motor_noise(robot: Robot, transmission: float | tuple[float, ...]) -> FloatA
     return np.asarray(np.hypot(step, per_joint("transmission", transmission, robot.n)))
 
 
-def jerk_scale(log: Log) -> FloatArray:
+def jerk_scale(log: Log | Readings) -> FloatArray:
     """Density of each joint's jerk (n,), from the third derivative of the motor positions [rad/s³/√Hz].
 
     That of cubics through windows of `JERK_TIME`, of five readings at least; readings that are missing are left out.
