@@ -224,8 +224,7 @@ def test_steps_and_pieces_are_the_run(method, settings):
         whole = method(robot, noise, start=start, **settings).run(log)
         pieces = list(method(robot, noise, start=start, **settings).run_pieces([log[:17], log[17:]]))
         assert (np.concatenate([p.q for p in pieces]) == whole.q).all()
-    # `step` starts at rest, as the last of them.
-    live = method(robot, noise, **settings)
+    live = method(robot, noise, start="rest", **settings)
     for i in range(len(log)):
         dt = log.t[i] - log.t[i - 1] if i else log.period
         ddqref = None if log.ddqref is None else log.ddqref[i]

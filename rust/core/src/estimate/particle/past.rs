@@ -20,7 +20,7 @@ use crate::linear;
 #[derive(Clone, Debug)]
 pub(super) struct Past {
     /// Those that were read.
-    pub(super) found: Vec<Late>,
+    pub(super) found: Vec<PastReading>,
     /// The factor of the covariance of x and w, by rows.
     joint: Vec<f64>,
     /// Where x is expected (states).
@@ -33,7 +33,7 @@ pub(super) struct Past {
 
 /// One late reading.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Late {
+pub(super) struct PastReading {
     pub(super) channel: usize,
     /// The reading, mixed with those before it.
     pub(super) value: f64,
@@ -94,12 +94,12 @@ impl Past {
                 *slope -= h;
             }
             let change = belief.mean[line.state] - line.prediction;
-            found.push(Late { channel: line.channel, value: readings[line.channel], change });
+            found.push(PastReading { channel: line.channel, value: readings[line.channel], change });
         }
     }
 
     /// Takes correlations out, for readings with noise of `variance` of their own; gives each with the variance of its own.
-    pub(super) fn decorrelate(&mut self, variance: impl Fn(usize) -> f64) -> impl Iterator<Item = (Late, f64)> {
+    pub(super) fn decorrelate(&mut self, variance: impl Fn(usize) -> f64) -> impl Iterator<Item = (PastReading, f64)> {
         let Self { found, rows, left, centre, .. } = self;
         let (count, d) = (found.len(), centre.len());
         for (i, late) in found.iter().enumerate() {

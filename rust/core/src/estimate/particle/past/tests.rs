@@ -30,7 +30,7 @@ proptest! {
         let mut factor: Vec<f64> = joint.transpose().as_slice().to_vec();
         linear::cholesky(&mut factor, D + LINES, D + LINES);
         let mut past = Past {
-            found: (0..LINES).map(|channel| Late { channel, value: y[channel], change: 0.0 }).collect(),
+            found: (0..LINES).map(|channel| PastReading { channel, value: y[channel], change: 0.0 }).collect(),
             joint: Vec::new(),
             centre: vec![0.0; D],
             rows: vec![0.0; LINES * D],
