@@ -11,9 +11,27 @@
 //!
 //! From bottom to top: [`scalar`] numbers, [`spatial`] algebra, the [`robot`], its [`dynamics`], what is
 //! [`estimate`]d with them, and [`control`]. The crate knows nothing of Python, allocates nothing in a step and does not panic there.
+//!
+//! Where to begin; each has an example that runs:
+//!
+//! | to | take |
+//! | --- | --- |
+//! | describe a robot | [`Robot`](robot::Robot), or [`demo::arm`] to try things on |
+//! | follow links live, without their masses | [`AccelerationObserver`](estimate::observer::AccelerationObserver) |
+//! | know how sure an estimate is | [`ExtendedKalmanFilter`](estimate::kalman::ExtendedKalmanFilter) on [`JerkDriven`](estimate::kalman::JerkDriven), moved by jerk |
+//! | the same from motor torques | … on [`ElasticModel`](estimate::kalman::ElasticModel), the elastic-joint dynamics |
+//! | estimate a recording by all of its samples | [`Smoother`](estimate::kalman::Smoother) |
+//! | expect outliers, limits, or beliefs that are not normal | [`ParticleFilter`](estimate::particle::ParticleFilter) |
+//! | velocities of a rigid robot | [`VelocityObserver`](estimate::velocity::VelocityObserver) |
+//! | make recordings with a known truth | [`simulate`](simulate::simulate) |
+//! | find a robot's parameters | [`Likelihood`](estimate::likelihood::Likelihood), with its gradient |
+//!
+//! Every estimator has `step` for a sample in a control loop and `run` for a recording, with the same bits; errors come before
+//! anything has changed. Arrays are row-major, one row a sample; NaN is a reading that is missing.
 
 mod check;
 pub mod control;
+pub mod demo;
 pub mod dynamics;
 pub mod error;
 pub mod estimate;

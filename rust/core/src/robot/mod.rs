@@ -44,6 +44,41 @@ impl Sensor {
 }
 
 /// An elastic-joint robot with its sensors. Joints are in the order of the log.
+///
+/// Everything is in SI units and reflected through the gears to the link side. A robot is made once, checked, and then
+/// lent to all kernels; it does not change, so that threads share it.
+///
+/// ```
+/// use linkside_core::robot::{BodySpec, Drive, JointKind, MotorFriction, Robot, SoftWindup, Tree};
+/// use linkside_core::spatial::{Mat3, Vec3};
+///
+/// // A pendulum of 2 kg on half a metre, hanging behind a spring of 500 N m/rad.
+/// let link = BodySpec {
+///     parent: None, // carried by the base
+///     joint: 0,     // moved by q[0]
+///     kind: JointKind::Revolute,
+///     rotation: Mat3::IDENTITY,
+///     translation: Vec3([0.0; 3]),
+///     axis: Vec3([0.0, 1.0, 0.0]),
+///     mass: 2.0,
+///     com: Vec3([0.0, 0.0, -0.5]),
+///     inertia: Mat3::from_rows([[0.02, 0.0, 0.0], [0.0, 0.02, 0.0], [0.0, 0.0, 0.001]]),
+/// };
+/// let drive = Drive {
+///     elastic: true,
+///     stiffness: 500.0,
+///     damping: 1.0,
+///     motor_inertia: 0.3, // of the rotor times the gear ratio squared
+///     cubic_stiffness: 0.0,
+///     soft_windup: SoftWindup::default(),
+///     motor_friction: MotorFriction::default(),
+///     link_friction: [0.0; 6],
+/// };
+/// let tree = Tree::new(Vec3([0.0, 0.0, -9.81]), &[link])?;
+/// let robot = Robot::new(tree, vec![drive], vec![0.0], vec![], vec![], None)?;
+/// assert_eq!(robot.len(), 1);
+/// # Ok::<(), linkside_core::error::RobotError>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Robot {
     /// Links.

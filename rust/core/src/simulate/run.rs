@@ -57,6 +57,24 @@ impl Plan {
 
 /// Moves `robot` under `controller`; sensors and controller act every period, the torque is held in between.
 ///
+/// ```
+/// use linkside_core::control::{JointPd, Reference};
+/// use linkside_core::simulate::{Plan, SensorModel, SimulationStart, Stepping, Suite, TrueState, simulate};
+///
+/// let robot = linkside_core::demo::arm()?;
+/// // To 0.1 rad by proportional and derivative control of the motor, for one second at 1 kHz.
+/// let reference = Reference::new(vec![0.0], vec![0.1], 1)?;
+/// let mut law = JointPd::new(reference, vec![2000.0], vec![200.0], vec![0.0])?;
+/// let exact = SensorModel {
+///     noise: 0.0, bias: 0.0, resolution: 0.0, delay: 0.0, corner_frequency: f64::INFINITY, every: 1,
+/// };
+/// let suite = Suite::new(&robot, &[exact; 8], 1e-3, 0)?; // θ, three accelerations, θ̇, q, τ_J, q̇
+/// let plan = Plan { period: 1e-3, count: 1000, stepping: Stepping::Fixed(4), keep_every: 1 };
+/// let run = simulate(&robot, SimulationStart::default(), plan, suite, &mut TrueState, &mut law)?;
+/// assert!((run.q[999] - 0.1).abs() < 1e-3);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
 /// # Errors
 /// A plan or a start that cannot be used, a fixed step too large for the stiffness, a tolerance that cannot be met, a
 /// controller that refuses or gives no number, a state that is no longer finite.

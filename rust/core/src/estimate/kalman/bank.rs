@@ -15,17 +15,25 @@ use crate::linear;
 pub(super) struct Bank {
     /// Samples of a window.
     length: u32,
+    /// Samples of the present window so far.
     pub(super) age: u32,
+    /// Numbers between rows: channels, padded.
     stride: usize,
+    /// Σ: what a unit fault of each channel, since the window began, has done to the state (states × stride).
     columns: Vec<f64>,
+    /// s: what it does to the channel at hand.
     own: Vec<f64>,
     /// Σ s r and Σ s² of each channel.
     score: Vec<f64>,
+    /// Σ s² of each channel: one over the variance with which the window tells the size of its fault.
     information: Vec<f64>,
+    /// How many there are.
     channels: usize,
     /// Σ s sₚ of each channel with each parameter: what an error of a parameter would look like.
     parameters: usize,
+    /// Those sums, channels × parameters (padded).
     shared: Vec<f64>,
+    /// Scratch: Cov[p] times a row of them.
     gain: Vec<f64>,
     /// Variance of the noise of each channel that lasted before the window, in multiples of the filter's; at least 1.
     noise: Vec<f64>,
@@ -51,6 +59,7 @@ impl Bank {
         }
     }
 
+    /// A new window: a fault may begin at its first sample.
     pub(super) fn restart(&mut self) {
         self.age = 0;
         self.columns.fill(0.0);
@@ -79,6 +88,7 @@ impl Bank {
         model.carry_noise_free(&mut self.columns, p, dt);
         let width = correction.gains.len() / self.channels;
         for (i, innovation) in correction.innovations.iter().enumerate().filter(|(_, v)| v.variance.is_finite()) {
+            // e_c + H Σ⁻: a fault of channel c is in its own reading, and by way of the state in those of all others.
             self.own.fill(0.0);
             self.own[i] = 1.0;
             let row = &model.linearised().jacobian[i * d..][..d];
@@ -113,6 +123,8 @@ impl Bank {
         for c in 0..self.channels {
             let shared = &self.shared[c * q..][..q];
             let score = self.score[c] - consider.map_or(0.0, |consider| consider.explained(shared));
+            // An error of a parameter that looks like the fault makes the ratio smaller: computed only where it could
+            // matter.
             let mut variance = self.information[c].max(f64::MIN_POSITIVE);
             if let Some(consider) = consider.filter(|_| score * score > bound * variance) {
                 variance += consider.doubt(shared, &mut self.gain);

@@ -8,16 +8,20 @@ use crate::linear;
 /// Σ⁻ and s at each sample of a stretch.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ConsiderHistory {
+    /// Σ⁻ (states × stride a sample).
     columns: Vec<f64>,
+    /// s (channels × stride a sample).
     signatures: Vec<f64>,
     swings: Vec<f64>,
 }
 
 impl ConsiderHistory {
+    /// After a sample's time update.
     pub(super) fn push_prediction(&mut self, consider: &Consider) {
         self.columns.extend_from_slice(&consider.columns);
     }
 
+    /// After its measurement update.
     pub(super) fn push_update(&mut self, consider: &Consider) {
         self.signatures.extend_from_slice(&consider.signatures);
         self.swings.extend_from_slice(&consider.swings);
@@ -29,6 +33,7 @@ impl ConsiderHistory {
 /// The smoothed error's sensitivity is Σˢ = Σ⁻ + P⁻ ∂λ/∂p, since the smoothed state is x⁻ − P⁻λ.
 #[derive(Clone, Debug)]
 pub(super) struct ConsiderBack {
+    /// Numbers between rows: parameters, padded.
     stride: usize,
     joints: usize,
     /// ∂λ/∂p, states × stride.
@@ -37,6 +42,7 @@ pub(super) struct ConsiderBack {
     columns: Vec<f64>,
     /// E[p pᵀ] by the whole recording.
     moment: Option<Symmetric>,
+    /// Scratch: what a reading adds to ∂λ/∂p, and Σˢ E[p pᵀ].
     pull: Vec<f64>,
     wide: Vec<f64>,
     /// Σˢ E[p pᵀ] Σˢᵀ of the first states.
@@ -87,6 +93,8 @@ impl ConsiderBack {
         for a in (0..m).rev().filter(|&a| innovations[a].variance.is_finite()) {
             let signature = &history.signatures[(i * m + a) * p..][..p];
             for (pull, s) in self.pull.iter_mut().zip(signature) {
+                // In λ's recursion the innovation ν stands where s stands here: ∂ν/∂p = s as readings do not depend on
+                // p.
                 *pull = s / innovations[a].variance;
             }
             for (k, lambda) in gains[a * width..][..width].iter().zip(self.lambda.chunks_exact(p)) {

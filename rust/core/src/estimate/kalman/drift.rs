@@ -30,6 +30,7 @@ impl Biases<'_> {
     pub(super) fn predict(&self, belief: &mut Gaussian, dt: f64) {
         let Gaussian { mean, covariance } = belief;
         for (b, decay, variance) in self.steps(dt) {
+            // Diagonal in biases: F scales one row and one column, so that the dense part of the state is not touched.
             mean[b] *= decay;
             scale(covariance, b, decay);
             covariance.data[b * covariance.stride + b] += variance;

@@ -56,10 +56,13 @@ impl JerkDriven {
 /// The channels of the acceleration-driven model.
 #[derive(Clone, Debug)]
 pub struct JerkMeasurement {
+    /// Channels and biases.
     model: JerkModel,
+    /// Standard deviations of readings, and of the predicted torsion.
     noise: JerkNoise,
     /// Whether the damping torque D(θ̇ − q̇) is predicted.
     damping: bool,
+    /// h and its Jacobian where the channels were last looked at.
     evaluation: Evaluation<f64>,
     /// Motor positions and how they change in time; there when motor velocities are measured.
     motors: Option<Motors>,
@@ -69,9 +72,12 @@ pub struct JerkMeasurement {
     dtheta: Vec<f64>,
     /// Their variances where they come of motor positions; else that is in the motors' noise.
     dtheta_variance: Vec<f64>,
+    /// Motor velocities where the log has none.
     slope: MotorVelocity,
+    /// Commanded jerk of the sample last predicted to (n) [rad/s³], and the time before it [s].
     jerk: Vec<f64>,
     dt: f64,
+    /// Numbers of the robot that are known to a tolerance only.
     tolerances: Vec<Tolerance>,
 }
 
@@ -103,6 +109,7 @@ impl JerkMeasurement {
         if variance == 0.0 || !drive.elastic {
             return 0.0;
         }
+        // δ = φ⁻¹(r − D(θ̇ − q̇)): an error of θ̇ moves the torsion by D/φ'(δ).
         let lag = drive.damping * drive.compliance(torsion);
         lag * lag * variance
     }
@@ -133,6 +140,8 @@ impl Measurement for JerkMeasurement {
         self.jerk.copy_from_slice(sample.inputs.jerk);
         if self.damping {
             self.dtheta.copy_from_slice(sample.inputs.dtheta);
+            // The readings of this very sample: motor positions are the first n channels, and a slope to now needs
+            // them.
             self.slope.push(sample.dt, &sample.readings[..self.jerk.len()]);
             self.slope.fill(&mut self.dtheta, &mut self.dtheta_variance);
         }
@@ -243,6 +252,7 @@ impl Report for JerkMeasurement {
         }
         for (j, row) in jacobian.chunks_exact(3 * n).enumerate() {
             let (mut theta, mut dtheta) = (prediction[j], 0.0);
+            // θ(x) ≈ θ(x₀) + H (x − x₀), θ̇ = H ẋ with ẋ = (q̇, q̈, jerk): the linearisation that the update has used.
             for k in 0..3 * n {
                 theta += row[k] * (state[k] - reference[k]);
                 dtheta += row[k] * if k < 2 * n { state[n + k] } else { jerk[k - 2 * n] };
@@ -255,8 +265,11 @@ impl Report for JerkMeasurement {
 /// Motor positions with their rates: numbers that carry the derivative along time.
 #[derive(Clone, Debug)]
 struct Motors {
+    /// One motor position a joint.
     channels: Vec<Channel>,
+    /// Their predictions and Jacobian, with the rate of everything.
     evaluation: Evaluation<Dual<1>>,
+    /// (q, q̇, q̈) with rates (q̇, q̈, jerk).
     state: Vec<Dual<1>>,
     /// Scratch of the signatures.
     rates: Vec<Dual<1>>,
@@ -322,6 +335,7 @@ impl Motors {
             let Channel::MotorVelocity(j) = *channel else { continue };
             let row = &self.evaluation.jacobian[j * 3 * n..][..3 * n];
             for (k, out) in out.jacobian[i * 3 * n..][..3 * n].iter_mut().enumerate() {
+                // ∂ẋ/∂x shifts by one block: q's rate is q̇, q̇'s is q̈; jerk does not depend on the state.
                 *out = row[k].gradient[0] + if k < n { 0.0 } else { row[k - n].value };
             }
         }

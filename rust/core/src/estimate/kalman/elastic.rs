@@ -70,6 +70,44 @@ pub struct ElasticSettings {
 /// (Ulrich and Sasiadek 2011, with every sensor that a log can have).
 ///
 /// θ and θ̇ are those of the elastic joints: the motor of a rigid one moves as its link.
+///
+/// ```
+/// use linkside_core::estimate::kalman::{
+///     Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterSettings, Inputs,
+///     KalmanSample,
+/// };
+/// use linkside_core::estimate::measurement::Kind;
+///
+/// let robot = std::sync::Arc::new(linkside_core::demo::arm()?);
+/// let settings = ElasticSettings {
+///     kinds: vec![Kind::Motor],
+///     disturbances: false,
+///     biased: vec![false],
+///     held: true, // the amplifier holds its torque between samples
+///     discretization: Discretization::Exact,
+/// };
+/// let noise = ElasticNoise {
+///     link: vec![3e-3],
+///     motor: vec![1e-2],
+///     torque: vec![1.0],
+///     disturbance_walk: vec![0.0],
+///     reading: vec![1e-5],
+///     torque_walk: vec![1.0],
+///     bias_walk: vec![0.0],
+///     bias_time: vec![f64::INFINITY],
+///     initial: vec![1e-4, 1e-3, 0.0],
+///     initial_bias: vec![0.0],
+/// };
+/// let model = ElasticModel::new(robot, &settings, noise)?;
+/// let mut filter = ExtendedKalmanFilter::new(model, FilterSettings { gate: None, iterations: 1 })?;
+/// for _ in 0..20 {
+///     let inputs = Inputs { tau: &[0.0], ..Inputs::default() };
+///     filter.step(KalmanSample { dt: 1e-3, readings: &[0.1], inputs })?;
+/// }
+/// // (q, q̇, θ, θ̇): without torque the link stays where the motor is.
+/// assert!((filter.belief().mean[0] - filter.belief().mean[2]).abs() < 1e-9);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub type ElasticModel = Paired<ElasticProcess, ElasticMeasurement>;
 
 impl ElasticModel {
@@ -118,10 +156,15 @@ impl ElasticModel {
 /// Links and motors between samples.
 #[derive(Clone, Debug)]
 pub struct ElasticProcess {
+    /// Links, drives and sensors.
     robot: Arc<Robot>,
+    /// The state that is each channel's bias (channels).
     biases: Vec<Option<usize>>,
+    /// Number of all states.
     states: usize,
+    /// Densities, walks and initial uncertainties.
     noise: ElasticNoise,
+    /// The step of time with its scratch.
     transition: Transition,
     /// The latest torques that were read.
     tau: Vec<f64>,
@@ -136,6 +179,7 @@ pub struct ElasticProcess {
 }
 
 impl ElasticProcess {
+    /// How biases wander over a step.
     fn drift(&self) -> Biases<'_> {
         Biases { states: &self.biases, walk: &self.noise.bias_walk, time: &self.noise.bias_time }
     }
@@ -155,6 +199,8 @@ impl ElasticProcess {
             transition.torque[j] = noise.torque[j] * noise.torque[j];
             if let Some(first) = transition.layout.disturbance {
                 let (state, walk) = (first + j, noise.disturbance_walk[j]);
+                // The disturbance carries the outage: it is a state, so that what it grew to is estimated while the
+                // torque is gone.
                 transition.noise.set_density(state, (walk * walk + wander * wander).sqrt());
                 if gone && *age == 0.0 {
                     outage[j] = (belief.mean[state], belief.covariance.at(state, state));
@@ -162,6 +208,8 @@ impl ElasticProcess {
                     transition.replaced.push((state, outage[j].1 + walk * walk * (*age + dt)));
                 }
             } else {
+                // A walk of density w has, integrated over the age a, the variance w² a³/3: what is added over this
+                // step, spread over it as a constant torque of that effect on velocity.
                 let grown = (*age + dt) * (*age + dt) * (*age + dt) - *age * *age * *age;
                 transition.torque[j] += wander * wander * grown / (3.0 * dt * dt);
             }
@@ -184,10 +232,12 @@ impl ElasticProcess {
     }
 
     #[inline(always)]
+    /// Whether a disturbance is again what it was before its torque's outage.
     fn is_replaced(&self, state: usize) -> bool {
         self.transition.replaced.iter().any(|(replaced, _)| *replaced == state)
     }
 
+    /// Links and motors at rest at these positions, everything independent.
     fn initial(&self, q: &[f64], theta: &[f64]) -> Gaussian {
         let (n, layout) = (self.robot.len(), &self.transition.layout);
         let (position, rest) = self.noise.initial.split_at(n);
@@ -238,6 +288,7 @@ impl Process for ElasticProcess {
         if let Some(joint) = theta.iter().position(|x| x.is_nan()) {
             return Err(DesignError::NoStart { joint });
         }
+        // At rest θ is known by its reading and q hangs behind it, by the torsion that gravity asks for.
         let q = link_position_at_rest(&self.robot, theta)?;
         *belief = self.initial(&q, theta);
         self.resume(sample, belief);
@@ -254,6 +305,7 @@ impl Process for ElasticProcess {
     fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
         self.expect_torques(belief, sample.inputs.tau, sample.dt);
         self.take_torques(sample.inputs.tau);
+        // A held torque is in the log at the end of the step in which it acted.
         let before = if self.held { &self.after } else { &self.before };
         self.transition.advance(&self.robot, belief, (before, &self.after), sample.dt);
         let first = self.transition.layout.disturbance.unwrap_or(0);

@@ -15,17 +15,23 @@ use std::sync::Arc;
 /// See the module.
 #[derive(Clone, Debug)]
 pub struct ElasticMeasurement {
+    /// Links, drives and sensors.
     robot: Arc<Robot>,
+    /// Where in the state each joint's numbers are.
     layout: ElasticLayout,
+    /// Accelerations and derivatives where the channels were last looked at.
     dynamics: ElasticDynamics,
+    /// What is measured, in the order of the readings, and which state is its bias.
     channels: Vec<Channel>,
     biases: Vec<Option<usize>>,
     /// One reading's standard deviation (channels).
     reading: Vec<f64>,
+    /// h (channels), and ∂h/∂x (channels × dense).
     prediction: Vec<f64>,
     jacobian: Vec<f64>,
     /// Motor torques at the sample.
     tau: Vec<f64>,
+    /// ∂q̈/∂p and ∂θ̈/∂p of numbers that are known to a tolerance only.
     pub(super) sensitivity: ElasticSensitivity,
     /// Where the channels are linearised.
     reference: Vec<f64>,
@@ -169,6 +175,7 @@ impl Report for ElasticMeasurement {
     fn report(&mut self, memory: &[f64], state: &[f64], i: usize, out: &mut FilterOutput) {
         let Self { robot, layout, dynamics, .. } = self;
         let n = robot.len();
+        // q̈ is no state here: what is reported follows from the state and the torques at the sample.
         dynamics.accelerate(robot, layout, &state[..layout.dense], memory);
         let row = i * n..(i + 1) * n;
         out.q[row.clone()].copy_from_slice(&state[..n]);

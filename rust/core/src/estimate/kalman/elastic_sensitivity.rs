@@ -13,7 +13,9 @@ use crate::robot::Robot;
 /// τ, −friction and −B θ̈ on a motor, of a rotor on all that carry it. Accelerations follow from all of them at once.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ElasticSensitivity {
+    /// One column each.
     tolerances: Vec<Tolerance>,
+    /// Numbers between rows: parameters, padded.
     stride: usize,
     /// ∂q̈/∂p (n × stride).
     pub(super) links: Vec<f64>,
@@ -30,10 +32,12 @@ impl ElasticSensitivity {
         Self { tolerances, stride, links, motors, transmitted }
     }
 
+    /// The parameters, in the order of the columns.
     pub(super) fn tolerances(&self) -> &[Tolerance] {
         &self.tolerances
     }
 
+    /// Whether every number of the robot is taken to be exact.
     pub(super) fn is_empty(&self) -> bool {
         self.tolerances.is_empty()
     }

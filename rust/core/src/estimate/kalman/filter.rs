@@ -41,16 +41,58 @@ pub(crate) struct Fit {
 ///
 /// Readings with independent noise are used one after the other, which equals using them at once, needs no matrix
 /// inverse, and makes a missing one a loop that runs once less.
+///
+/// ```
+/// use linkside_core::estimate::kalman::{
+///     ExtendedKalmanFilter, FilterSettings, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanSample,
+/// };
+/// use linkside_core::estimate::measurement::Kind;
+///
+/// // The jerk-driven model: the state is (q, q̇, q̈), motor positions and accelerometers measure it.
+/// let robot = std::sync::Arc::new(linkside_core::demo::arm()?);
+/// let model = JerkModel::new(robot, &[Kind::Motor, Kind::Acceleration], &[false; 4])?;
+/// let noise = JerkNoise {
+///     jerk: vec![100.0],
+///     link_walk: vec![0.0; 2],
+///     reading: vec![1e-5, 0.05, 0.05, 0.05],
+///     torsion: 1e-3,
+///     bias_walk: vec![0.0; 4],
+///     bias_time: vec![f64::INFINITY; 4],
+///     initial: vec![1e-4, 1e-3, 0.1],
+///     initial_bias: vec![0.0; 4],
+/// };
+/// let settings = FilterSettings { gate: None, iterations: 1 };
+/// let mut filter = ExtendedKalmanFilter::new(JerkDriven::new(model, noise, false)?, settings)?;
+///
+/// // In a control loop: once a sample, NaN for a reading that is missing.
+/// let inputs = Inputs { jerk: &[0.0], dtheta: &[f64::NAN], ..Inputs::default() };
+/// for acceleration in [[0.0, 0.0, 9.81], [f64::NAN; 3], [0.0, 0.0, 9.81]] {
+///     let [x, y, z] = acceleration;
+///     filter.step(KalmanSample { dt: 1e-3, readings: &[0.1, x, y, z], inputs })?;
+/// }
+/// let belief = filter.belief();
+/// assert!((belief.mean[0] - 0.1).abs() < 1e-9 && belief.covariance.at(0, 0).sqrt() < 1e-5);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct ExtendedKalmanFilter<M> {
+    /// Process and measurement, with what they keep from one sample to the next.
     pub(super) model: M,
+    /// Gate and number of iterations.
     settings: FilterSettings,
+    /// Mean and covariance: predicted between the two halves of a step, corrected after it.
     pub(super) belief: Gaussian,
+    /// The belief before a sample's readings, for iterations to begin from.
     prior: Gaussian,
+    /// Scratch and outcome of the last measurement update.
     pub(super) correction: Correction,
+    /// Sensitivities to parameters that are known to a tolerance; none where nothing is uncertain.
     pub(super) consider: Option<Consider>,
+    /// The judge of innovations; none where it was switched off.
     monitor: Option<Monitor>,
+    /// Kinematics of the tool centre point, for its standard deviations.
     pub(super) tool: Tool,
+    /// What the model remembers of the last sample, for the row of an estimate.
     memory: Vec<f64>,
     /// Samples taken, for messages.
     taken: usize,
@@ -204,6 +246,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
     }
 
     #[inline(always)]
+    /// Whether the sample left an estimate. The covariance is not looked at: what spoils it spoils the next mean.
     fn is_finite(&self) -> bool {
         self.correction.log_likelihood.is_finite() && self.belief.mean.iter().all(|x| x.is_finite())
     }
@@ -266,6 +309,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         }
     }
 
+    /// One measurement update of the present belief, channels linearised where they last were.
     fn update(&mut self, readings: &[f64], gate: Option<f64>) {
         let Self { model, correction, belief, .. } = self;
         M::update_phase(Update { model: &*model, correction, belief, readings, gate });
@@ -365,6 +409,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         Ok(out)
     }
 
+    /// Differences of readings and predictions with their standard deviations, into row `at`.
     fn report_innovations(&mut self, at: usize, sample: &KalmanSample<'_>, out: &mut FilterOutput) {
         self.linearise();
         let m = sample.readings.len();
@@ -372,6 +417,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         self.correction.compare(&self.model, &self.belief, sample.readings, innovation, std);
     }
 
+    /// The belief into row `i`: links, motors and tool, and the `whole` state where asked for.
     fn report(&mut self, i: usize, out: &mut FilterOutput, whole: bool) {
         let Self { model, belief: Gaussian { mean, covariance }, memory, tool, .. } = self;
         memory.clear();

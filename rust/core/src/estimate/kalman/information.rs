@@ -11,13 +11,16 @@ use crate::linear;
 /// Λ and the scratch of what is done with it.
 #[derive(Clone, Debug)]
 pub(super) struct Information {
+    /// Λ (states × states).
     pub(super) matrix: Symmetric,
     /// Rows of the root of a step's noise, at most one a state (states, padded).
     pub(super) noise: Vec<f64>,
+    /// Λ g of each row of noise over the root of its s, and half of that.
     projections: Vec<f64>,
     halves: Vec<f64>,
     /// S with S Sᵀ = P.
     root: Vec<f64>,
+    /// Sᵀ, and Sᵀ Λ.
     turned: Vec<f64>,
     product: Vec<f64>,
     /// 1 + Sᵀ Λ S, then its root.
@@ -105,6 +108,7 @@ impl Information {
     pub(super) fn smooth(&mut self, predicted: &[f64], rows: usize, out: &mut [f64]) {
         let Self { matrix, root, turned, product, gram, solved, .. } = self;
         let Symmetric { n, stride, ref data } = *matrix;
+        // P = S Sᵀ; a state without variance leaves a column of zeros and stays without.
         root[..n * stride].copy_from_slice(&predicted[..n * stride]);
         linear::cholesky(root, n, stride);
         for i in 0..n {
@@ -114,11 +118,13 @@ impl Information {
         }
         linear::product(&turned[..n * stride], stride, data, stride, product);
         linear::product(&product[..n * stride], stride, root, stride, gram);
+        // 1 + Sᵀ Λ S has eigenvalues of 1 and more: its root exists whatever P and Λ are.
         for i in 0..n {
             gram[i * stride + i] += 1.0;
         }
         linear::cholesky(gram, n, stride);
         for r in 0..rows {
+            // C y = Sᵀ e_r; then P̂ is the Gram matrix of these, positive by construction.
             let y = &mut solved[r * stride..][..stride];
             for i in 0..n {
                 let known = linear::dot(&gram[i * stride..][..i], &y[..i]);

@@ -14,10 +14,13 @@ use std::sync::Arc;
 /// State (q, q̇, q̈, biases) and the channels that measure it (Axelsson, Karlsson and Norrlöf 2012, eqs. (9)–(17)).
 #[derive(Clone, Debug)]
 pub struct JerkModel {
+    /// Links, drives and sensors.
     pub(crate) robot: Arc<Robot>,
+    /// What is measured, in the order of the readings.
     pub(crate) channels: Vec<Channel>,
     /// The state that is each channel's bias.
     pub(crate) biases: Vec<Option<usize>>,
+    /// 3n, and one for each bias.
     states: usize,
 }
 
@@ -140,6 +143,7 @@ impl JerkModel {
     }
 
     #[inline(always)]
+    /// Q of white jerk over the step, joint by joint, and what positions and velocities wander beside.
     fn add_process_noise(&self, p: &mut Symmetric, noise: &JerkNoise, dt: f64) {
         let (n, stride, white_jerk) = (self.joints(), p.stride, jerk_noise::covariance(dt));
         for j in 0..n {

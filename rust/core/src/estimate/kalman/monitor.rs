@@ -49,19 +49,27 @@ pub struct Finding {
 /// Tests on the innovations of a filter.
 #[derive(Clone, Debug)]
 pub(super) struct Monitor {
+    /// What each channel's readings look like by themselves (channels).
     signals: Vec<Signal>,
+    /// Whether a channel is an encoder's, which may wrap and stands still with its joint.
     turns: Vec<bool>,
+    /// Signatures of steps, over a short window and a long one.
     banks: [Bank; 2],
     /// Normalised innovations squared and readings of the last samples, in a ring.
     ring: Vec<(f64, u32)>,
+    /// Innovations in their standard deviations, less what parameters explain; NaN where not used (channels).
     residuals: Vec<f64>,
+    /// Standard deviations of the innovations, with what parameters may do to them (channels).
     std: Vec<f64>,
+    /// Scratch of the test of single channels: Λ ν and columns of L⁻¹ (channels).
     pull: Vec<f64>,
     solution: Vec<f64>,
+    /// Samples since the start, and since the last alarm.
     taken: u64,
     calm: u64,
     /// The finding that goes on.
     open: Option<usize>,
+    /// All findings since the start, at most [`MOST`].
     pub(super) findings: Vec<Finding>,
 }
 
@@ -84,6 +92,7 @@ impl Monitor {
         }
     }
 
+    /// Forgets everything: the next sample is a recording's first.
     pub(super) fn reset(&mut self) {
         self.signals.fill(Signal::NEW);
         self.banks.iter_mut().for_each(Bank::restart);
@@ -105,15 +114,18 @@ impl Monitor {
         let (nis, used) = self.load(correction, consider);
         let mut stuck = None;
         for (i, reading) in readings.iter().enumerate().filter(|(_, r)| !r.is_nan()) {
+            // 1. Each channel by itself: stuck, saturated or dead readings need no model but that the prediction moves.
             let predicted = reading - self.whole_innovation(correction, i);
             self.signals[i].take(*reading, predicted);
             if !self.turns[i] && self.signals[i].is_stuck(model.variance(i)) {
                 stuck = stuck.or(Some(i));
             }
         }
+        // 2. A step in some channel since the window began, by its signature in all of them.
         for bank in &mut self.banks {
             bank.update(model, dt, correction, consider);
         }
+        // 3. All channels together, over one sample and over windows; then the one to name.
         let row = self.windows(nis, used);
         let alarm = self.alarm(correction, consider, nis, stuck);
         self.taken += 1;
@@ -180,6 +192,7 @@ impl Monitor {
             let run = self.signals[channel].run;
             return Some((channel, 0.0, f64::from(run), run - 2));
         }
+        // Below that no single channel can be beyond its own bound.
         if nis > DEVIATIONS * DEVIATIONS {
             let (channel, size, deviations) = self.isolate(correction);
             if deviations > DEVIATIONS && deviations * deviations > MOST_OF * nis {
@@ -195,6 +208,7 @@ impl Monitor {
     #[inline(always)]
     fn isolate(&mut self, correction: &Correction) -> (usize, f64, f64) {
         let (m, factors) = (self.signals.len(), &correction.factors);
+        // Λ ν = L⁻ᵀ D⁻¹ e by back substitution: the factors that the sequential update left are those of S = L D Lᵀ.
         for i in (0..m).rev() {
             self.pull[i] = if self.residuals[i].is_finite() { self.residuals[i] / self.std[i] } else { 0.0 };
             for k in (i + 1..m).filter(|&k| self.residuals[k].is_finite()) {
@@ -204,6 +218,7 @@ impl Monitor {
         let mut worst = (0, 0.0, 0.0);
         for c in (0..m).filter(|&c| self.residuals[c].is_finite()) {
             let mut precision = 0.0;
+            // Λ_cc = ‖D^(−1/2) L⁻¹ e_c‖², column c of L⁻¹ by forward substitution.
             for k in (c..m).filter(|&k| self.residuals[k].is_finite()) {
                 self.solution[k] = if k == c { 1.0 } else { 0.0 };
                 for j in (c..k).filter(|&j| self.residuals[j].is_finite()) {
@@ -241,16 +256,19 @@ impl Monitor {
         let finding = &mut self.findings[open];
         finding.until = now;
         let Some(channel) = finding.channel else { return Status::CONTRADICTED };
+        // A step may turn out as another kind while it goes on: a turned sign shows only when the robot moves.
         if finding.fault == Fault::Step && now < finding.since + 2 * CALM {
             finding.fault = self.signals[channel].fault(f64::INFINITY, self.turns[channel], now - finding.since);
         }
         Status::CONTRADICTED | Status::FAULTY
     }
 
+    /// The channel of the finding that goes on.
     fn open_channel(&self) -> Option<usize> {
         self.open.and_then(|open| self.findings[open].channel)
     }
 
+    /// Opens a finding, or again the one of the same channel and kind: a fault that comes and goes is one line.
     fn push(&mut self, finding: Finding) {
         let known = self.findings.iter().position(|f| f.channel == finding.channel && f.fault == finding.fault);
         self.open = known.or_else(|| {
@@ -272,6 +290,7 @@ pub fn largest_nis(used: f64) -> f64 {
 /// Bound of a sum of squares of `count` normal numbers, of which `correlated` ones move together, at [`DEVIATIONS`]
 /// (E. B. Wilson and M. M. Hilferty 1931).
 fn bound(count: f64, correlated: f64) -> f64 {
+    // (χ²/f)^(1/3) is nearly normal, with mean 1 − 2/(9 f) and variance 2/(9 f): no table, no iteration.
     let f = (count / correlated).max(1.0);
     let cube = 1.0 - 2.0 / (9.0 * f) + DEVIATIONS * (2.0 / (9.0 * f)).sqrt();
     f * correlated * cube * cube * cube

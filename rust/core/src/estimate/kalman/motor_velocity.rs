@@ -10,13 +10,17 @@ const LASTING: f64 = 16.0;
 /// Causal: a filter gives the same live as over a recording.
 #[derive(Clone, Debug)]
 pub(super) struct MotorVelocity {
+    /// How many.
     motors: usize,
     /// Times before the latest sample, and positions, the latest first.
     ages: [f64; SAMPLES],
+    /// Positions at these ages (SAMPLES × motors), NaN where missing.
     positions: Vec<f64>,
+    /// How many of them there are yet.
     count: usize,
     /// Mean squares of what is left of positions (motors), and samples that they are of.
     scatters: Vec<f64>,
+    /// Samples that a parabola could be put through.
     taken: f64,
     /// Time since the latest positions, while samples without any pass.
     pending: f64,
@@ -35,6 +39,7 @@ impl MotorVelocity {
         }
     }
 
+    /// Forgets all positions.
     pub(super) fn reset(&mut self) {
         (self.count, self.taken, self.pending) = (0, 0.0, 0.0);
         self.scatters.fill(0.0);
@@ -79,6 +84,7 @@ impl MotorVelocity {
         let span = self.ages[self.count.max(1) - 1];
         let there = |i: &usize| !self.positions[i * self.motors + j].is_nan();
         let first = (0..self.count).find(there)?;
+        // Positions from the latest one, ages in the whole span: sums of powers that keep their digits.
         let from = self.positions[first * self.motors + j];
         let at = |i: usize| (self.ages[i] / span, self.positions[i * self.motors + j] - from);
         let (mut sums, mut right, mut square, mut count) = ([0.0; 5], [0.0; 3], 0.0, 0.0);
@@ -97,6 +103,7 @@ impl MotorVelocity {
         }
         let inverse = inverse(sums);
         let parabola = inverse.map(|row| row[0] * right[0] + row[1] * right[1] + row[2] * right[2]);
+        // What is left about the parabola, over its degrees of freedom, is the variance of a position.
         let explained: f64 = parabola.iter().zip(right).map(|(c, r)| c * r).sum();
         let scatter = &mut self.scatters[j];
         *scatter += ((square - explained).max(0.0) / (count - 3.0) - *scatter) / self.taken.min(LASTING);

@@ -33,11 +33,14 @@ const QUIET: f64 = 0.3;
 /// One channel's readings so far.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Signal {
+    /// The last reading; NaN before the first.
     last: f64,
     /// How often the last reading has come in a row, and how far its prediction has moved meanwhile.
     pub(super) run: u32,
+    /// Prediction when this run began, and how far it has moved since.
     from: f64,
     moved: f64,
+    /// Of all readings, without sign: the end of the range, as far as is known.
     largest: f64,
     /// Σ y ŷ and Σ ŷ² of the latest readings.
     product: f64,
@@ -52,6 +55,7 @@ pub(super) struct Signal {
 }
 
 impl Signal {
+    /// Before the first reading.
     pub(super) const NEW: Self = Self {
         last: f64::NAN,
         run: 0,
@@ -68,6 +72,7 @@ impl Signal {
     };
 
     #[inline(always)]
+    /// Takes a reading and its prediction. Equal to the last bit is the same reading: noise would not do that.
     pub(super) fn take(&mut self, reading: f64, predicted: f64) {
         if reading == self.last {
             self.run += 1;
@@ -79,6 +84,7 @@ impl Signal {
         self.moved = (predicted - self.from).abs();
         self.last = reading;
         self.largest = self.largest.max(reading.abs());
+        // Of the last ten readings or so: a turned sign makes Σ y ŷ negative, whatever the size.
         self.product = 0.9 * self.product + reading * predicted;
         self.power = 0.9 * self.power + predicted * predicted;
     }
@@ -119,6 +125,7 @@ impl Signal {
             let at_end = self.last.abs() >= self.largest * (1.0 - 1e-9);
             return if at_end { Fault::Saturated } else { Fault::Stuck };
         }
+        // y/(y − jump) is the ratio to what was expected: −1 where the sign turned at the jump.
         let onset = self.last / (self.last - size);
         let lasting = self.product / self.power.max(f64::MIN_POSITIVE);
         if (onset + 1.0).abs() < 0.1 || (lasting + 1.0).abs() < 0.2 { Fault::Flipped } else { Fault::Step }

@@ -24,22 +24,31 @@ use crate::simd::Kernel;
 /// What the filter knew at each sample of a stretch.
 #[derive(Clone, Debug)]
 pub(super) struct History {
+    /// Number of states, and of numbers from one padded row to the next.
     states: usize,
     stride: usize,
+    /// Time before each sample [s].
     dt: Vec<f64>,
+    /// x⁻, states a sample.
     means: Vec<f64>,
+    /// P⁻, states × stride a sample: the lion's share of the memory.
     covariances: Vec<f64>,
+    /// H, channels × dense a sample.
     jacobians: Vec<f64>,
+    /// Gains of each reading, channels × stride a sample.
     gains: Vec<f64>,
+    /// Value and variance of each reading's innovation, after the readings before it.
     innovations: Vec<Innovation>,
     /// Variance of each reading's own noise.
     variances: Vec<f64>,
     /// What the model remembers.
     memories: Vec<f64>,
+    /// Sensitivities to parameters; empty where nothing is uncertain.
     consider: ConsiderHistory,
 }
 
 impl History {
+    /// Room for `count` samples, all of it at once: a recording that is too long says so before it starts.
     fn with_capacity(count: usize, model: &impl Model, stride: usize) -> Result<Self, DesignError> {
         let (d, m, states) = (model.dense(), model.channels(), model.states());
         Ok(Self {
@@ -77,6 +86,7 @@ impl History {
         &self.gains[i * size..][..size]
     }
 
+    /// Keeps x⁻ and P⁻, after a sample's time update.
     pub(super) fn push_prediction(&mut self, dt: f64, belief: &Gaussian, consider: Option<&Consider>) {
         if let Some(consider) = consider {
             self.consider.push_prediction(consider);
@@ -86,6 +96,7 @@ impl History {
         self.covariances.extend_from_slice(&belief.covariance.data[..self.states * self.stride]);
     }
 
+    /// Keeps rows of H, gains and innovations, after a sample's measurement update.
     pub(super) fn push_update(&mut self, model: &impl Model, correction: &Correction, consider: Option<&Consider>) {
         if let Some(consider) = consider {
             self.consider.push_update(consider);
@@ -102,22 +113,58 @@ impl History {
 ///
 /// The filter's history is kept for one stretch of the recording at a time: a first pass leaves a belief at the start
 /// of each, and each is filtered again on the way back. Memory is bounded by the stretch, whatever the recording's length.
+///
+/// ```
+/// use linkside_core::estimate::kalman::{
+///     ExtendedKalmanFilter, FilterSettings, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanRecording, Keep, Smoother,
+/// };
+/// use linkside_core::estimate::measurement::Kind;
+///
+/// let robot = std::sync::Arc::new(linkside_core::demo::arm()?);
+/// let model = JerkModel::new(robot, &[Kind::Motor], &[false])?;
+/// # let noise = JerkNoise {
+/// #     jerk: vec![100.0], link_walk: vec![0.0; 2], reading: vec![1e-5], torsion: 1e-3, bias_walk: vec![0.0],
+/// #     bias_time: vec![f64::INFINITY], initial: vec![1e-4, 1e-3, 0.1], initial_bias: vec![0.0],
+/// # };
+/// let settings = FilterSettings { gate: None, iterations: 1 };
+/// let mut filter = ExtendedKalmanFilter::new(JerkDriven::new(model, noise, false)?, settings)?;
+///
+/// let theta: Vec<f64> = (0..200).map(|i| 0.1 * (0.01 * f64::from(i)).sin()).collect();
+/// let (zero, nan) = (vec![0.0; 200], vec![f64::NAN; 200]);
+/// let inputs = Inputs { jerk: &zero, dtheta: &nan, ..Inputs::default() };
+/// let recording = KalmanRecording { dt: &[1e-3; 200], readings: &theta, inputs };
+/// let smoothed = Smoother::new(&filter).run(recording, Keep::default())?;
+/// let filtered = filter.run(recording, Keep::default())?;
+///
+/// // Later readings narrow every estimate but the last, after which there is none.
+/// assert!(smoothed.q_std[100] < filtered.q_std[100]);
+/// assert!((smoothed.q[199] - filtered.q[199]).abs() < 1e-12);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Smoother<M> {
+    /// The filter as it is before a recording: model, noise and settings.
     filter: ExtendedKalmanFilter<M>,
+    /// λ, the adjoint state (padded).
     lambda: Vec<f64>,
+    /// Λ, what this and later readings say of the state.
     information: Information,
     /// One padded row for each reading: h, and −h/2r.
     rows: Vec<f64>,
     halves: Vec<f64>,
+    /// x̂ (states).
     mean: Vec<f64>,
+    /// P̂, of q or of the whole state (states × stride).
     smoothed: Vec<f64>,
+    /// The way back of the sensitivities to parameters.
     consider: Option<ConsiderBack>,
 }
 
 /// Past sample `i`'s readings, and the smoothed estimate there.
 pub(super) struct SmoothBack<'a, M> {
+    /// With λ and Λ from after the sample's readings.
     smoother: &'a mut Smoother<M>,
+    /// Of the stretch that the sample is in.
     history: &'a History,
     i: usize,
     whole: bool,
@@ -329,6 +376,7 @@ impl<M: Phases> Smoother<M> {
         }
     }
 
+    /// The smoothed estimate into row `i`; motors as the filter remembered them there.
     fn report(&mut self, history: &History, i: usize, out: &mut FilterOutput, whole: bool) {
         let Self { filter, mean, smoothed: covariance, lambda, .. } = self;
         let ExtendedKalmanFilter { model, tool, .. } = filter;

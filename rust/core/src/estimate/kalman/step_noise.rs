@@ -23,11 +23,13 @@ pub(super) struct StepNoise {
     covariance: Symmetric,
     /// One row for each node and source, of the quadrature's factor.
     rows: Vec<f64>,
+    /// The same rows, each times −h/2 of its node's weight: `subtract_outer` then adds w h l lᵀ.
     halves: Vec<f64>,
     /// ∫ e^(As) ds over the substep.
     integral: Vec<f64>,
     /// Ψ, one row an input; torques are the first.
     inputs: Vec<f64>,
+    /// Scratch: one input's rate, or Ψ before a doubling.
     before: Vec<f64>,
 }
 
@@ -75,7 +77,9 @@ impl StepNoise {
     #[inline(always)]
     pub(super) fn term(&mut self, k: usize, term: &[f64]) {
         let (d, stride) = (self.covariance.n, self.covariance.stride);
+        // ∫₀¹ sᵏ ds = 1/(k + 1).
         linear::add_scaled(&mut self.integral, 1.0 / (k + 1) as f64, term);
+        // e^(A x h) = Σ xᵏ (A h)ᵏ/k! at each node x: the exponential's own terms serve all nodes.
         let powers = NODES.map(|(x, _)| x.powi(k as i32));
         for (c, (state, density)) in self.sources.iter().enumerate() {
             for (node, power) in powers.iter().enumerate() {

@@ -18,9 +18,13 @@ const MOST: u32 = 12;
 /// Scratch of a step of time.
 #[derive(Clone, Debug)]
 pub(super) struct Transition {
+    /// Where in the state each joint's numbers are.
     pub(super) layout: ElasticLayout,
+    /// Accelerations and their derivatives where the model was last looked at.
     pub(super) dynamics: ElasticDynamics,
+    /// How Φ comes of A.
     discretization: Discretization,
+    /// Q and the responses to torques, built up beside Φ.
     pub(super) noise: StepNoise,
     /// Variance of each torque over a step (n).
     pub(super) torque: Vec<f64>,
@@ -32,14 +36,20 @@ pub(super) struct Transition {
     stride: usize,
     /// Φ, dense × dense.
     phi: Vec<f64>,
+    /// (A h)ᵏ/k!, later Φᵀ.
     term: Vec<f64>,
+    /// Scratch of products, as large as Φ.
     product: Vec<f64>,
     /// The dense rows of a covariance.
     wide: Vec<f64>,
+    /// The four slopes of Runge and Kutta.
     slopes: [Vec<f64>; 4],
+    /// The mean where the step began.
     start: Vec<f64>,
+    /// Where the dynamics are evaluated, and the torques there.
     probe: Vec<f64>,
     tau: Vec<f64>,
+    /// Scratch of columns on their way through Φ.
     carried: Vec<f64>,
     /// Where the model was last linearised.
     sensitivity: ElasticSensitivity,
@@ -111,29 +121,41 @@ impl Transition {
             self.interpolate(torques, 0.0);
             self.linearise(robot);
         }
+        // So many halvings that the fastest mode turns by no more than ANGLE in a substep: for the mean that is
+        // accuracy (the rule of Runge and Kutta is of order 4), for the covariance the radius within which the
+        // exponential's series is short.
         let short = |k: &u32| f64::from(1_u32 << k) * ANGLE < dt * self.fastest;
         let doublings = (0..MOST).take_while(short).count() as u32;
         let (substeps, length) = (1_u32 << doublings, 1.0 / f64::from(1_u32 << doublings));
+        // The mean, nonlinear and in substeps; the covariance below, once, about the middle of what the mean went
+        // through.
         for i in 0..substeps {
             self.integrate(robot, &mut belief.mean[..d], torques, f64::from(i) * length, length, dt * length);
         }
         match self.discretization {
+            // As printed: Φ = 1 + A dt at the step's beginning, whatever the stiffness.
             Discretization::FirstOrder => self.expand(robot, dt, 1),
             Discretization::Exact => {
+                // A at the middle of the step: Φ is then of second order in what A changes by.
                 for ((probe, a), b) in self.probe.iter_mut().zip(&self.start).zip(&belief.mean) {
                     *probe = 0.5 * (a + b);
                 }
                 self.interpolate(torques, 0.5);
                 self.linearise(robot);
+                // Scaling and squaring (Higham 2005) with Q beside: series over one substep, then doubled to the whole
+                // step.
                 self.expand(robot, dt * length, TERMS);
                 self.square(doublings);
             }
         }
+        // A torque's reading is one number for the whole step: its noise enters by Ψ Ψᵀ and not as white noise.
         self.noise.add_torques(&self.torque);
+        // A disturbance that ends with an outage: no longer correlated with anything, so its row of Φ goes as well.
         for &(state, variance) in &self.replaced {
             self.noise.replace(state, variance);
             self.phi[state * self.stride..][..d].fill(0.0);
         }
+        // P ← Φ P Φᵀ + Q, biases beyond the dense states included.
         self.congruence(&mut belief.covariance, false);
         let (p, q) = (&mut belief.covariance, self.noise.covariance());
         for (row, noise) in p.data.chunks_exact_mut(p.stride).zip(q.data.chunks_exact(q.stride)) {
@@ -201,6 +223,7 @@ impl Transition {
         let Self { layout, dynamics, noise, stride, phi, term, product, .. } = self;
         let d = &layout.dense;
         noise.clear();
+        // k = 0: the identity.
         for matrix in [&mut *phi, &mut *term] {
             matrix.fill(0.0);
             for i in 0..*d {
@@ -216,6 +239,7 @@ impl Transition {
             linear::add_scaled(phi, 1.0, term);
             noise.term(k, term);
         }
+        // Inputs: torques, then, where parameters count, unit rates of links' and of motors' velocities.
         let n = layout.joints;
         noise.substep(h, |input, rate| match input / n {
             0 => dynamics.rate_by_torque_into(robot, layout, input, rate),
@@ -269,6 +293,7 @@ impl Transition {
         for (row, values) in self.term.chunks_exact_mut(stride).zip(memory[d * d..].chunks_exact(d)) {
             row[..d].copy_from_slice(values);
         }
+        // Q of a step may be singular, where a state has no noise of its own: such a column is zero.
         linear::cholesky(&mut self.term, d, stride);
         for (i, row) in self.term.chunks_exact(stride).enumerate() {
             for (c, value) in row[..=i].iter().enumerate() {

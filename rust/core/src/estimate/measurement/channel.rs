@@ -102,6 +102,7 @@ impl Kind {
     }
 }
 
+/// A channel for each recorded axis of each sensor.
 fn axes<'a>(sensors: impl Iterator<Item = &'a Vec<usize>>, channel: impl Fn(usize, usize) -> Channel) -> Vec<Channel> {
     let of = |(sensor, axes): (usize, &'a Vec<usize>)| axes.iter().map(move |&axis| (sensor, axis));
     sensors.enumerate().flat_map(of).map(|(sensor, axis)| channel(sensor, axis)).collect()

@@ -63,8 +63,11 @@ impl<T: Scalar> Sensing<T> for Kinematics<T> {
 /// Motion and loads with all their derivatives, and room for them.
 #[derive(Clone, Debug)]
 pub(crate) struct LinkMotion<T> {
+    /// Frames and motion of all bodies.
     pub(crate) kinematics: Kinematics<T>,
+    /// Composite inertias and forces.
     loads: Loads<T>,
+    /// τ = M q̈ + C q̇ + g (n) [N m], and its derivatives by q, q̇ and q̈ (n × n each).
     pub(crate) tau: Vec<T>,
     pub(crate) by_q: Vec<T>,
     pub(crate) by_dq: Vec<T>,
@@ -155,7 +158,9 @@ impl<T: Scalar> Sensing<T> for LinkMotion<T> {
 /// Motion and loads without derivatives, by half the work.
 #[derive(Clone, Debug)]
 pub(crate) struct PlainMotion<T> {
+    /// The recursion in body frames.
     motion: NewtonEuler<T>,
+    /// The torques that it finds (n) [N m].
     tau: Vec<T>,
 }
 

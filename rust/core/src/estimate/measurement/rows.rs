@@ -18,6 +18,7 @@ pub(crate) fn read<T: Scalar>(
         Channel::Motor(j) => view.motor(robot, j, row, wanted),
         Channel::MotorVelocity(j) => view.motor_velocity(robot, j, row, wanted),
         Channel::Torque(j) => view.joint_torque(robot, j, row, wanted),
+        // A link encoder reads q itself, a tachometer q̇: one entry of the row, whatever the model.
         Channel::Link(j) => {
             wanted.value(row, view.link(robot, j)[0]);
             wanted.add(row, j, [T::constant(1.0), T::default()]);
@@ -26,6 +27,7 @@ pub(crate) fn read<T: Scalar>(
             wanted.value(row, view.link(robot, j)[1]);
             wanted.add(row, j, [T::default(), T::constant(1.0)]);
         }
+        // All axes of a sensor at once, as they share its kinematics; `read_all` skips the others.
         Channel::Acceleration { sensor, .. } => {
             view.links().specific_force(robot, sensor, row, wanted);
             return robot.accelerometers[sensor].axes.len();

@@ -54,11 +54,13 @@ impl<T: Scalar> Springs<T> for OfDrives {
 /// Links moved by jerk: a motor stands where the torque that its link needs twists the spring to
 /// (Axelsson, Karlsson and Norrlöf 2012, eqs. (12)–(17)).
 pub(crate) struct Driven<'a, T, L, S> {
+    /// Motion and loads at the state.
     pub(crate) links: &'a L,
     /// (q, q̇, q̈).
     pub(crate) state: &'a [T],
     /// Motor velocities for the damping torque (n), NaN to leave it out.
     pub(crate) dtheta: &'a [f64],
+    /// How springs twist: as the robot's drives do, or as parameters under calibration say.
     pub(crate) springs: &'a S,
 }
 
@@ -93,6 +95,7 @@ impl<T: Scalar, L: Sensing<T> + Loading<T>, S: Springs<T>> View<T> for Driven<'_
         };
         let (torsion, compliance) = self.springs.twist(drive, j, self.links.load(j) + friction - rate * damping);
         wanted.value(row, q + torsion);
+        // ∂θ/∂x = ∂q/∂x + (∂r/∂x)/φ'(δ), r the torque on the spring; friction and damping add theirs to ∂r/∂q̇.
         self.links.load_columns(j, compliance, row, wanted);
         wanted.add(row, j, [one, compliance * (slope + damping)]);
     }
@@ -114,14 +117,17 @@ impl<T: Scalar, L: Sensing<T> + Loading<T>, S: Springs<T>> View<T> for Driven<'_
 
 /// Links and motors moved by motor torques (Ulrich and Sasiadek 2011): motors are states, accelerations functions of them.
 pub(crate) struct Elastic<'a> {
+    /// Where in the state each joint's numbers are.
     pub(crate) layout: &'a ElasticLayout,
     /// After `accelerate` at the state; its kinematics set with the accelerations.
     pub(crate) dynamics: &'a ElasticDynamics,
+    /// (q, q̇, θ, θ̇, disturbance torques).
     pub(crate) state: &'a [f64],
 }
 
 impl Elastic<'_> {
     #[inline(always)]
+    /// A channel that reads one entry of the state.
     fn entry(&self, index: usize, row: usize, wanted: &mut impl Wanted<f64>) {
         wanted.value(row, self.state[index]);
         wanted.entry(row, index, 1.0);
@@ -168,6 +174,7 @@ impl View<f64> for Elastic<'_> {
             wanted.entry(row, first + j, 1.0);
         }
         for (i, coupling) in self.dynamics.coupling(j) {
+            // τ_J = τ − f − B q̈ − (Sᵀ q̈)ⱼ, S perhaps a function of the posture.
             let [by_q, by_dq] = self.dynamics.joint_torque_by(robot, j, i);
             wanted.columns(row, i, [by_q, by_dq, -coupling]);
         }

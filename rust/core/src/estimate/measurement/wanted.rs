@@ -42,8 +42,11 @@ impl<T: Scalar> Wanted<T> for Values<'_, T> {
 
 /// Values and the whole Jacobian in (q, q̇, q̈), rows × 3n.
 pub(crate) struct Jacobian<'a, T> {
+    /// h (rows).
     pub(crate) prediction: &'a mut [T],
+    /// ∂h/∂(q, q̇, q̈).
     pub(crate) rows: &'a mut [T],
+    /// n.
     pub(crate) joints: usize,
 }
 
@@ -72,10 +75,14 @@ impl<T: Scalar> Wanted<T> for Jacobian<'_, T> {
 
 /// Values, and the Jacobian in a state of `dense` entries that begins with (q, q̇) and moves q̈ by `ddq_by` (n × dense).
 pub(crate) struct Chained<'a> {
+    /// h (rows).
     pub(crate) prediction: &'a mut [f64],
+    /// ∂h/∂x (rows × dense).
     pub(crate) rows: &'a mut [f64],
+    /// n, and the length of what of the state channels depend on.
     pub(crate) joints: usize,
     pub(crate) dense: usize,
+    /// ∂q̈/∂x.
     pub(crate) ddq_by: &'a [f64],
 }
 
@@ -87,6 +94,7 @@ impl Wanted<f64> for Chained<'_> {
 
     #[inline(always)]
     fn columns(&mut self, row: usize, joint: usize, [q, dq, ddq]: [f64; 3]) {
+        // The chain rule: ∂h/∂x = ∂h/∂(q, q̇) and, by way of the accelerations, ∂h/∂q̈ ∂q̈/∂x.
         self.add(row, joint, [q, dq]);
         let d = self.dense;
         linear::add_scaled(&mut self.rows[row * d..][..d], ddq, &self.ddq_by[joint * d..][..d]);

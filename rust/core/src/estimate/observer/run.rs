@@ -24,15 +24,47 @@ use std::sync::Arc;
 ///
 /// Per joint, with x = (θ, q, θ̇, q̇): the linear model B θ̈ + D(θ̇ − q̇) + K(θ − q) = τ − friction − (Sᵀq̈), q̈ measured,
 /// corrected by the motor position at each sample. A step costs O(n · channels) and allocates nothing.
+///
+/// ```
+/// use linkside_core::estimate::observer::{
+///     AccelerationObserver, AccelerationSource, Complex, Form, ObserverSample, ObserverSettings, Start,
+/// };
+///
+/// let robot = std::sync::Arc::new(linkside_core::demo::arm()?);
+/// let mut observer = AccelerationObserver::new(robot, ObserverSettings {
+///     period: 1e-3,
+///     poles: vec![[-90.0, -100.0, -110.0, -120.0].map(|pole| Complex::new(pole, 0.0)).to_vec()],
+///     bias: false,
+///     form: Form::Current,
+///     source: AccelerationSource::Sensors,
+///     worst_acceleration_std: 10.0,
+///     start: Start::Rest,
+/// })?;
+/// // In a control loop: once a period. Here the arm stands still, its motor at 0.1 rad.
+/// for _ in 0..100 {
+///     observer.step(ObserverSample { theta: &[0.1], tau: &[0.0], acceleration: &[0.0, 0.0, 9.81] })?;
+/// }
+/// assert!((observer.q()[0] - 0.1).abs() < 1e-9 && observer.dq()[0].abs() < 1e-9);
+/// assert_eq!(observer.status(), 0);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct AccelerationObserver {
+    /// Links, drives and sensors.
     robot: Arc<Robot>,
+    /// What it was made with.
     settings: ObserverSettings,
+    /// Each joint's kind of linear model (n).
     models: Vec<JointModel>,
+    /// Each joint's map over a period, and its gain (n).
     joints: Vec<Sampled>,
+    /// Each joint's gains where samples are missing and at the start (n).
     corrections: Vec<JointCorrection>,
+    /// From accelerometers to q̈.
     map: AccelerationMap,
+    /// Of the links at the predicted posture, then of the tool.
     kinematics: Kinematics<f64>,
+    /// (θ, q, θ̇, q̇, bias) of each joint (n); (θ, θ̇, θ̈, –, –) where rigid.
     state: Vec<JointState>,
     /// The state before the last innovation.
     predicted: Vec<JointState>,
@@ -40,11 +72,15 @@ pub struct AccelerationObserver {
     torque: Vec<f64>,
     /// Measured link accelerations, bias and all.
     measured: Vec<f64>,
+    /// Those of the sample before.
     previous: Vec<f64>,
+    /// What is reported: q, q̇ and q̈ (n), less their bias.
     q: Vec<f64>,
     dq: Vec<f64>,
     ddq: Vec<f64>,
+    /// Position of the tool centre point [m].
     tool: [f64; 3],
+    /// Flags of the last sample, see [`Status`].
     status: u8,
     /// Samples taken, for messages.
     taken: usize,
@@ -155,6 +191,7 @@ impl AccelerationObserver {
         Ok(())
     }
 
+    /// Refuses a sample before anything has changed.
     fn check(&self, sample: ObserverSample<'_>) -> Result<(), DesignError> {
         let ObserverSample { theta, tau, acceleration } = sample;
         let (n, m) = (self.joints(), self.channels());
@@ -169,6 +206,7 @@ impl AccelerationObserver {
         }
     }
 
+    /// Whether links still have positions and velocities.
     fn is_finite(&self) -> bool {
         self.q.iter().chain(&self.dq).all(|x| x.is_finite())
     }
@@ -179,6 +217,7 @@ impl AccelerationObserver {
     }
 
     #[inline(always)]
+    /// One period: predict, read accelerations, correct, hold.
     fn take_here(&mut self, sample: ObserverSample<'_>) -> Result<(), DesignError> {
         self.status = 0;
         if self.started {
@@ -202,6 +241,7 @@ impl AccelerationObserver {
         Ok(())
     }
 
+    /// A first sample: at rest, with gains that let the next samples say otherwise where [`Start`] is to be found out.
     fn start_from_rest(&mut self, theta: &[f64]) -> Result<(), DesignError> {
         if let Some(joint) = theta.iter().position(|x| x.is_nan()) {
             return Err(DesignError::NoStart { joint });
@@ -257,6 +297,7 @@ impl AccelerationObserver {
     }
 
     #[inline(always)]
+    /// Link accelerations by least squares from the accelerometers, at the predicted posture and velocity (eq. (12)).
     fn read_sensors(&mut self, reading: &[f64]) {
         // A prior of zero where the sensors cannot see; of what it last was where they are silent for a moment.
         let silent = self.status & Status::BRIDGED != 0;
@@ -338,6 +379,7 @@ impl AccelerationObserver {
     }
 
     #[inline(always)]
+    /// What the getters give: the corrected or the predicted state, and the tool.
     fn report(&mut self) {
         for j in 0..self.joints.len() {
             let x = self.reported(j);
@@ -353,6 +395,7 @@ impl AccelerationObserver {
     }
 
     #[inline(always)]
+    /// The state of a joint that the [`Form`] of the observer reports.
     fn reported(&self, joint: usize) -> JointState {
         match self.settings.form {
             Form::Current => self.state[joint],
@@ -452,6 +495,7 @@ impl AccelerationObserver {
         parallel::map(jobs, |&(observer, recording)| observer.clone().run(recording))
     }
 
+    /// One row more.
     fn append(&self, out: &mut ObserverOutput) {
         out.q.extend_from_slice(&self.q);
         out.dq.extend_from_slice(&self.dq);

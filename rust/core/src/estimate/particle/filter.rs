@@ -28,17 +28,58 @@ const PARALLEL: usize = 2048;
 /// Particle filter on the acceleration-driven model; a step on one thread allocates nothing.
 ///
 /// Plain, or with a part of the state [marginalised](Marginalised).
+///
+/// ```
+/// use linkside_core::estimate::kalman::{Inputs, JerkDriven, JerkModel, JerkNoise, KalmanSample};
+/// use linkside_core::estimate::measurement::Kind;
+/// use linkside_core::estimate::particle::{
+///     Collapse, Density, Marginalised, ParticleFilter, ParticleSettings, Proposal, Resampling,
+/// };
+///
+/// let robot = std::sync::Arc::new(linkside_core::demo::arm()?);
+/// let model = JerkModel::new(robot, &[Kind::Motor], &[false])?;
+/// # let noise = JerkNoise {
+/// #     jerk: vec![100.0], link_walk: vec![1e-5, 1e-3], reading: vec![1e-5], torsion: 1e-3, bias_walk: vec![0.0],
+/// #     bias_time: vec![f64::INFINITY], initial: vec![1e-4, 1e-3, 0.1], initial_bias: vec![0.0],
+/// # };
+/// let settings = ParticleSettings {
+///     particles: 500,
+///     seed: 0, // the same seed gives the same bits, on any number of threads
+///     proposal: Proposal::Linearised { iterations: 1, tail: None },
+///     resampling: Resampling::Systematic,
+///     threshold: 0.5,
+///     kernel: None,
+///     densities: vec![Density::Normal],
+///     limits: vec![(-3.0, 3.0)],
+///     initial: vec![],
+///     collapse: Collapse::Reseed,
+///     quantiles: vec![],
+/// };
+/// let mut filter = ParticleFilter::new(JerkDriven::new(model, noise, false)?, settings, Marginalised::Nothing)?;
+/// for _ in 0..50 {
+///     let inputs = Inputs { jerk: &[0.0], dtheta: &[f64::NAN], ..Inputs::default() };
+///     filter.step(KalmanSample { dt: 1e-3, readings: &[0.1], inputs })?;
+/// }
+/// assert!((filter.summary().mean[0] - 0.1).abs() < 1e-4);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct ParticleFilter {
+    /// The jerk-driven model with its noise.
     pub(super) model: JerkDriven,
+    /// Number, proposal, resampling, densities and limits.
     pub(super) settings: ParticleSettings,
+    /// Which part of the state each particle has a Gaussian of, in place of a number.
     pub(super) marginalised: Marginalised,
     /// The Kalman filter beside the cloud.
     pub(super) guard: Guard,
     /// The cloud's mean as it would move, and where motors and biases were last linearised.
     pub(super) belief: Gaussian,
+    /// The particles with their weights, in blocks that threads take one by one.
     pub(super) cloud: Cloud,
+    /// What all particles share at the present sample.
     pub(super) sample: ParticleSample,
+    /// Scratch of the linearisation that all particles share.
     shared: Shared,
     /// Whether the shared linearisation is that of each particle.
     pub(super) sharing: bool,
@@ -46,13 +87,20 @@ pub struct ParticleFilter {
     motion: Option<ProcessNoise>,
     /// Variance of each channel's bias for a given path of the links (channels), where biases alone are marginalised.
     pub(super) bias_variance: Vec<f64>,
+    /// Mean, effective number and likelihood of the last sample.
     pub(super) summary: Summary,
+    /// Moments of the weighted cloud before resampling, and of the cloud that chance made of it after.
     pub(super) wanted: Moments,
     pub(super) found: Moments,
+    /// The particle that each new one copies.
     pub(super) ancestors: Vec<u32>,
+    /// Kinematics of the tool centre point.
     pub(super) tool: Tool,
+    /// How motors were linearised at the last sample, for the row of an estimate.
     pub(super) memory: Vec<f64>,
+    /// Whether blocks go to all cores: below [`PARALLEL`] particles waking threads takes longer than the work.
     pub(super) threads: bool,
+    /// Samples taken: the step of the random numbers, and what messages count.
     pub(super) taken: usize,
     pub(super) started: bool,
     /// The belief at the first sample; none: at rest.
@@ -175,6 +223,7 @@ impl ParticleFilter {
         Ok(())
     }
 
+    /// Whether the cloud still has a mean.
     fn is_finite(&self) -> bool {
         self.summary.mean.iter().all(|x| x.is_finite())
     }
@@ -218,6 +267,7 @@ impl ParticleFilter {
         Ok(())
     }
 
+    /// The belief at a first sample: given, or at rest; and what marginalised biases begin with.
     fn start(&mut self, sample: &KalmanSample<'_>) -> Result<(), DesignError> {
         match &self.start {
             Some(start) => {
@@ -364,6 +414,8 @@ impl ParticleFilter {
         }
     }
 
+    /// Every block to this sample, on all cores where that pays: [`Propagate`], or its sibling that marginalises
+    /// accelerations.
     fn advance(&mut self) {
         let Self { model, sample, shared, sharing, motion, cloud, threads, .. } = self;
         let (model, sample, level) = (model.jerk_model(), &*sample, simd::level());
@@ -414,6 +466,7 @@ impl ParticleFilter {
         out.write_state(i, &summary.mean, &belief.covariance.data, belief.covariance.stride);
     }
 
+    /// Covariance of the whole state into the belief: the cloud's own, and what each particle leaves open.
     pub(super) fn take_covariance(&mut self) {
         let d = self.belief.mean.len();
         self.spread(d);

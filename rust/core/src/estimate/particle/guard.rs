@@ -47,6 +47,7 @@ enum Verdict {
 /// The Kalman filter, and how the cloud compares to it.
 #[derive(Clone, Debug)]
 pub(super) struct Guard {
+    /// On the same model and noise, gated where the particles' noise has heavy tails.
     pub(super) kalman: ExtendedKalmanFilter<JerkDriven>,
     /// By how much the cloud's evidence is ahead, at least zero.
     ahead: f64,
@@ -69,6 +70,7 @@ impl Guard {
         })
     }
 
+    /// Forgets the state, and what was held against the cloud.
     pub(super) fn reset(&mut self) {
         self.kalman.reset();
         (self.ahead, self.behind) = (0.0, 0.0);
@@ -90,6 +92,8 @@ impl Guard {
     fn judge(&mut self, summary: &Summary, joints: usize) -> Verdict {
         let (ours, fit) = (summary.log_likelihood, self.kalman.fit());
         if fit.used == summary.used && ours.is_finite() {
+            // CUSUM of the log Bayes factor both ways (Page 1954): a cloud that was good for long gets no credit for
+            // it.
             let ahead = (ours - fit.log_likelihood).clamp(-MOST, MOST);
             self.ahead = (self.ahead + ahead).clamp(0.0, MOST);
             self.behind = (self.behind - ahead - CHANCE * f64::from(fit.used)).clamp(0.0, MOST);
@@ -97,6 +101,7 @@ impl Guard {
         let (spread, distance) = self.compare(summary, joints);
         let [narrow, far] = WORN;
         match () {
+            // By evidence first, then by place and spread; the latter only where both filters believe the same.
             () if self.behind > LOST || (self.alike && spread < COLLAPSED) => Verdict::Lost,
             () if !self.alike || self.ahead >= DECISIVE => Verdict::Good,
             () if distance > ASTRAY => Verdict::Lost,
@@ -183,8 +188,10 @@ impl ParticleFilter {
         let log_likelihood = self.summary.log_likelihood;
         self.want_belief();
         self.found.factor.fill(0.0); // of the cloud that is nothing is taken over, not even times zero
+        // x = m + L ζ with fresh ζ: a kernel of width one is a draw from the belief, whatever the cloud was.
         self.regularise(Purpose::Reseed, 1.0);
         self.equalise_weights();
+        // Moved once more to have exactly this mean and covariance, where there are enough particles to have one.
         if self.settings.particles > 2 * self.belief.mean.len() {
             self.take_moments(false);
             self.regularise(Purpose::Reseed, 0.0);

@@ -31,6 +31,7 @@ pub struct Summary {
     pub(super) reference: Vec<f64>,
     /// Weight of each block's largest particle.
     shares: Vec<f64>,
+    /// Scratch of quantiles: particles by position.
     order: Vec<u32>,
 }
 
@@ -54,6 +55,8 @@ impl Summary {
 
     /// Mean, effective number and likelihood from the blocks' sums; returns the logarithm of the total weight.
     pub(super) fn weigh(&mut self, cloud: &Cloud, largest: f64) -> f64 {
+        // Blocks have weights relative to their own largest: brought to one scale here, and summed in the order of the
+        // blocks, so that the number of threads does not enter.
         let factor = |log: f64| if log.is_finite() { crate::scalar::Scalar::exp(log - largest) } else { 0.0 };
         let (mut total, mut square, mut most) = (0.0, 0.0, 0.0);
         self.mean.fill(0.0);
@@ -71,6 +74,7 @@ impl Summary {
         for value in self.mean.iter_mut().chain(&mut self.shares) {
             *value /= total;
         }
+        // 1/Σ w̄² (Kong, Liu and Wong 1994).
         self.effective = total * total / square;
         self.log_likelihood = largest + ln(total);
         self.log_likelihood

@@ -13,13 +13,17 @@ pub(super) fn choose(
 ) {
     let count = ancestors.len();
     match method {
+        // One uniform number for all (Carpenter, Clifford and Fearnhead 1999): the least variance, the usual choice.
         Resampling::Systematic => {
             systematic(weights, stream.uniform(0), ancestors);
         }
+        // One in each of N strata (Kitagawa 1996).
         Resampling::Stratified => {
             walk(weights, count, ancestors, |k| (k as f64 + stream.uniform(k as u32)) / count as f64);
         }
+        // Whole parts without chance, chance for the fractions alone (Liu and Chen 1998).
         Resampling::Residual => residual(stream, weights, ancestors),
+        // Independent draws (Gordon, Salmond and Smith 1993): the most variance, for comparison.
         Resampling::Multinomial => multinomial(stream, weights, ancestors),
     }
 }

@@ -55,6 +55,7 @@ impl Shared {
         gain.fill(0.0);
         factor.fill(0.0);
         factor.iter_mut().step_by(n + 1).for_each(|x| *x = 1.0);
+        // Λ = 1 + AᵀS⁻¹A and ŵ₀ = Λ⁻¹AᵀS⁻¹ε as in `Scratch::propose`, and M = Λ⁻¹AᵀS⁻¹H: by how much ŵ follows x.
         for reading in &sample.readings {
             let jacobian = &linearised.jacobian[reading.channel * n..][..n];
             let deviation = reading.noise.variance.sqrt();
@@ -83,6 +84,7 @@ impl Shared {
         for (inverse, root) in inverse.iter_mut().zip(factor.iter().step_by(n + 1)) {
             *inverse = 1.0 / root;
         }
+        // The determinant enters p/q, the same for all particles now: it may not be left out, evidence needs it.
         self.constant = -factor.iter().step_by(n + 1).map(|&x| ln(x)).sum::<f64>();
     }
 }
@@ -106,6 +108,7 @@ impl Kernel for Probe<'_> {
         let (joints, n) = (model.joints(), 3 * model.joints());
         let count: usize = cloud.blocks.iter().map(|b| b.count).sum();
         for (d, entry) in scratch.before.iter_mut().enumerate() {
+            // Eight particles from all over the cloud, one a lane.
             *entry = Lanes(core::array::from_fn(|l| cloud.at(l * count / WIDE, d)));
         }
         scratch.coast(joints, sample);
@@ -117,6 +120,8 @@ impl Kernel for Probe<'_> {
             let shared = &rows[reading.channel * n..][..n];
             let deviation = reading.noise.variance.sqrt();
             sample.by_noise(&evaluation.jacobian[reading.channel * n..][..n], by_noise);
+            // Missed: by how much the prediction is off the linear one. Turned: by how much the rows differ, both in
+            // deviations.
             whole += shared.iter().map(|row| row * row).sum::<f64>();
             for l in 0..WIDE {
                 let mut expected = linearised.prediction[reading.channel];

@@ -16,16 +16,21 @@ use crate::memory::room;
 
 /// What was found at every sample: the mean, the covariance's upper triangle by rows, and how the motors were linearised.
 struct CloudHistory {
+    /// states a sample.
     means: Vec<f64>,
+    /// states (states + 1)/2 a sample.
     products: Vec<f64>,
+    /// What the model remembered of each sample.
     motors: Vec<f64>,
 }
 
 impl CloudHistory {
+    /// Room for `count` samples of `d` states.
     fn with_capacity(count: usize, d: usize, motors: usize) -> Result<Self, DesignError> {
         Ok(Self { means: room(count, d)?, products: room(count, d * (d + 1) / 2)?, motors: room(count, motors)? })
     }
 
+    /// Keeps a sample.
     fn push(&mut self, belief: &Gaussian, motors: &[f64]) {
         let d = belief.mean.len();
         self.means.extend(&belief.mean);
@@ -33,6 +38,7 @@ impl CloudHistory {
         self.motors.extend(motors);
     }
 
+    /// Sample `i`'s mean and covariance.
     fn read(&self, i: usize, into: &mut Gaussian) {
         let d = into.mean.len();
         let size = d * (d + 1) / 2;
@@ -48,6 +54,7 @@ impl CloudHistory {
 
 /// One sample on the way back.
 struct BackwardPass {
+    /// The cloud's moments at this sample, at the next one by the motion alone, and by all readings.
     filtered: Gaussian,
     predicted: Gaussian,
     smoothed: Gaussian,
@@ -55,13 +62,16 @@ struct BackwardPass {
     noise: Gaussian,
     /// Factor of a covariance.
     factor: Moments,
+    /// Scratch: a covariance's upper triangle by rows.
     products: Vec<f64>,
     /// G, and 1 − G F (d × d).
     gain: Vec<f64>,
     left: Vec<f64>,
     /// Factors of the two parts of the smoothed covariance (d × 2d).
     parts: Vec<f64>,
+    /// Scratch: a column of Fᵀ P₋⁻¹, a row of G, a change of the mean.
     column: Vec<f64>,
+    /// For the covariance that the adjoint of the motion carries beside, and nobody asks for here.
     unused: Symmetric,
 }
 
@@ -167,6 +177,7 @@ fn pack(matrices: &[&Symmetric], out: &mut [f64]) {
     }
 }
 
+/// Σ aᵢ bᵢ in the order of the entries.
 fn sum(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }

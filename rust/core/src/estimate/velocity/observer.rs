@@ -22,25 +22,54 @@ use std::sync::Arc;
 /// a sample. A spring K_P is integrated by the trapezoidal rule: with one gain for all joints the sampled error is stable for
 /// λmax(M⁻¹K_P) T² < x (4 − 2c)/(c (1 − c/3)), where x = kT and c = 1 − e^(−x), and so below 4 at any gain. That is checked where
 /// the robot starts.
+///
+/// ```
+/// use linkside_core::estimate::observer::Start;
+/// use linkside_core::estimate::velocity::{Gains, VelocityObserver, VelocitySettings};
+///
+/// let robot = std::sync::Arc::new(linkside_core::demo::arm()?);
+/// let mut observer = VelocityObserver::new(robot, VelocitySettings {
+///     period: 1e-3,
+///     gains: Gains::Constant(vec![100.0]),
+///     spring: vec![0.0], // none: the reduced-order observer
+///     motors: true,
+///     start: Start::Rest,
+///     wrap: vec![std::f64::consts::TAU],
+/// })?;
+/// // From rest it is told of 0.5 rad/s by positions alone, and is there to e⁻²⁰ after 0.2 s.
+/// for i in 0..=200 {
+///     observer.step(&[0.5e-3 * f64::from(i)], &[0.0])?;
+/// }
+/// assert!((observer.dq()[0] - 0.5).abs() < 1e-6);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct VelocityObserver {
+    /// What it was made with.
     settings: VelocitySettings,
+    /// Accelerations of the rigid robot.
     dynamics: RigidDynamics,
     /// (1 − e^(−kT))/T of each joint [1/s], and the gain k behind it; zeros beside a map.
     weights: Vec<f64>,
     gains: Vec<f64>,
+    /// The gain that depends on the posture.
     map: Option<Mapped>,
+    /// Level r of a hybrid gain, and samples since it last changed.
     level: usize,
     since_jump: usize,
     /// Share of each innovation in the velocity since the start (n): what a mean velocity takes of its last part.
     share: Vec<f64>,
     /// Whether the velocity was given at the start.
     given: bool,
+    /// Samples taken since the start.
     samples: usize,
+    /// Flags of the last sample.
     status: u8,
+    /// Turns that encoders have lost, and samples that they have missed (n).
     encoders: Vec<Encoder>,
     /// y, without wraps.
     position: Vec<f64>,
+    /// Reading less prediction, per period since the last reading (n) [rad].
     innovation: Vec<f64>,
     /// x̂₂.
     velocity: Vec<f64>,
@@ -50,7 +79,9 @@ pub struct VelocityObserver {
     spring: Vec<f64>,
     /// Without the spring.
     acceleration: Vec<f64>,
+    /// The acceleration at the end of a period, Heun's second slope.
     corrected: Vec<f64>,
+    /// Held until the next sample (n) [N m].
     torque: Vec<f64>,
 }
 
@@ -151,6 +182,7 @@ impl VelocityObserver {
         }
     }
 
+    /// Refuses a sample before anything has changed.
     fn check(&self, q: &[f64], torque: &[f64]) -> Result<(), DesignError> {
         for (what, values) in [("q", q), ("tau", torque)] {
             expect_length(what, values.len(), self.joints())?;
@@ -170,12 +202,15 @@ impl VelocityObserver {
     }
 
     #[inline(always)]
+    /// One period: predict and correct, let the gain jump, hold the torque, and the acceleration that it gives.
     fn take_here(&mut self, q: &[f64], torque: &[f64]) -> Result<(), RunError> {
         self.status = 0;
         let regular = if self.samples == 0 { self.begin(q)? } else { self.advance(q) };
         if !regular {
             return Err(RunError::SingularInertia { sample: self.samples });
         }
+        // After the correction, as the gain follows the estimated speed; before the torque, which the next period
+        // needs.
         self.jump();
         self.hold(torque);
         let Self { dynamics, velocity, torque, acceleration, .. } = self;
@@ -185,6 +220,7 @@ impl VelocityObserver {
     }
 
     #[cold]
+    /// A first sample: no innovation yet; a spring is checked against the period at the posture where it is to work.
     fn begin(&mut self, q: &[f64]) -> Result<bool, DesignError> {
         if let Some(joint) = q.iter().position(|x| x.is_nan()) {
             return Err(DesignError::NoStart { joint });
@@ -211,6 +247,7 @@ impl VelocityObserver {
         let starts = self.settings.start == Start::Auto && !self.given;
         for j in 0..q.len() {
             let slope = self.acceleration[j] + self.spring[j];
+            // The first of Heun's slopes; y itself is predicted, as x̂₁ has no part in the reduced-order observer.
             let predicted = self.position[j] + period * (self.velocity[j] + 0.5 * period * slope);
             let reading = self.encoders[j].read(q[j], predicted, self.settings.wrap[j]);
             self.status |= if reading.wrapped { Status::UNWRAPPED } else { 0 };
@@ -263,10 +300,12 @@ impl VelocityObserver {
         }
         for j in 0..self.velocity.len() {
             let change = self.corrected[j] - self.acceleration[j];
+            // ½ of the change, of which the innovation, had it been known, would have taken off its share of T²/6.
             self.velocity[j] += change * period * (0.5 - self.weights[j] * period / 6.0);
         }
     }
 
+    /// Whether it is the observer of Nicosia and Tomei.
     fn has_spring(&self) -> bool {
         self.settings.spring.iter().any(|&k| k > 0.0)
     }
@@ -291,6 +330,7 @@ impl VelocityObserver {
             return;
         }
         let (old, new) = (self.gains[0], schedule.gains[level - 1]);
+        // The paper's map keeps the inner state z = x̂₂ − k y, so that the estimate jumps by (k₊ − k) y.
         if schedule.logic == Logic::PrintedMap {
             for (velocity, position) in self.velocity.iter_mut().zip(&self.position) {
                 *velocity += (new - old) * position;
@@ -301,6 +341,7 @@ impl VelocityObserver {
         self.weigh();
     }
 
+    /// Weights of innovations from the gains in use.
     fn weigh(&mut self) {
         let period = self.settings.period;
         for (weight, gain) in self.weights.iter_mut().zip(&self.gains) {
