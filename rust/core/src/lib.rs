@@ -26,7 +26,7 @@
 //! | make recordings with a known truth | [`simulate`](simulate::simulate) |
 //! | find a robot's parameters | [`Likelihood`](estimate::likelihood::Likelihood), with its gradient |
 //!
-//! Every estimator has `step` for a sample in a control loop and `run` for a recording, with the same bits; errors come before
+//! Filters and observers have `step` for a sample in a control loop and `run` for a recording, with the same bits; errors come before
 //! anything has changed. Arrays are row-major, one row a sample; NaN is a reading that is missing.
 
 mod check;

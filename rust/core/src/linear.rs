@@ -1,4 +1,9 @@
 //! Small dense products on rows padded to a multiple of [`LANES`], accumulated in registers.
+//!
+//! Two families, for two sizes of problem. Filters have matrices of tens of rows in `f64`: padded rows, blocks of rows
+//! that share what is loaded, no allocation, and one order of summation on every processor ([`product`],
+//! [`subtract_outer`]). Dynamics have matrices of a few rows in any scalar: plain loops, so that the same text serves
+//! derivative numbers and lanes ([`factorise`], [`solve`]).
 
 use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
@@ -8,9 +13,11 @@ pub(crate) const LANES: usize = 4;
 /// Rows that share what is loaded.
 const ROWS: usize = 4;
 
+/// What one vector register holds.
 type Lane = [f64; LANES];
 
 #[inline(always)]
+/// A padded row by registers.
 fn lanes(values: &[f64]) -> &[Lane] {
     values.as_chunks().0
 }
@@ -28,6 +35,7 @@ pub(crate) fn product(left: &[f64], inner: usize, right: &[f64], stride: usize, 
     simd::phase(Product { left, inner, right, stride, out });
 }
 
+/// [`product`], to be compiled for each instruction set.
 struct Product<'a> {
     left: &'a [f64],
     inner: usize,
@@ -54,6 +62,7 @@ impl Kernel for Product<'_> {
 }
 
 #[inline(always)]
+/// R rows of a product: two registers wide while there are two.
 fn product_rows<const R: usize>(left: &[f64], inner: usize, right: &[f64], stride: usize, out: &mut [f64]) {
     let left = &left[..R * inner];
     let (right, step) = (lanes(right), stride / LANES);
@@ -76,6 +85,7 @@ fn product_block<const R: usize, const W: usize>(
     c: usize,
     out: &mut [f64],
 ) {
+    // R × W sums stay in registers over the whole inner loop; each loaded row of `right` serves R rows of `left`.
     let mut sums = [[[0.0; LANES]; W]; R];
     for (j, row) in right.chunks_exact(step).take(inner).enumerate() {
         let row = &row[c..c + W];
@@ -97,6 +107,7 @@ pub(crate) fn subtract_outer(p: &mut [f64], n: usize, stride: usize, a: &[f64], 
     simd::phase(SubtractOuter { p, n, stride, a, b });
 }
 
+/// [`subtract_outer`], likewise.
 struct SubtractOuter<'a> {
     p: &'a mut [f64],
     n: usize,
@@ -206,6 +217,7 @@ pub(crate) fn factorise<T: Scalar>(a: &mut [T], n: usize) {
                 a[i * n + j] -= own * below;
             }
         }
+        // Pivots are not exchanged: matrices here are positive definite, and an LDLᵀ of these is stable without.
         let inverse = T::constant(1.0) / a[j * n + j];
         for i in j + 1..n {
             a[i * n + j] = a[i * n + j] * inverse;
@@ -246,6 +258,7 @@ pub(crate) fn cholesky(a: &mut [f64], n: usize, stride: usize) {
         }
         let whole = own[i];
         let pivot = whole - dot(&own[..i], &own[..i]);
+        // What is left of the diagonal is rounding: the row depends on those above it.
         own[i] = if pivot > whole * (n as f64) * f64::EPSILON { pivot.sqrt() } else { 0.0 };
         own[i + 1..].fill(0.0);
     }

@@ -4,6 +4,7 @@
 
 use crate::scalar::{Lanes, Scalar, ln};
 
+/// M and W of Philox 4×32, the paper's table 2 and section 3.3; ten rounds are its recommendation.
 const MULTIPLIERS: [u64; 2] = [0xD251_1F53, 0xCD9E_8D57];
 const WEYL: [u64; 2] = [0x9E37_79B9, 0xBB67_AE85];
 const ROUNDS: u32 = 10;
@@ -12,18 +13,26 @@ const WORD: u64 = 0xFFFF_FFFF;
 /// What a number is drawn for; streams of different purposes never meet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Purpose {
+    /// The first cloud.
     Initialise,
+    /// Process noise.
     Process,
+    /// Heavy tails of a proposal.
     Tail,
+    /// Resampling.
     Ancestors,
+    /// The kernel after resampling.
     Regularise,
+    /// A cloud from the Kalman filter's belief.
     Reseed,
+    /// Noise of simulated readings.
     Sensors,
 }
 
 /// The random numbers of one step and purpose.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Stream {
+    /// The key; step and purpose are words of the counter.
     seed: u64,
     step: u32,
     purpose: u32,

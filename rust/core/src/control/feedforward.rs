@@ -27,6 +27,22 @@ pub struct Path<'a> {
 }
 
 /// What the motors have to do; each T × n.
+///
+/// ```
+/// use linkside_core::control::feedforward::{Path, derivative_order, inverse_dynamics};
+///
+/// let robot = linkside_core::demo::arm()?;
+/// // Constant acceleration of 2 rad/s²: q = t², with as many derivatives as motor torques depend on.
+/// let t = [0.0, 0.5, 1.0];
+/// let mut derivatives = vec![0.0; 3 * (derivative_order(&robot) + 1)];
+/// for (i, t) in t.iter().enumerate() {
+///     (derivatives[i], derivatives[3 + i], derivatives[6 + i]) = (t * t, 2.0 * t, 2.0);
+/// }
+/// let desired = inverse_dynamics(&robot, Path { t: &t, derivatives: &derivatives })?;
+/// // 1.65 kg m² of link and 3 of motor; the spring is twisted by what the link takes of it.
+/// assert!((desired.tau[2] - 9.3).abs() < 1e-9 && (desired.theta[2] - 1.0 - 3.3 / 1.2e4).abs() < 1e-9);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Desired {
     /// θ [rad].
@@ -110,17 +126,21 @@ fn of_use(robot: &Robot) -> usize {
 /// One pass over a path, with P Taylor coefficients a signal.
 struct FeedforwardPass<'a, const P: usize> {
     robot: &'a Robot,
+    /// Of the links.
     path: Path<'a>,
     /// Derivatives of q that are looked at.
     order: usize,
     /// Derivatives of a damped transmission's load that are known.
     known: usize,
+    /// The links' recursion, on power series in time.
     motion: NewtonEuler<Series<P>>,
     /// q, q̇, q̈.
     link: [Vec<Series<P>>; 3],
     /// τ_J, and then what each transmission carries.
     load: Vec<Series<P>>,
+    /// θ with its derivatives (n).
     theta: Vec<Series<P>>,
+    /// Load and torsion at the sample before; none at the first one, where the torsion has settled.
     before: Vec<Option<LoadedTransmission<P>>>,
 }
 
@@ -195,6 +215,7 @@ impl<'a, const P: usize> FeedforwardPass<'a, P> {
     }
 
     #[inline(always)]
+    /// δ with its derivatives, of a joint whose load is known: algebraic without damping, else integrated over `dt`.
     fn torsion(&mut self, joint: usize, dt: f64) -> Series<P> {
         let (drive, load) = (&self.robot.drives[joint], self.load[joint]);
         if !drive.elastic {
@@ -212,6 +233,7 @@ impl<'a, const P: usize> FeedforwardPass<'a, P> {
     }
 
     #[inline(always)]
+    /// τ = B θ̈ + Sᵀ q̈ + r + motor friction.
     fn torque(&self, joint: usize) -> f64 {
         let (n, drive) = (self.robot.len(), &self.robot.drives[joint]);
         let coupled: f64 = (0..joint).map(|i| self.robot.coupling[i * n + joint] * self.link[2][i].value()).sum();

@@ -7,7 +7,9 @@ use crate::error::DesignError;
 /// τ = τ₀ + K_p (θ_ref − θ) + K_d (θ̇_ref − θ̇), joint by joint: the yardstick of everything cleverer.
 #[derive(Clone, Debug)]
 pub struct JointPd {
+    /// θ wanted in time.
     reference: Reference,
+    /// K_p, K_d and τ₀ (n each).
     proportional: Vec<f64>,
     derivative: Vec<f64>,
     constant: Vec<f64>,

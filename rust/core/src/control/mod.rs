@@ -1,4 +1,7 @@
 //! Torques that make a robot with elastic joints do what is wanted.
+//!
+//! Laws are [`Controller`]s, called once a sample with what is known of the robot: [`JointPd`], [`StateFeedback`] along
+//! a motion that [`feedforward`] has planned, and [`SimpleAdaptive`].
 
 pub mod feedforward;
 mod joint_pd;

@@ -6,7 +6,9 @@ use crate::error::DesignError;
 /// A path in time: straight between knots, at rest before the first and after the last.
 #[derive(Clone, Debug)]
 pub struct Reference {
+    /// Of the knots, rising [s].
     times: Vec<f64>,
+    /// Numbers of each knot, knots × width.
     values: Vec<f64>,
     width: usize,
     /// The last knot that is not later than the time asked for last.

@@ -26,6 +26,8 @@ pub struct AdaptiveGains {
 }
 
 impl AdaptiveGains {
+    /// # Errors
+    /// A gain or a leakage that is negative, a reference model that is none.
     fn check(&self) -> Result<(), DesignError> {
         let [adaptation, leakage] = [[self.position, self.velocity].concat(), self.leakage.to_vec()];
         for (what, values) in [("adaptation gain", adaptation), ("leakage", leakage)] {
@@ -41,10 +43,12 @@ impl AdaptiveGains {
 /// One axis of the tool: reference model and integral gains.
 #[derive(Clone, Copy, Debug, Default)]
 struct Axis {
+    /// Position and velocity of the reference model, and what it follows.
     model: [f64; 2],
     command: f64,
     /// Of K_p and K_d.
     integral: [f64; 2],
+    /// On the tool along this axis [N].
     force: f64,
 }
 
@@ -60,8 +64,10 @@ pub struct SimpleAdaptive {
     reference: Reference,
     /// Which coordinates of the tool are controlled, 0 to 2 for x to z.
     coordinates: Vec<usize>,
+    /// Of the tool, with ∂p/∂q by columns (n × 3).
     kinematics: Kinematics<f64>,
     jacobian: Vec<f64>,
+    /// One a coordinate.
     axes: Vec<Axis>,
     /// Of the reference model over a period.
     transition: Matrix2<f64>,
@@ -90,6 +96,7 @@ impl SimpleAdaptive {
         expect(robot.tool.is_some(), "number of tools", 0.0, "1: control is of the tool")?;
         let (w, z) = (gains.bandwidth, gains.damping_ratio);
         let decay = gains.leakage.map(|leak| {
+            // K̇_i = Γ e² − σ K_i over a period, e held: exact, so that any leakage is stable.
             let left = (-leak * period).exp();
             [left, if leak == 0.0 { period } else { (1.0 - left) / leak }]
         });
@@ -154,6 +161,7 @@ impl Controller for SimpleAdaptive {
             let [p, v] = self.axes[i].model;
             self.adapt(i, [p - position[c], v - velocity]);
             let r = self.axes[i].command;
+            // The reference model's state about its command, which is held over the period: exact as well.
             let next = self.transition * nalgebra::Vector2::new(p - r, v);
             self.axes[i].model = [next[0] + r, next[1]];
         }

@@ -38,6 +38,7 @@ pub(super) struct LoadedTransmission<const P: usize> {
 
 /// The highest derivative of the load that is looked at.
 pub(super) const SMOOTHEST: usize = 3;
+/// Of the polynomial with that many derivatives at both ends, and its coefficients.
 const DEGREE: usize = 2 * SMOOTHEST + 1;
 type Polynomial = [f64; DEGREE + 1];
 
@@ -106,17 +107,20 @@ fn hermite<const P: usize>(start: Series<P>, end: Series<P>, dt: f64, known: usi
 }
 
 #[inline(always)]
+/// n over k.
 fn binomial(n: usize, k: usize) -> f64 {
     (0..k).fold(1.0, |product, i| product * (n - i) as f64 / (i + 1) as f64)
 }
 
 /// What is left of a torsion, and ∫₀¹ e^{−z(1−s)} sᵐ ds for every power m.
 struct ExponentialMoments {
+    /// e^(−z) and the integrals, by the power.
     decay: f64,
     powers: Polynomial,
 }
 
 #[inline(always)]
+/// By the recurrence z I_m = 1 − m I_(m−1), in the direction in which it does not cancel.
 fn moments(z: f64) -> ExponentialMoments {
     let decay = Scalar::exp(-z);
     let mut powers = [0.0; DEGREE + 1];

@@ -9,8 +9,10 @@ use crate::spatial::Vec3;
 #[derive(Debug)]
 pub struct Batch<'a> {
     robot: &'a Robot,
+    /// For what needs derivatives or matrices…
     kinematics: Kinematics<f64>,
     loads: Loads<f64>,
+    /// …and for torques alone.
     newton_euler: NewtonEuler<f64>,
 }
 
@@ -120,6 +122,7 @@ impl<'a> Batch<'a> {
         self.each_drive(dtheta, out, |drive, v| drive.motor_friction(v).0);
     }
 
+    /// `law` of each joint's drive, sample by sample.
     fn each_drive(&self, velocities: &[f64], out: &mut [f64], law: impl Fn(&Drive, f64) -> f64) {
         let drives = self.robot.drives.iter().cycle();
         for ((out, &v), drive) in out.iter_mut().zip(velocities).zip(drives) {

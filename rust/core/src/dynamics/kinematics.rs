@@ -12,18 +12,39 @@ use crate::spatial::{Inertia, Mat3, Motion, Sym3, Vec3};
 /// (Singh, Russell and Wensing 2022).
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct BodyState<T> {
+    /// Orientation of the body's frame in the base frame.
     pub(crate) rotation: Mat3<T>,
+    /// Its origin in the base frame [m].
     pub(crate) origin: Vec3<T>,
+    /// S, the motion per unit of the joint's velocity.
     pub(crate) axis: Motion<T>,
+    /// v = v_λ + S q̇.
     pub(crate) velocity: Motion<T>,
+    /// v_λ × S.
     pub(crate) axis_rate: Motion<T>,
+    /// a = a_λ + S q̈ + (v_λ × S) q̇, with the base accelerated against gravity.
     pub(crate) acceleration: Motion<T>,
+    /// a_λ × S + v_λ × (v_λ × S).
     pub(crate) axis_acceleration: Motion<T>,
 }
 
 /// Scratch for one robot's kinematics.
+///
+/// ```
+/// use linkside_core::dynamics::Kinematics;
+///
+/// let robot = linkside_core::demo::arm()?;
+/// let mut kinematics = Kinematics::new(&robot.tree);
+/// // A quarter turn at 2 rad/s: the tip is on the y axis, and its accelerometer feels the pull towards the joint.
+/// kinematics.set(&robot.tree, &[std::f64::consts::FRAC_PI_2], &[2.0], &[0.0]);
+/// let tip = kinematics.position(robot.tool.as_ref().unwrap()).0;
+/// let reading = kinematics.specific_force(&robot.accelerometers[0].frame).0;
+/// assert!((tip[1] - 1.0).abs() < 1e-12 && (reading[0] + 4.0).abs() < 1e-12 && (reading[2] - 9.81).abs() < 1e-12);
+/// # Ok::<(), linkside_core::error::RobotError>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Kinematics<T> {
+    /// In the order of the tree, each after the one that carries it.
     pub(crate) bodies: Vec<BodyState<T>>,
     /// Moments of mass in the bodies' own frames, where they are not those of the tree; else empty.
     masses: Vec<Inertia<T>>,
@@ -64,6 +85,7 @@ impl<T: Scalar> Kinematics<T> {
     #[inline(always)]
     pub fn set_position(&mut self, tree: &Tree, q: &[T]) {
         for (i, body) in tree.bodies.iter().enumerate() {
+            // A tree is in topological order: the carrier has been set when its bodies come.
             let (carrier, origin) = match body.parent {
                 Some(p) => {
                     let parent = &self.bodies[p];
@@ -123,6 +145,7 @@ impl<T: Scalar> Kinematics<T> {
     }
 
     #[inline(always)]
+    /// a_λ; of the base −g, so that gravity needs no text of its own (Luh, Walker and Paul 1980).
     fn carrier_acceleration(&self, tree: &Tree, parent: Option<usize>) -> Motion<T> {
         match parent {
             Some(p) => self.bodies[p].acceleration,

@@ -10,18 +10,21 @@ use crate::spatial::{Inertia, Mat3, Vec3};
 struct Moving<T> {
     /// Sine and cosine of a revolute joint's position; a prismatic one's position, and 1.
     turn: (T, T),
+    /// ω and ω̇ in the body's axes.
     angular_velocity: Vec3<T>,
     angular_acceleration: Vec3<T>,
     /// Of the origin, against free fall.
     acceleration: Vec3<T>,
     /// Γ = [α]× + ω ωᵀ − ω² 1: the point at r accelerates by Γ r more than the origin.
     gradient: Mat3<T>,
+    /// Force, and moment about the origin, on this body and all that it carries.
     force: Vec3<T>,
     moment: Vec3<T>,
 }
 
 /// Motion of a body whose joint is held, in its axes.
 struct Carried<T> {
+    /// ω, ω̇, and the origin's acceleration against free fall.
     angular_velocity: Vec3<T>,
     angular_acceleration: Vec3<T>,
     acceleration: Vec3<T>,
@@ -45,6 +48,7 @@ impl<T: Scalar> Carried<T> {
 /// m a + Γ∫r dm, and its moment of momentum by ∫r dm × a and the skew part of Γ∫r rᵀ dm.
 #[derive(Clone, Debug)]
 pub struct NewtonEuler<T> {
+    /// One a body, in the order of the tree.
     bodies: Vec<Moving<T>>,
 }
 
@@ -131,8 +135,10 @@ impl<T: Scalar> Moving<T> {
     }
 
     #[inline(always)]
+    /// A revolute joint turns by q about z: ω += q̇ z, ω̇ += q̈ z + ω × q̇ z.
     fn revolve(&mut self, carried: &Carried<T>, q: T, dq: T, ddq: T) {
         let (sin, cos) = q.sin_cos();
+        // Into the turned axes; z stays.
         let back = |v: &Vec3<T>| Vec3([v.0[0] * cos + v.0[1] * sin, v.0[1] * cos - v.0[0] * sin, v.0[2]]);
         let [x, y, z] = back(&carried.angular_velocity).0;
         let [dx, dy, dz] = back(&carried.angular_acceleration).0;
@@ -144,6 +150,7 @@ impl<T: Scalar> Moving<T> {
     }
 
     #[inline(always)]
+    /// A prismatic joint moves the origin by q along z: a += Γ q z + 2 ω × q̇ z + q̈ z.
     fn slide(&mut self, carried: Carried<T>, q: T, dq: T, ddq: T) {
         self.turn = (q, T::constant(1.0));
         self.angular_velocity = carried.angular_velocity;
@@ -156,6 +163,7 @@ impl<T: Scalar> Moving<T> {
     }
 
     #[inline(always)]
+    /// Γ from ω and ω̇.
     fn set_gradient(&mut self) {
         let ([x, y, z], [a, b, c]) = (self.angular_velocity.0, self.angular_acceleration.0);
         let (xx, yy, zz) = (x * x, y * y, z * z);

@@ -8,13 +8,16 @@ use crate::spatial::{Mat3, Vec3};
 /// A frame's axes and position in the base frame, and the body that carries it.
 #[derive(Clone, Copy)]
 pub(crate) struct Placed<T> {
+    /// The body that carries it.
     pub(crate) body: usize,
+    /// Its axes and its position in the base frame [m].
     pub(crate) axes: Mat3<T>,
     pub(crate) point: Vec3<T>,
 }
 
 impl<T: Scalar> Kinematics<T> {
     #[inline(always)]
+    /// A frame where its body now is.
     pub(crate) fn place(&self, frame: &Frame) -> Placed<T> {
         let body = &self.bodies[frame.body];
         Placed {

@@ -5,7 +5,9 @@ use crate::scalar::Scalar;
 /// b ← `decay` b + w with w of this `variance`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct BiasStep<T> {
+    /// e^(−dt/time): what is left of the bias.
     pub(crate) decay: T,
+    /// What it wanders by meanwhile.
     pub(crate) variance: T,
 }
 

@@ -35,6 +35,8 @@ impl Sensor {
         self.axes.len()
     }
 
+    /// # Errors
+    /// Noise that is not positive, an axis that there is not.
     fn check(&self, owner: &str) -> Result<(), RobotError> {
         let (std, owner) = (self.noise_std, || owner.to_string());
         expect_of(std > 0.0 && std.is_finite(), "noise_std", owner, std, "greater than 0")?;

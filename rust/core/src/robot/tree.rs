@@ -40,13 +40,17 @@ pub struct BodySpec {
 /// A body ready for the kernels: its frame turned so that the joint's axis is z.
 #[derive(Clone, Debug)]
 pub struct Body {
+    /// The body that carries it; none for the base.
     pub(crate) parent: Option<usize>,
+    /// Entry of q that moves it, and how.
     pub(crate) joint: usize,
     pub(crate) kind: JointKind,
+    /// Pose of the joint frame at q = 0 in the carrier's.
     pub(crate) rotation: Mat3<f64>,
     /// Whether the rotation is none, as between parallel joints.
     pub(crate) straight: bool,
     pub(crate) translation: Vec3<f64>,
+    /// Moments of mass in its own frame.
     pub(crate) inertia: Inertia<f64>,
     /// From the modeller's body frame to ours.
     align: Mat3<f64>,
@@ -55,6 +59,7 @@ pub struct Body {
 /// A point with axes, fixed to a body: a sensor or the tool.
 #[derive(Clone, Debug)]
 pub struct Frame {
+    /// Which body carries it, and the pose in that body's frame.
     pub(crate) body: usize,
     pub(crate) rotation: Mat3<f64>,
     pub(crate) translation: Vec3<f64>,
@@ -63,7 +68,9 @@ pub struct Frame {
 /// A tree of rigid bodies on a fixed base.
 #[derive(Clone, Debug)]
 pub struct Tree {
+    /// Each after the one that carries it.
     pub(crate) bodies: Vec<Body>,
+    /// Acceleration of free fall in the base frame [m/s²].
     pub(crate) gravity: Vec3<f64>,
 }
 
@@ -160,6 +167,7 @@ impl Tree {
     }
 }
 
+/// A body with its frame turned so that the joint's axis is z, for kernels that know no other axis.
 fn compile(body: usize, spec: &BodySpec, carrier: &Mat3<f64>) -> Result<Body, RobotError> {
     let owner = || format!("body {body}");
     let length = spec.axis.norm();

@@ -13,6 +13,7 @@ pub struct Lanes<const L: usize>(pub [f64; L]);
 
 impl<const L: usize> Lanes<L> {
     #[inline(always)]
+    /// `f` of both, lane by lane.
     fn zip(mut self, other: Self, f: impl Fn(f64, f64) -> f64) -> Self {
         // A loop: `from_fn` and `map` are calls that do not always dissolve.
         for i in 0..L {
@@ -22,6 +23,7 @@ impl<const L: usize> Lanes<L> {
     }
 
     #[inline(always)]
+    /// `f` of each lane.
     fn each(mut self, f: impl Fn(f64) -> f64) -> Self {
         for i in 0..L {
             self.0[i] = f(self.0[i]);

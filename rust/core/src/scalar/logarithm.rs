@@ -13,9 +13,12 @@ const SERIES: [f64; 7] = [
     1.531_383_769_920_937_3e-1,
     1.479_819_860_511_658_6e-1,
 ];
+/// Bits of 1 and of √½: adding their difference makes the mantissa that of a number from √½ to √2.
 const ONE: u64 = 1.0_f64.to_bits();
 const HALF_ROOT: u64 = (0.5 * SQRT_2).to_bits();
+/// Brings the smallest numbers into the normal range.
 const TWO_POW_54: f64 = 18_014_398_509_481_984.0;
+/// The fraction's bits.
 const MANTISSA: u64 = (1 << 52) - 1;
 
 /// ln x for a positive, finite, normal x, to within 1 ulp or so.

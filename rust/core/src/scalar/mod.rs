@@ -1,5 +1,10 @@
 //! The number types that one kernel text serves: `f64`, first derivatives ([`Dual`]), derivatives in time of
 //! any order ([`Series`]) and several samples at once ([`Lanes`]).
+//!
+//! Every kernel of the crate is written once over [`Scalar`]. `f64` runs it, [`Dual`] differentiates it exactly by a
+//! few parameters at a time, [`Series`] by time to any order, and [`Lanes`] runs several particles in one register with
+//! the bits that each alone would have. Sine, exponential and logarithm are the crate's own: the platform's differ
+//! between systems.
 
 mod dual;
 mod exponential;

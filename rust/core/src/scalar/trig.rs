@@ -54,6 +54,7 @@ pub(super) fn reduced(x: f64) -> (f64, f64) {
 }
 
 #[inline(always)]
+/// Σ cₖ sᵏ.
 fn horner(c: &[f64; 6], s: f64) -> f64 {
     c[0] + s * (c[1] + s * (c[2] + s * (c[3] + s * (c[4] + s * c[5]))))
 }

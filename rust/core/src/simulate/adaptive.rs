@@ -43,9 +43,24 @@ impl StepTolerance {
 /// (Hairer and Wanner 1996, sections VI.4 and IV.8).
 ///
 /// A vibration that is below the tolerance does not shorten steps, it is damped: a spring may be as stiff as it likes.
+///
+/// ```
+/// use linkside_core::simulate::{Adaptive, Plant, StepTolerance};
+///
+/// let robot = linkside_core::demo::arm()?;
+/// let mut plant = Plant::new(&robot)?;
+/// let mut adaptive = Adaptive::new(&plant, StepTolerance { rtol: 1e-6, atol: 1e-9 })?;
+/// // (q, q̇, θ, θ̇): a twisted spring, let go. Half a second later it has come to rest, without any momentum.
+/// let mut x = [0.0, 0.0, 0.01, 0.0];
+/// adaptive.advance(&robot, &mut plant, &mut x, &[0.0], (0.0, 0.5))?;
+/// assert!((1.65 * x[1] + 3.0 * x[3]).abs() < 1e-6 && (x[2] - x[0]).abs() < 1e-3);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Adaptive {
+    /// RODAS with its stages.
     method: Rosenbrock,
+    /// Of the error of a step.
     tolerance: StepTolerance,
     /// Length of the next step [s].
     step: f64,

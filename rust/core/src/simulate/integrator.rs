@@ -10,6 +10,7 @@ const RADIUS: f64 = 2.78;
 /// A robot's state, moved in fixed steps.
 #[derive(Clone, Debug)]
 pub struct RungeKutta {
+    /// Where the slope is asked for, the slope, and the new state as it is summed up.
     probe: Vec<f64>,
     slope: Vec<f64>,
     sum: Vec<f64>,

@@ -1,4 +1,8 @@
 //! Robots that move in the computer: integration, sensors, and a controller in the loop.
+//!
+//! A [`Plant`] is moved by a [`Stepping`] under the torque of a [`Controller`](crate::control::Controller), which knows
+//! what a [`Feedback`] makes of a [`Suite`]'s readings. All are independent of each other: a new integrator, a new
+//! fault of a sensor or a new law is one type. [`simulate`](simulate()) runs the loop.
 
 mod adaptive;
 mod feedback;

@@ -39,11 +39,14 @@ pub(super) struct Rosenbrock {
     velocity: Vec<usize>,
     /// The joint of each degree of freedom.
     joint: Vec<usize>,
+    /// Factors of s − V − P/s.
     lu: Lu,
     /// f where the step begins.
     start: Vec<f64>,
+    /// u of each stage, and f or a stage's right-hand side.
     stages: [Vec<f64>; 6],
     rate: Vec<f64>,
+    /// Right-hand side, then solution of the velocities' equations.
     half: Vec<f64>,
     /// The solution of order 4, after [`step`](Self::step).
     pub(super) end: Vec<f64>,
@@ -80,6 +83,8 @@ impl Rosenbrock {
     pub(super) fn step(&mut self, robot: &Robot, plant: &mut Plant, x: &[f64], tau: &[f64], h: f64) {
         let s = 1.0 / (GAMMA * h);
         self.factorise(plant, s);
+        // Six stages, each one linear solution with the same factors (eq. (IV.7.25)): u_i of (1/(γ h) − J) u_i = f(x +
+        // Σ a_ij u_j) + Σ (c_ij/h) u_j. The last stage is the error estimate, added it gives the solution of order 4.
         for (i, (reach, slope)) in REACH.into_iter().zip(SLOPE).enumerate() {
             self.end.copy_from_slice(x);
             for (stage, reach) in self.stages[..i].iter().zip(reach) {
@@ -138,6 +143,7 @@ impl Rosenbrock {
         let Self { position, velocity, joint, lu, stages, rate, half, .. } = self;
         for (k, (value, &v)) in half.iter_mut().zip(&*velocity).enumerate() {
             let by = derivatives(plant, joint, k);
+            // r_v + P r_p/s: positions eliminated, half the size.
             let pull: f64 = position.iter().map(|&p| by[p] * rate[p]).sum();
             *value = rate[v] + pull / s;
         }

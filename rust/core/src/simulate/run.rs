@@ -126,13 +126,19 @@ impl Mover {
 
 /// The robot and what it left behind.
 struct World {
+    /// (q, q̇, θ, θ̇), as the plant's layout has it.
     x: Vec<f64>,
+    /// Torque until the next sample (n) [N m].
     tau: Vec<f64>,
+    /// Dynamics, with the accelerations and frames of the sample.
     plant: Plant,
     mover: Mover,
+    /// What the controller knows.
     known: RobotState,
+    /// Motor positions and velocities, one a joint also where rigid.
     theta: Vec<f64>,
     dtheta: Vec<f64>,
+    /// Rows so far.
     out: SimulatedRecording,
 }
 
@@ -170,6 +176,7 @@ impl World {
     }
 
     #[inline(always)]
+    /// The truth as feedback may look at it.
     fn motion(&self) -> JointMotion<'_> {
         let n = self.theta.len();
         JointMotion { q: &self.x[..n], dq: &self.x[n..2 * n], theta: &self.theta, dtheta: &self.dtheta }
@@ -194,6 +201,7 @@ impl World {
         }
     }
 
+    /// A row of the recording.
     fn keep(&mut self, robot: &Robot, t: f64, readings: &[f64]) {
         let n = robot.len();
         let Self { x, tau, plant, known, theta, dtheta, out, .. } = self;
@@ -250,6 +258,7 @@ impl Kernel for Read<'_> {
     }
 }
 
+/// A simulation on its way.
 struct SimulationRun<'a> {
     robot: &'a Robot,
     plan: Plan,
@@ -260,6 +269,7 @@ struct SimulationRun<'a> {
 }
 
 impl SimulationRun<'_> {
+    /// One turn of the loop: look, sense, tell, control, keep, move.
     fn sample(&mut self, sample: usize, watch: &Watch) -> Result<(), SimulationError> {
         let Self { robot, plan, world, suite, feedback, controller } = self;
         let (dt, t) = (plan.period, sample as f64 * plan.period);

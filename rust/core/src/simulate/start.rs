@@ -46,6 +46,7 @@ impl SimulationStart {
     }
 }
 
+/// Torques that hold the links at rest at `q` [N m].
 fn gravity(robot: &Robot, q: &[f64]) -> Vec<f64> {
     let (mut kinematics, zero) = (Kinematics::new(&robot.tree), vec![0.0; q.len()]);
     let mut out = zero.clone();

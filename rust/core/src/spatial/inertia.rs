@@ -61,6 +61,7 @@ impl<T: Scalar> AddAssign for Inertia<T> {
 /// operator B of Echeandia and Wensing (2021); in these moments it has twelve numbers in place of thirty-six.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Coriolis<T> {
+    /// ∫ẋ dm.
     momentum: Vec3<T>,
     /// tr(Y)·1 − Y with Y = ∫ẋ rᵀ dm.
     turning: Mat3<T>,

@@ -17,17 +17,20 @@ pub(super) struct Correction {
     pub(super) reference: Vec<f64>,
     /// H P, each row after the channels before it (channels × states, padded).
     projections: Vec<f64>,
+    /// k and m = g − s k/2 of each channel (channels × states, padded).
     pub(super) gains: Vec<f64>,
     halves: Vec<f64>,
     /// One channel's row of H, padded.
     row: Vec<f64>,
     /// Whether P is updated reading by reading.
     sharp: bool,
+    /// Each after the channels before it.
     pub(super) innovations: Vec<Innovation>,
     /// Innovations before any is used are this, lower triangular with a diagonal of 1, times `innovations`.
     pub(super) factors: Vec<f64>,
     /// Channels left out at this sample by the gate.
     pub(super) gated: Vec<bool>,
+    /// Flags, normalised innovation squared, readings used and log-likelihood of the sample.
     pub(super) status: u8,
     pub(super) nis: f64,
     pub(super) used: u32,
@@ -63,6 +66,7 @@ impl Correction {
     #[inline(always)]
     pub(super) fn update(&mut self, model: &impl Model, belief: &mut Gaussian, readings: &[f64], gate: Option<f64>) {
         (self.status, self.nis, self.used, self.log_likelihood) = (0, 0.0, 0, 0.0);
+        // All of H P in one product: a channel's own g is then its row less what the channels before it took.
         self.project(model, belief);
         self.sharp = self.is_sharp(model, belief, readings);
         for (i, &reading) in readings.iter().enumerate() {
@@ -142,6 +146,8 @@ impl Correction {
         for (j, earlier) in before.chunks_exact(stride).enumerate() {
             let variance = self.innovations[j].variance;
             if variance.is_finite() {
+                // gᵢ ← gᵢ − (hᵢ gⱼ / sⱼ) gⱼ: the factors are also those of L in S = L D Lᵀ, which isolating a fault
+                // wants.
                 let factor = row.dot(earlier) / variance;
                 self.factors[i * self.innovations.len() + j] = factor;
                 if !self.sharp {
@@ -151,6 +157,7 @@ impl Correction {
         }
         let variance = row.dot(own) + model.variance(i);
         let mut value = reading - model.linearised().prediction[i] - row.bias.map_or(0.0, |b| belief.mean[b]);
+        // The channels stay linearised at the reference while the mean moves: h(x₀) + H (x̂ − x₀).
         for (k, h) in row.dense.iter().enumerate() {
             value -= h * (belief.mean[k] - self.reference[k]);
         }

@@ -27,8 +27,11 @@ impl Row<'_> {
 /// Symmetric matrix, stored whole, rows padded with zeros so that loops over them have no remainder.
 #[derive(Clone, Debug)]
 pub struct Symmetric {
+    /// Rows and columns.
     pub(crate) n: usize,
+    /// Numbers from one row to the next: n, padded.
     pub(crate) stride: usize,
+    /// All entries, by rows.
     pub(crate) data: Vec<f64>,
 }
 
@@ -88,11 +91,13 @@ impl Symmetric {
     #[inline(always)]
     pub(crate) fn condition(&mut self, row: &[f64], projection: &[f64], s: f64, r: f64) {
         let Self { n, stride, data } = self;
+        // (1 − k hᵀ) P first, row by row, then the same from the right with r k kᵀ added.
         for (own, x) in data.chunks_exact_mut(*stride).zip(projection) {
             linear::add_scaled(own, -x / s, projection);
             let left = linear::dot(own, row);
             linear::add_scaled(own, (r * x / s - left) / s, projection);
         }
+        // Rounding leaves the triangles a little apart: their mean keeps the matrix symmetric.
         for i in 0..*n {
             for j in i + 1..*n {
                 let mean = 0.5 * (data[i * *stride + j] + data[j * *stride + i]);
@@ -108,6 +113,13 @@ impl Symmetric {
 }
 
 /// Mean and covariance of a state.
+///
+/// ```
+/// use linkside_core::estimate::kalman::Gaussian;
+/// let belief = Gaussian::new(&[1.0, 2.0], &[0.04, 0.01, 0.01, 0.09])?;
+/// assert_eq!((belief.covariance.at(1, 0), belief.covariance.at(1, 1).sqrt()), (0.01, 0.3));
+/// # Ok::<(), linkside_core::error::DesignError>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Gaussian {
     /// Mean (n).

@@ -11,7 +11,9 @@ use crate::robot::Robot;
 /// See the module.
 #[derive(Clone, Debug)]
 pub struct JerkProcess {
+    /// Channels and biases.
     pub(crate) model: JerkModel,
+    /// Densities, walks and initial uncertainties.
     pub(crate) noise: JerkNoise,
 }
 
@@ -49,6 +51,7 @@ impl Process for JerkProcess {
         let size = self.model.joints() * stride;
         let (q, rest) = columns.split_at_mut(size);
         let (dq, ddq) = rest.split_at_mut(size);
+        // F is the identity but for q += dt q̇ + dt²/2 q̈ and q̇ += dt q̈: a chain of integrators (eqs. (9) and (10)).
         for i in 0..size {
             q[i] += dt * dq[i] + 0.5 * dt * dt * ddq[i];
             dq[i] += dt * ddq[i];
@@ -61,6 +64,7 @@ impl Process for JerkProcess {
         let size = self.model.joints() * stride;
         let (q, rest) = columns.split_at_mut(size);
         let (dq, ddq) = rest.split_at_mut(size);
+        // Fᵀ runs the chain the other way: what is said of q says dt of it of q̇ and dt²/2 of q̈.
         for i in 0..size {
             ddq[i] += dt * dq[i] + 0.5 * dt * dt * q[i];
             dq[i] += dt * q[i];

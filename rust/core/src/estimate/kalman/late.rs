@@ -25,7 +25,9 @@ pub struct Lateness {
 /// One late channel and where its states are.
 #[derive(Clone, Copy, Debug)]
 struct Line {
+    /// Which channel it reads.
     channel: usize,
+    /// Time constant and delay.
     inside: Lateness,
     /// Its input at the sample before; there with a filter.
     input: Option<usize>,
@@ -59,15 +61,19 @@ pub(crate) struct LateChannel<'a> {
 /// The late channels of a model, and their past.
 #[derive(Clone, Debug)]
 pub(super) struct Late {
+    /// One a late channel.
     lines: Vec<Line>,
+    /// Number of all states, the model's own first.
     states: usize,
     /// Times of the latest samples before now, the latest first [s].
     ages: Vec<f64>,
+    /// What the step last taken did, one a line.
     weights: Vec<Weights>,
     /// Rows of late channels are empty here.
     biases: Vec<Option<usize>>,
     /// The bias of each channel as the model has it.
     own: Vec<Option<usize>>,
+    /// h with the rows of late channels empty (channels), and its Jacobian (channels × dense).
     prediction: Vec<f64>,
     jacobian: Vec<f64>,
     /// Of the late channels where the time update linearised them (lines × dense).

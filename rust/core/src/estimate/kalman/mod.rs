@@ -1,4 +1,17 @@
 //! Kalman filter and smoother, and the models that they run on.
+//!
+//! A filter is a method ([`ExtendedKalmanFilter`], [`Smoother`]) on a [`Model`], which is a [`Process`] (f, Q and their
+//! adjoints) [`Paired`] with a [`Measurement`] (h, its derivatives, R). Two models are here:
+//!
+//! | | [`JerkDriven`] | [`ElasticModel`] |
+//! | --- | --- | --- |
+//! | state | q, q̇, q̈, biases | q, q̇, θ, θ̇, disturbances, biases |
+//! | moved by | commanded and random jerk | measured motor torques |
+//! | motors | measure the links through springs | are states |
+//! | from | Axelsson, Karlsson and Norrlöf 2012 | Ulrich and Sasiadek 2011 |
+//!
+//! What else may be in it, for either: sensors that are late ([`Lateness`]), numbers known to a tolerance only
+//! ([`Tolerance`]), and a judge of the innovations ([`Finding`]).
 
 mod bank;
 mod consider;

@@ -115,6 +115,7 @@ impl FilterOutput {
         if let Some(position) = tool.set(robot, &state[..n]) {
             self.tool[i * 3..][..3].copy_from_slice(&position);
             for (std, row) in self.tool_std[i * 3..][..3].iter_mut().zip(tool.jacobian.chunks_exact(n)) {
+                // σ² = J P Jᵀ of each coordinate, by the exact Jacobian at the estimate.
                 let mut variance = 0.0;
                 for r in 0..n {
                     for c in 0..n {
@@ -192,6 +193,7 @@ fn deviation(variance: f64) -> f64 {
 /// The tool centre point and how it moves with the joints.
 #[derive(Clone, Debug)]
 pub(crate) struct Tool {
+    /// Of the tree, positions alone.
     kinematics: Kinematics<f64>,
     /// ∂p/∂q, 3 × n, row-major.
     jacobian: Vec<f64>,
@@ -222,6 +224,7 @@ impl Tool {
     }
 }
 
+/// [`Tool::set`], to be compiled for each instruction set.
 struct SetTool<'a> {
     tool: &'a mut Tool,
     robot: &'a Robot,

@@ -73,6 +73,7 @@ impl<'a> KalmanRecording<'a> {
     }
 
     #[inline(always)]
+    /// Row `i`.
     pub(crate) fn sample(&self, i: usize, model: &impl Model) -> KalmanSample<'a> {
         let m = model.channels();
         KalmanSample {

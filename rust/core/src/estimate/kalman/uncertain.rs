@@ -119,6 +119,7 @@ impl<T: Scalar> LinkMotion<T> {
     }
 
     #[inline(always)]
+    /// A number of a drive shows between motor and link, or on a joint torque sensor.
     fn drive_signature(
         &self,
         robot: &Robot,
@@ -255,6 +256,7 @@ fn torsion_rate<T: Scalar>(dq: T, dtheta: f64) -> T {
     if dtheta.is_nan() { T::default() } else { -dq + dtheta }
 }
 
+/// The unit vector along an axis.
 fn unit<T: Scalar>(axis: usize) -> Vec3<T> {
     let mut out = Vec3::default();
     out.0[axis] = T::constant(1.0);
@@ -262,6 +264,7 @@ fn unit<T: Scalar>(axis: usize) -> Vec3<T> {
 }
 
 #[inline(always)]
+/// The row of a channel, where it is measured.
 fn position(channels: &[Channel], wanted: Channel) -> Option<usize> {
     channels.iter().position(|c| *c == wanted)
 }

@@ -14,6 +14,7 @@ use std::sync::Arc;
 /// One reading against its prediction.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ParametricReading<T> {
+    /// Which.
     pub(super) channel: usize,
     /// What was read, none where it is missing.
     pub(super) value: Option<f64>,
@@ -26,18 +27,27 @@ pub(super) struct ParametricReading<T> {
 /// Everything of a robot that does not change along a recording, and scratch.
 #[derive(Clone, Debug)]
 pub(super) struct ParametricMeasurement<T> {
+    /// As robot.yaml has it.
     robot: Arc<Robot>,
+    /// What is read, in the order of the readings.
     channels: Vec<Channel>,
+    /// The robot's numbers, those under calibration with their derivatives.
     parameters: Parameters<T>,
+    /// Standard deviations of readings before the parameters scale them.
     noise: JerkNoise,
+    /// Filter and delay of each accelerometer.
     pub(super) lateness: Vec<SampledLag<T>>,
     /// Whether an accelerometer has instants of its own.
     late: Vec<bool>,
+    /// How far each accelerometer is turned from where the robot says.
     turns: Vec<Mat3<T>>,
     /// Each joint's drive with a dry friction of one: the direction in which friction acts.
     directions: Vec<Drive>,
+    /// Motion and loads of the links, by the parameters' masses.
     motion: LinkMotion<T>,
+    /// Those of the instant last evaluated.
     pub(super) readings: Vec<ParametricReading<T>>,
+    /// h (channels).
     prediction: Vec<T>,
     /// ∂h/∂(q, q̇, q̈) of each channel (channels × 3n); of those that were read.
     pub(super) jacobian: Vec<T>,
@@ -76,6 +86,7 @@ impl<T: Scalar> ParametricMeasurement<T> {
         }
     }
 
+    /// The robot's numbers.
     pub(super) fn parameters(&self) -> &Parameters<T> {
         &self.parameters
     }
@@ -134,6 +145,7 @@ impl<T: Scalar> ParametricMeasurement<T> {
     }
 
     #[inline(always)]
+    /// A motor position; its noise grows with the torsion, as of a stiffness that is not quite constant.
     fn motor(&mut self, log: &LikelihoodRecording, instant: Instant, channel: usize, j: usize, state: &[T]) -> usize {
         let theta = log.theta[instant.row * self.robot.len() + j];
         if theta.is_nan() {
@@ -168,6 +180,7 @@ impl<T: Scalar> ParametricMeasurement<T> {
         self.row(log, instant, channel, 1, state);
         let Self { parameters, jacobian, .. } = self;
         let joint = &parameters.joints[j];
+        // Linear in the friction's size: dry friction acts in a direction that is known from the measured velocity.
         let direction = self.directions[j].dry_friction(dtheta);
         let motor = joint.motor_inertia * ddtheta[j] + joint.viscous_friction * dtheta;
         let mut prediction = self.prediction[channel] + motor + joint.coulomb_friction * direction;
@@ -182,6 +195,7 @@ impl<T: Scalar> ParametricMeasurement<T> {
     }
 
     #[inline(always)]
+    /// All axes of an accelerometer, at its own instant where it is late.
     fn acceleration(
         &mut self,
         log: &LikelihoodRecording,

@@ -56,9 +56,50 @@ pub struct Evidence {
 }
 
 /// The likelihood of one recording of one robot.
+///
+/// ```
+/// use linkside_core::estimate::kalman::JerkNoise;
+/// use linkside_core::estimate::likelihood::{Likelihood, LikelihoodRecording, LikelihoodSettings, Parameter};
+///
+/// let robot = std::sync::Arc::new(linkside_core::demo::arm()?);
+/// let settings = LikelihoodSettings {
+///     noise: JerkNoise {
+///         jerk: vec![100.0],
+///         link_walk: vec![0.0; 2],
+///         reading: vec![1e-5, 0.05, 0.05, 0.05],
+///         torsion: 0.0,
+///         bias_walk: vec![0.0; 4],
+///         bias_time: vec![f64::INFINITY; 4],
+///         initial: vec![1e-3, 1e-3, 1.0],
+///         initial_bias: vec![0.0; 4],
+///     },
+///     biased: vec![false; 4],
+///     torque: false,
+///     fixed: vec![],
+///     huber: f64::INFINITY,
+/// };
+/// // 0.2 s at rest, one row a sample.
+/// let recording = LikelihoodRecording {
+///     t: (0..200).map(|i| 1e-3 * f64::from(i)).collect(),
+///     theta: vec![0.1; 200],
+///     dtheta: vec![f64::NAN; 200],
+///     ddtheta: vec![],
+///     tau: vec![],
+///     acceleration: [0.0, 0.0, 9.81].repeat(200),
+///     jerk: vec![0.0; 200],
+///     period: 1e-3,
+/// };
+/// let likelihood = Likelihood::new(robot, settings, recording)?;
+/// let evidence = likelihood.evaluate(&[Parameter::SensorBias(0, 0)], &[0.01], false)?;
+/// // The sensor reads zero where it would read its bias of 0.01: the gradient points back to zero.
+/// assert!(evidence.gradient[0] < 0.0);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Likelihood {
+    /// Channels and biases.
     model: JerkModel,
+    /// Noise, what is fixed, and Huber's limit.
     settings: LikelihoodSettings,
     recording: LikelihoodRecording,
 }
@@ -158,6 +199,8 @@ impl Likelihood {
         Ok(Filter::new(&self.model, noise.clone(), evaluation, instants))
     }
 
+    /// The filters side by side, stretch by stretch, each with the derivatives in its own parameters; sums of all
+    /// readings.
     fn accumulate<T: Seeded>(&self, mut filters: Vec<Filter<T>>, p: usize, detail: bool) -> Result<Evidence, RunError> {
         let (count, channels) = (self.recording.len(), self.model.channels());
         let mut evidence = Evidence {

@@ -28,18 +28,26 @@ pub(super) struct SequentialInnovation<T> {
 /// A filter on its way through a recording.
 #[derive(Clone, Debug)]
 pub(super) struct Filter<T> {
+    /// Predictions of readings and their derivatives.
     evaluation: ParametricMeasurement<T>,
+    /// The state that is each channel's bias.
     biases: Vec<Option<usize>>,
     /// The state that is each channel's filter, and α.
     memories: Vec<Option<(usize, T)>>,
+    /// Densities, walks and initial uncertainties.
     noise: JerkNoise,
+    /// All instants at which something was read, in time, and the next one.
     instants: Vec<Instant>,
     next: usize,
+    /// (q, q̇, q̈, biases, filters inside sensors).
     mean: Vec<T>,
     /// n × n, symmetric.
     covariance: Vec<T>,
+    /// Where the instant's readings are linearised (3n).
     reference: Vec<T>,
+    /// P hᵀ of the reading at hand.
     gain: Vec<T>,
+    /// Those since [`advance`](Self::advance) was last called.
     pub(super) innovations: Vec<SequentialInnovation<T>>,
 }
 
@@ -91,6 +99,7 @@ impl<T: Scalar> Filter<T> {
             if i == 0 {
                 self.start(recording);
             } else {
+                // Sensors that are late have instants of their own between samples: the filter stops there too.
                 let from = self.instants[i - 1];
                 simd::phase(PredictSequential { filter: self, recording, from, to: instant });
             }
@@ -99,6 +108,7 @@ impl<T: Scalar> Filter<T> {
         self.next += count;
     }
 
+    /// At rest at the first sample: links where the first motor positions let them hang, by the parameters' springs.
     fn start(&mut self, recording: &LikelihoodRecording) {
         let (n, states) = (self.reference.len() / 3, self.mean.len());
         let q = self.evaluation.rest(&recording.theta[..n]);
@@ -137,6 +147,7 @@ impl<T: Scalar> Filter<T> {
             self.mean[n + j] += dt * ddq + half * u;
             self.mean[2 * n + j] += dt * u;
         }
+        // F P, then (F P) Fᵀ, by the rows and columns that F mixes: F is the identity but for dt and dt²/2.
         let p = &mut self.covariance;
         for i in 0..n * states {
             let (dq, ddq) = (p[n * states + i], p[2 * n * states + i]);
@@ -154,6 +165,7 @@ impl<T: Scalar> Filter<T> {
     }
 
     #[inline(always)]
+    /// P ← P + Q: white jerk over the step, walks beside, and biases that forget and wander.
     fn add_noise(&mut self, dt: T) {
         let (n, states) = (self.reference.len() / 3, self.mean.len());
         let white_jerk = jerk_noise::covariance(dt);
@@ -199,6 +211,7 @@ impl<T: Scalar> Filter<T> {
     }
 
     #[inline(always)]
+    /// Kalman's update by one reading: innovation, its variance, and the state by both.
     fn use_reading(&mut self, i: usize, row: usize) {
         let reading = self.evaluation.readings[i];
         let predicted = self.project(&reading);
@@ -206,10 +219,12 @@ impl<T: Scalar> Filter<T> {
             Some((state, alpha)) => self.remember(state, alpha, predicted),
             None => predicted,
         };
+        // A filter inside a sensor goes on though its output was not recorded.
         let Some(value) = reading.value else { return };
         let (mut value, mut variance) = (T::constant(value) - predicted, spread + reading.variance);
         if let Some(b) = self.biases[reading.channel] {
             let states = self.mean.len();
+            // h = (…, 1 at the bias): P hᵀ and h P hᵀ from their parts, without a row of zeros and ones.
             value -= self.mean[b];
             variance += self.gain[b];
             for (g, p) in self.gain.iter_mut().zip(&self.covariance[b * states..][..states]) {

@@ -8,6 +8,19 @@ use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
 
 /// Predictions of all channels at one state, with their derivatives in (q, q̇, q̈).
+///
+/// ```
+/// use linkside_core::estimate::measurement::{Evaluation, Kind};
+///
+/// let robot = linkside_core::demo::arm()?;
+/// let channels = Kind::all_channels(&[Kind::Motor, Kind::Link], &robot);
+/// let mut at = Evaluation::new(&robot, channels.len());
+/// at.evaluate(&robot, &channels, &[0.1, 0.0, 10.0], &[f64::NAN]); // (q, q̇, q̈), motor velocities unknown
+/// // 16.5 N m accelerate the link; the motor is ahead of it by that over K, and by I/K more for each rad/s².
+/// assert!((at.prediction[0] - at.prediction[1] - 16.5 / 1.2e4).abs() < 1e-12);
+/// assert!((at.jacobian[2] - 1.65 / 1.2e4).abs() < 1e-12);
+/// # Ok::<(), linkside_core::error::RobotError>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Evaluation<T> {
     /// h (channels), without bias.

@@ -30,6 +30,7 @@ pub struct AccelerationMap {
     weights: Vec<f64>,
     /// Which column of the map each joint has; none for a rigid joint.
     columns: Vec<Option<usize>>,
+    /// Elastic joints, whose accelerations are looked for.
     unknowns: usize,
     /// ε.
     threshold: f64,
@@ -42,6 +43,7 @@ pub struct AccelerationMap {
     above: Vec<f64>,
     /// Square scratch: inverse of the triangle, by rows, or right singular vectors.
     square: Vec<f64>,
+    /// What the prior lacks of q̈ (unknowns).
     solution: Vec<f64>,
 }
 
@@ -141,6 +143,7 @@ impl AccelerationMap {
             }
             kinematics.acceleration_map(&robot.tree, &sensor.frame, |joint, column| {
                 let Some(c) = self.columns[joint] else { return };
+                // A missing axis is a row of zeros: it says nothing, and its neighbours go on.
                 for (r, &axis) in (row..).zip(&sensor.axes) {
                     if !reading[r].is_nan() {
                         let entry = column.0[axis] * self.weights[r];
@@ -197,10 +200,12 @@ impl AccelerationMap {
                 squared += entry * entry;
             }
         }
+        // The cheap proof, good in nearly all samples; singular values are computed only where it fails.
         squared * self.threshold * self.threshold <= 1.0
     }
 
     #[inline(always)]
+    /// R⁻¹ Qᵀ b, with the inverse that proved that nothing is damped.
     fn back_substitute(&mut self) {
         let (m, rhs) = (self.unknowns, self.unknowns * self.stride);
         for i in 0..m {
@@ -224,6 +229,7 @@ impl AccelerationMap {
         for (c, column) in columns.chunks_exact(stride).enumerate() {
             // Rows of the right-hand side beyond the triangle are what no acceleration explains.
             let (squared, along) = (dot(column, column), dot(&column[..m], &rhs[..m]));
+            // σ ≥ ε: the least-squares solution; below, σ/ε² in place of 1/σ.
             let floor = squared.max(self.threshold * self.threshold);
             add_scaled(&mut self.solution, along / floor, &self.square[c * m..][..m]);
             least = least.min(squared.sqrt());
@@ -251,6 +257,8 @@ impl AccelerationMap {
                     }
                     largest = largest.max(gamma * gamma / (alpha * beta));
                     let zeta = (beta - alpha) / (2.0 * gamma);
+                    // The smaller of the two rotations that make the columns orthogonal (Golub and Van Loan 2013,
+                    // section 8.6).
                     let tan = zeta.signum() / (zeta.abs() + (zeta * zeta + 1.0).sqrt());
                     rotate(&mut self.map, stride, p, q, tan);
                     rotate(&mut self.square, m, p, q, tan);

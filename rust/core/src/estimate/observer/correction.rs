@@ -15,6 +15,7 @@ const NOISE: f64 = 5.0;
 /// The gain of one joint as it depends on when its position was last read.
 #[derive(Clone, Debug)]
 pub(super) struct JointCorrection {
+    /// Where the gains for gaps and for the start come from.
     late: VaryingGain,
     /// Gains for positions 2, 3, … samples apart; NaN where not yet asked for.
     gains: Vec<JointState>,
@@ -22,6 +23,7 @@ pub(super) struct JointCorrection {
     since: usize,
     /// Samples and positions of a start that is under way.
     begun: Option<(u32, u32)>,
+    /// Covariance of the joint's state during a start, in the units of [`VaryingGain`].
     spread: JointCovariance,
     /// Share of a new innovation in the mean of their squares, that mean, and what it is at most.
     share: f64,
@@ -78,6 +80,7 @@ impl JointCorrection {
     }
 
     #[cold]
+    /// The gain for a position after a gap; computed once for each length.
     fn gain_after_gap(&mut self, joint: &Sampled) -> &JointState {
         let gap = self.since.min(self.gains.len() + 1);
         let kept = &mut self.gains[gap - 2];
@@ -88,6 +91,7 @@ impl JointCorrection {
     }
 
     #[cold]
+    /// As [`apply`](Self::apply), by the gains of a start.
     fn apply_at_start(&mut self, joint: &Sampled, x: &mut JointState, innovation: f64) {
         let (samples, readings) = self.begun.unwrap_or_default();
         let reads = !innovation.is_nan();

@@ -30,11 +30,14 @@ const START_READINGS: u32 = 8;
 /// A joint's model in the units of this module.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct VaryingGain {
+    /// Elastic, with a bias state, or rigid.
     model: JointModel,
     /// K/B, by which q moves θ̈.
     reach: f64,
     /// Of the observer's error [rad/s].
+    /// The observer's fastest pole [rad/s], one over the unit of time.
     speed: f64,
+    /// T [s].
     period: f64,
 }
 
@@ -105,6 +108,8 @@ impl VaryingGain {
         let mut spread = JointCovariance::default();
         let mut whole = identity();
         let mut added = JointCovariance::default();
+        // Transition and noise over the whole gap, then the filter's recursion until its gain stands still: a Riccati
+        // equation solved by iteration, once for each length of a gap.
         for _ in 0..gap {
             self.predict(&mut added, &transition, speed * self.period);
             whole = multiply(&transition, &whole);
@@ -171,14 +176,17 @@ fn correct(spread: &mut JointCovariance, noise: f64) -> JointState {
     gain
 }
 
+/// A gain in the joint's own units.
 fn unscaled(gain: &JointState, scale: &JointState) -> JointState {
     core::array::from_fn(|i| if scale[i] > 0.0 { gain[i] / scale[i] } else { 0.0 })
 }
 
+/// The unit matrix.
 fn identity() -> [JointState; ORDER] {
     core::array::from_fn(|i| core::array::from_fn(|j| f64::from(u8::from(i == j))))
 }
 
+/// A B.
 fn multiply(a: &[JointState; ORDER], b: &[JointState; ORDER]) -> [JointState; ORDER] {
     core::array::from_fn(|i| core::array::from_fn(|j| (0..ORDER).map(|k| a[i][k] * b[k][j]).sum()))
 }

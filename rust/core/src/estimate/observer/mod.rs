@@ -1,4 +1,10 @@
 //! Observers driven by accelerometers (De Luca, Schröder and Thümmel 2007).
+//!
+//! The idea: with link accelerations measured, each joint's motor and spring are a linear system of four states,
+//! whatever the links' dynamics are. Its observer has error dynamics of chosen poles ([`Poles`],
+//! [`closed_form_gains`]), in discrete time exactly ([`Sampled`]); accelerometers give q̈ by least squares at the
+//! estimated posture ([`AccelerationMap`]); what is nonlinear is fed forward at the estimate. Masses and inertias of
+//! the links do not come into it.
 
 mod acceleration;
 mod correction;

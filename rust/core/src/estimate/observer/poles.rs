@@ -6,8 +6,17 @@ use crate::error::DesignError;
 pub type Complex = nalgebra::Complex<f64>;
 
 /// Poles of one joint's error dynamics: stable, and closed under conjugation.
+///
+/// ```
+/// use linkside_core::estimate::observer::{Complex, Poles};
+/// let pair = [Complex::new(-3.0, 4.0), Complex::new(-3.0, -4.0)];
+/// assert_eq!(Poles::new(0, &pair, 2)?.polynomial(), [25.0, 6.0, 1.0]); // s² + 6 s + 25
+/// assert!(Poles::new(0, &pair[..1], 1).is_err()); // half a pair is no real system
+/// # Ok::<(), linkside_core::error::DesignError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Poles {
+    /// Those on the real axis.
     real: Vec<f64>,
     /// One of each pair, the one with positive imaginary part.
     pairs: Vec<Complex>,

@@ -18,6 +18,7 @@ pub(super) type JointState = [f64; ORDER];
 /// Exact one-period map of a joint's model, and the gain that maps the poles exactly, z = e^{λh}.
 #[derive(Clone, Debug)]
 pub struct Sampled {
+    /// Φ = e^(A h).
     transition: [JointState; ORDER],
     /// Response to a torque and an acceleration held over the period…
     held: [JointState; 2],
@@ -111,6 +112,7 @@ impl Sampled {
     }
 }
 
+/// Zeros behind the model's own states, so that loops have one length for all joints.
 fn padded<'a>(values: impl Iterator<Item = &'a f64>) -> JointState {
     let mut out = JointState::default();
     for (slot, value) in out.iter_mut().zip(values) {
@@ -130,6 +132,7 @@ fn current_gain(a: &DMatrix<f64>, poles: &Poles, h: f64) -> DVector<f64> {
     let scale = scales(a, omega);
     let a = DMatrix::from_fn(n, n, |i, j| a[(i, j)] * scale[i] / scale[j] / omega);
     let h = h * omega;
+    // exp of [A 1; 0 0]h holds ∫e^(As) ds, with which Δ = A ∫e^(As) ds / h has no difference in it.
     let mut integral = DMatrix::zeros(2 * n, 2 * n);
     integral.view_mut((0, 0), (n, n)).copy_from(&(&a * h));
     integral.view_mut((0, n), (n, n)).fill_with_identity();

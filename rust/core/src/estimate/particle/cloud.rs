@@ -14,6 +14,7 @@ pub(super) const BLOCK: usize = 512;
 /// Particles that go through a kernel together.
 pub(super) const WIDE: usize = 8;
 
+/// One number of each particle of a group.
 pub(super) type Wide = Lanes<WIDE>;
 
 /// A number of each particle of a block, by groups of [`WIDE`].
@@ -24,6 +25,7 @@ pub(super) type Wide = Lanes<WIDE>;
 pub(super) struct ParticleRow(pub(super) [[f64; WIDE]; BLOCK / WIDE + 1]);
 
 impl ParticleRow {
+    /// The same for all.
     fn of(value: f64) -> Self {
         Self([[value; WIDE]; BLOCK / WIDE + 1])
     }
@@ -35,6 +37,7 @@ impl ParticleRow {
     }
 
     #[inline(always)]
+    /// The numbers one after the other, for writing.
     pub(super) fn each_mut(&mut self) -> &mut [f64] {
         self.0.as_flattened_mut()
     }
@@ -53,7 +56,9 @@ pub(super) struct Block {
     pub(super) log_weights: ParticleRow,
     /// Weights as multiples of the block's largest.
     pub(super) weights: ParticleRow,
+    /// Of the weighted particles.
     pub(super) sums: Sums,
+    /// Room for a group on its way, of this block's thread alone.
     pub(super) scratch: Scratch,
     /// There where accelerations are marginalised.
     pub(super) densities: Option<Box<Densities>>,
@@ -65,6 +70,7 @@ pub(super) struct Sums {
     /// The largest logarithm of a weight, and whose it is.
     pub(super) largest: f64,
     pub(super) best: usize,
+    /// Σ w and Σ w².
     pub(super) weight: f64,
     pub(super) square: f64,
     /// Of each entry of the state.
@@ -76,6 +82,7 @@ pub(super) struct Sums {
 /// Room for [`WIDE`] particles on their way.
 #[derive(Clone, Debug)]
 pub(super) struct Scratch {
+    /// h and its Jacobian at the particles.
     pub(super) evaluation: Evaluation<Wide>,
     /// q, q̇, q̈ and biases before the noise, and after it.
     pub(super) before: Vec<Wide>,
@@ -150,6 +157,7 @@ impl Block {
 /// All particles.
 #[derive(Clone, Debug)]
 pub(super) struct Cloud {
+    /// [`BLOCK`] particles each, but for the last.
     pub(super) blocks: Vec<Block>,
     /// Where chosen particles are copied to.
     pub(super) next: Vec<Vec<ParticleRow>>,

@@ -12,6 +12,7 @@ use crate::scalar::Scalar;
 /// The covariance of l, and how l and n change with the numbers ζ (2n) by which n is drawn.
 #[derive(Clone, Debug)]
 pub(super) struct Conditional<T> {
+    /// n, and the number of entries of l.
     joints: usize,
     size: usize,
     /// P, upper triangle by rows.
@@ -50,6 +51,7 @@ impl<T: Scalar> Conditional<T> {
     }
 
     #[inline(always)]
+    /// Takes over another one of the same size, but for its gain.
     pub(super) fn copy_from(&mut self, other: &Self) {
         self.covariance.copy_from_slice(&other.covariance);
         self.slope.copy_from_slice(&other.slope);
@@ -69,6 +71,8 @@ impl<T: Scalar> Conditional<T> {
             for r in 0..self.size {
                 self.gain[r] = self.at(r, j) * dt;
             }
+            // The measurement q̇₊ − q̇ = T q̈ + noise: its variance T² P_jj + rest, its covariance with l in the gain;
+            // the noise of q̈ that goes with it (`cross`) joins.
             let variance = self.gain[j] * dt + noise.rest;
             self.gain[j] += T::constant(noise.cross);
             self.add_variance(j, noise.gained);
@@ -183,17 +187,20 @@ impl<T: Scalar> Conditional<T> {
     }
 
     #[inline(always)]
+    /// Independent noise of one entry.
     fn add_variance(&mut self, entry: usize, variance: f64) {
         let diagonal = packed(entry, entry, self.size);
         self.covariance[diagonal] += T::constant(variance);
     }
 
     #[inline(always)]
+    /// Entry (r, c) of P, whichever triangle it is in.
     fn at(&self, r: usize, c: usize) -> T {
         self.covariance[packed(r.min(c), r.max(c), self.size)]
     }
 
     #[inline(always)]
+    /// The gain times a number of each particle.
     fn scale_gain(&mut self, factor: T) {
         for gain in &mut self.gain {
             *gain = *gain * factor;

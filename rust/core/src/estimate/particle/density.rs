@@ -73,15 +73,19 @@ impl Density {
 /// A density of given variance.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct NoiseDensity {
+    /// Its kind.
     density: Density,
+    /// σ², of a mixture that of its first part.
     pub(super) variance: f64,
     /// Logarithm of the density's factor; of a mixture that of its first part.
     constant: f64,
+    /// See [`Density::log_odds`].
     odds: f64,
 }
 
 impl NoiseDensity {
     #[inline(always)]
+    /// log p(error).
     pub(super) fn log_density(&self, error: Wide) -> Wide {
         let square = error * error * (1.0 / self.variance);
         match self.density {

@@ -11,7 +11,9 @@ use crate::scalar::{Lanes, Scalar, ln};
 ///
 /// Drawn blindly, the first belief's 3n independent entries would leave hardly one particle near the first readings.
 pub(super) struct InitialCloud<'a> {
+    /// The first belief: at rest, or given.
     belief: &'a Gaussian,
+    /// Most probable state given the first readings, in those units.
     mode: Vec<f64>,
     /// Lower factor of Λ by rows.
     factor: Vec<f64>,

@@ -12,6 +12,7 @@ use crate::estimate::kalman::{JerkModel, JerkNoise, Symmetric};
 pub(super) struct JointNoise {
     /// ∂q/∂ζ, ∂q̇/∂ζ and ∂q̈/∂ζ of the joint's own number ζ.
     pub(super) position: f64,
+    /// As above, of the joint's velocity.
     pub(super) velocity: f64,
     pub(super) acceleration: f64,
     /// Variances of velocity and acceleration that are left, and their covariance.
@@ -26,9 +27,11 @@ impl JointNoise {
     /// With U = density² T⁵/120, all that white jerk has in u: closed forms in which nothing is subtracted, for any of the
     /// three may be all that there is.
     pub(super) fn new(density: f64, [position, velocity]: [f64; 2], dt: f64) -> Self {
+        // Of white jerk over T: Var u = U = density² T⁵/120 for u = w_q − T/2 w_q̇, and the rest in closed forms of it.
         let jerk = density * density * dt / 120.0; // U / T⁴
         let own = jerk * dt.powi(4);
         let variance = own + position + 0.25 * dt * dt * velocity;
+        // Nothing random in u: positions follow from velocities, whose noise is all in the measurement.
         if variance == 0.0 {
             let (rest, cross) = (40.0 * jerk * dt * dt + velocity, 60.0 * jerk * dt);
             return Self { rest, cross, gained: 120.0 * jerk, ..Self::default() };
@@ -49,7 +52,9 @@ impl JointNoise {
 /// What is random in the motion over a sample, the same for all particles.
 #[derive(Clone, Debug)]
 pub(super) struct ProcessNoise {
+    /// Length of the sample [s]; zero at the first.
     pub(super) dt: f64,
+    /// Each joint's noise (n).
     pub(super) joints: Vec<JointNoise>,
     /// How biases move.
     pub(super) biases: Vec<BiasStep<f64>>,

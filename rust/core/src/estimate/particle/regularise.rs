@@ -14,6 +14,7 @@ use crate::simd::Kernel;
 /// Mean and lower factor of the covariance of a cloud.
 #[derive(Clone, Debug)]
 pub(super) struct Moments {
+    /// Weighted mean (entries).
     pub(super) mean: Vec<f64>,
     /// L by rows, with L Lᵀ the covariance; a column of zeros where there is no spread that is not others'.
     pub(super) factor: Vec<f64>,
@@ -38,6 +39,8 @@ impl Moments {
             }
         }
         for j in 0..n {
+            // Cholesky's, column by column; a pivot that is rounding beside its own variance is a direction without
+            // spread.
             let variance = l[j * n + j];
             for k in 0..j {
                 let a = l[j * n + k];
@@ -72,6 +75,7 @@ impl Moments {
 
 /// Spreads a block's particles.
 pub(super) struct Regularise<'a> {
+    /// Whose particles.
     pub(super) block: &'a mut Block,
     /// What the cloud's moments should be.
     pub(super) wanted: &'a Moments,
@@ -79,6 +83,7 @@ pub(super) struct Regularise<'a> {
     pub(super) found: &'a Moments,
     /// h.
     pub(super) kernel: f64,
+    /// Of the kernel's normal numbers.
     pub(super) stream: Stream,
 }
 
@@ -93,6 +98,7 @@ impl Kernel for Regularise<'_> {
         for group in 0..block.groups() {
             let items = block.items(group);
             draw(&stream, items, 0, &mut block.scratch.normal[..d]);
+            // L₁⁻¹ (x − m₁) by forward substitution, shrunk and spread, then m + L of it.
             let (deviation, normal) = (&mut block.scratch.before, &block.scratch.normal);
             for (a, row) in block.state.iter().take(d).enumerate() {
                 let mut value = Lanes(row.0[group]) + -found.mean[a];

@@ -17,6 +17,8 @@ impl ParticleFilter {
         if !self.started || self.summary.effective >= self.settings.threshold * n {
             return;
         }
+        // Moments before are those of the weighted cloud, after those of the copies: the kernel takes the one back to
+        // the other.
         let kernel = self.settings.kernel;
         if kernel.is_some() {
             self.take_moments(true);
@@ -52,6 +54,7 @@ impl ParticleFilter {
         moments.factorise(&summary.products, scale);
     }
 
+    /// New particles from their ancestors, all of one weight; blocks are gathered side by side.
     fn copy_ancestors(&mut self) {
         let Self { cloud: Cloud { blocks, next }, ancestors, threads, .. } = self;
         let (source, level) = (&*blocks, simd::level());

@@ -73,8 +73,11 @@ impl GainMap {
 /// Room for what a map does with an innovation.
 #[derive(Clone, Debug)]
 pub(super) struct Mapped {
+    /// k(y) and its Jacobian.
     map: GainMap,
+    /// T/2 [s].
     half: f64,
+    /// Scratch: 1 + ½ T ∂k/∂y (n × n), and the change that is looked for (n).
     matrix: Vec<f64>,
     change: Vec<f64>,
 }

@@ -10,14 +10,19 @@ use std::sync::Arc;
 #[derive(Clone, Debug)]
 pub(super) struct RigidDynamics {
     pub(super) robot: Arc<Robot>,
+    /// Whether torques are the motors', and their inertia and friction count.
     motors: bool,
+    /// T [s], over half of which dry friction is taken implicitly.
     period: f64,
+    /// Of the links.
     kinematics: Kinematics<f64>,
+    /// M and C v + g.
     loads: Loads<f64>,
     /// What the motors add to M, n × n.
     added: Vec<f64>,
     /// The factorised inertia at the position that was set last.
     factor: Vec<f64>,
+    /// n zeros.
     zero: Vec<f64>,
 }
 

@@ -16,6 +16,21 @@ pub enum Logic {
 }
 
 /// Gains by level: at level r the speed is taken to be at most r v̄ (Cristofaro and De Luca 2023, eqs. (14)–(16)).
+///
+/// ```
+/// use linkside_core::estimate::velocity::{Gains, Logic, Schedule};
+/// let schedule = Schedule {
+///     gains: vec![40.0, 80.0, 160.0], // up to 1, 2 and 3 rad/s
+///     bound: 1.0,
+///     margin: 0.2,
+///     hysteresis: 0.1,
+///     start: 1,
+///     dwell: 0,
+///     logic: Logic::Repaired,
+/// };
+/// let gains = Gains::Scheduled(schedule);
+/// # drop(gains);
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Schedule {
     /// k₁, k₂, …: levels beyond the last use the last [1/s].
@@ -65,6 +80,7 @@ impl Schedule {
         if up == level && below { level - 1 } else { up }
     }
 
+    /// The speed at or below which the gain jumps down from `level` [rad/s].
     fn floor(&self, level: usize) -> f64 {
         let below = (level - 1) as f64 * self.bound;
         match self.logic {

@@ -17,6 +17,18 @@ use crate::simd::{self, Kernel};
 use core::ops::{Add, Mul};
 
 /// A joint's drive, reflected through the gear to the link side.
+///
+/// Torques on link and motor are K δ + k₃ δ³ + soft wind-up + D δ̇ with the torsion δ = θ − q, the motor's friction,
+/// and the link's (Ulrich and Sasiadek 2011, eqs. (10)–(16)). Its law is smooth, so that derivatives exist at
+/// standstill too.
+///
+/// ```
+/// let robot = linkside_core::demo::arm()?;
+/// let drive = &robot.drives[0];
+/// assert_eq!(drive.spring_torque(0.01), 120.0);
+/// assert_eq!(drive.torsion(120.0), 0.01); // and back
+/// # Ok::<(), linkside_core::error::RobotError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Drive {
     /// False when the link follows the motor rigidly.
