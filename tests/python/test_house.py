@@ -1,6 +1,7 @@
 """The house stands: modules import downwards only, and none uses what is private to another."""
 
 import ast
+import itertools
 import re
 from collections import Counter
 from pathlib import Path
@@ -123,6 +124,7 @@ def test_no_private_attribute_of_another_module_is_used():
     assert found == []
 
 
+CORE = Path(__file__).parents[2] / "rust" / "core"
 CRATES = [path for path in (Path(__file__).parents[2] / "rust").glob("*/src") if path.is_dir()]
 
 
@@ -132,6 +134,40 @@ def test_a_type_of_a_crate_has_a_name_of_its_own(crate):
         r"^\s*(?:pub(?:\([a-z() ]+\))? )?(?:unsafe )?(?:struct|enum|union|trait|(?<=pub )type) (\w+)", re.M
     )
     assert homonyms(name for path in crate.rglob("*.rs") for name in defined.findall(path.read_text())) == []
+
+
+def test_the_core_says_what_it_does():
+    """Lines of documentation to lines of code, tests apart."""
+    code = documentation = 0
+    for path in (CORE / "src").rglob("*.rs"):
+        text = "" if path.name == "tests.rs" else path.read_text().partition("#[cfg(test)]\nmod tests")[0]
+        lines = [line.strip() for line in text.splitlines() if line.strip()]
+        said = sum(line.startswith(("///", "//!")) for line in lines)
+        documentation += said
+        code += sum(not line.startswith("//") for line in lines)
+    assert documentation > 0.23 * code
+
+
+@pytest.mark.parametrize(
+    "item",
+    [
+        "robot/mod.rs: pub struct Robot",
+        "estimate/observer/run.rs: pub struct AccelerationObserver",
+        "estimate/kalman/filter.rs: pub struct ExtendedKalmanFilter",
+        "estimate/kalman/elastic.rs: pub type ElasticModel",
+        "estimate/kalman/smoother.rs: pub struct Smoother",
+        "estimate/particle/filter.rs: pub struct ParticleFilter",
+        "estimate/velocity/observer.rs: pub struct VelocityObserver",
+        "estimate/likelihood/evidence.rs: pub struct Likelihood {",
+        "simulate/run.rs: pub fn simulate",
+    ],
+)
+def test_what_a_user_of_the_crate_begins_with_has_an_example(item):
+    """Examples run with the tests of the crate; this is for their being there."""
+    path, _, start = item.partition(": ")
+    above = (CORE / "src" / path).read_text().partition(f"\n{start}")[0].splitlines()
+    own = list(itertools.takewhile(lambda line: line.startswith(("///", "#[")), reversed(above)))
+    assert own.count("/// ```") == 2, f"{item} has no example"
 
 
 def test_a_class_has_a_name_of_its_own():

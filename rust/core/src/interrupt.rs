@@ -107,6 +107,12 @@ impl Watch {
 
 /// Does `work`, asking `ask` now and then on this thread whether to stop; once it says so, the work returns early, with an
 /// error where it can give one.
+///
+/// ```
+/// use linkside_core::interrupt::{Watch, watched};
+/// let work = || (0..u64::MAX).take_while(|_| !Watch::current().stops()).last();
+/// assert!(watched(|| true, work).is_none_or(|turns| turns < u64::MAX)); // asked, and told to stop
+/// ```
 pub fn watched<T>(ask: impl Fn() -> bool + 'static, work: impl FnOnce() -> T) -> T {
     let asker = Asker { ask: Box::new(ask), left: Cell::new(0), pace: Cell::new(1), last: Cell::new(Instant::now()) };
     Watch { stop: Some(Arc::new(AtomicBool::new(false))), asker: Some(Rc::new(asker)) }.over(work)

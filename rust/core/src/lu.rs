@@ -3,6 +3,7 @@
 /// L U = P A, rows exchanged for the largest pivot (Golub and Van Loan 2013, algorithm 3.4.1).
 #[derive(Clone, Debug)]
 pub(super) struct Lu {
+    /// Rows and columns.
     size: usize,
     /// A, row-major, until it is factorised.
     pub(super) matrix: Vec<f64>,

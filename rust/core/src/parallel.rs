@@ -35,6 +35,7 @@ pub(crate) fn map<T: Sync, R: Send>(items: &[T], f: impl Fn(&T) -> R + Sync) -> 
 
 /// Calls `f` with each item, on all cores; the items should take milliseconds.
 pub(crate) fn each<I: Send>(items: Vec<I>, f: impl Fn(I) + Sync) {
+    // The caller works too: of one item there are no helpers, and nothing is spawned.
     let helpers = threads().min(items.len()).saturating_sub(1);
     let queue = Queue::new(items);
     let stop = Watch::current().shared();
@@ -95,9 +96,11 @@ fn pool() -> Option<&'static ThreadPool> {
 
 /// Items that threads take one after the other.
 struct Queue<I> {
+    /// Those that nobody has taken yet.
     items: Mutex<I>,
     /// Items taken and not yet done.
     busy: AtomicUsize,
+    /// Who asked, to be woken by whoever is done last.
     waiting: thread::Thread,
 }
 
@@ -106,6 +109,7 @@ impl<I: Iterator> Queue<I> {
         Self { items: Mutex::new(items.into_iter()), busy: AtomicUsize::new(0), waiting: thread::current() }
     }
 
+    /// The next item; its taker is busy from now on.
     fn take(&self) -> Option<I::Item> {
         let mut items = self.items.lock().unwrap_or_else(PoisonError::into_inner);
         self.busy.fetch_add(1, Ordering::Relaxed);

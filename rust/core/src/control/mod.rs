@@ -41,6 +41,27 @@ impl RobotState {
 pub struct Refused;
 
 /// Anything that turns a state into motor torques.
+///
+/// ```
+/// use linkside_core::control::{Controller, Refused, RobotState};
+///
+/// /// A damper at each motor.
+/// struct Brake(f64);
+///
+/// impl Controller for Brake {
+///     fn torque(&mut self, _t: f64, state: &RobotState, out: &mut [f64]) -> Result<(), Refused> {
+///         for (torque, speed) in out.iter_mut().zip(&state.dtheta) {
+///             *torque = -self.0 * speed;
+///         }
+///         Ok(())
+///     }
+/// }
+///
+/// let (mut state, mut torque) = (RobotState::new(1), [0.0]);
+/// state.dtheta[0] = 0.5;
+/// Brake(40.0).torque(0.0, &state, &mut torque).unwrap();
+/// assert_eq!(torque, [-20.0]);
+/// ```
 pub trait Controller {
     /// Motor torques `out` (n) [N m] from time `t` [s] until the next sample, asked for once a sample, in order.
     ///

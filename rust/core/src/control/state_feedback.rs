@@ -7,7 +7,7 @@ use crate::error::DesignError;
 /// τ = τ_d + K_P (x_d − x) with x = (θ, q, θ̇, q̇): eq. (13) of De Luca, Schröder and Thümmel (2007).
 #[derive(Clone, Debug)]
 pub struct StateFeedback {
-    /// (q, q̇, θ, θ̇, τ) wanted, in time.
+    /// (θ, q, θ̇, q̇, τ) wanted, in time.
     reference: Reference,
     /// n × 4n, row-major, on the errors of θ, q, θ̇ and q̇.
     gains: Vec<f64>,

@@ -46,6 +46,21 @@ impl<T: Scalar> Carried<T> {
 ///
 /// Luh, Walker and Paul (1980), written in moments of mass: with Γ constant over a body its momentum changes by
 /// m a + Γ∫r dm, and its moment of momentum by ∫r dm × a and the skew part of Γ∫r rᵀ dm.
+///
+/// ```
+/// use linkside_core::dynamics::NewtonEuler;
+/// use linkside_core::scalar::Dual;
+///
+/// let robot = linkside_core::demo::arm()?;
+/// let mut recursion = NewtonEuler::<Dual<1>>::new(&robot.tree);
+/// // The derivative of the torque by q̈ is the inertia: of numbers that carry one, it comes along.
+/// let [zero, one] = [0.0, 1.0].map(|x| Dual { value: x, gradient: [x] });
+/// recursion.set(&robot.tree, &[zero], &[zero], &[one]);
+/// let mut tau = [Dual::default()];
+/// recursion.inverse_dynamics_into(&robot.tree, &mut tau);
+/// assert!((tau[0].gradient[0] - 1.65).abs() < 1e-12);
+/// # Ok::<(), linkside_core::error::RobotError>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct NewtonEuler<T> {
     /// One a body, in the order of the tree.

@@ -1,6 +1,12 @@
 //! What there is to know about a row of an estimate.
 
 /// What happened at a sample; 0 is good, otherwise a sum of these. All estimators share the bits.
+///
+/// ```
+/// use linkside_core::estimate::Status;
+/// let status = Status::BRIDGED | Status::GATED;
+/// assert!(status & Status::CONTRADICTED == 0); // still to be believed
+/// ```
 #[derive(Clone, Copy, Debug)]
 pub struct Status;
 

@@ -15,6 +15,9 @@ use crate::scalar::Scalar;
 use crate::spatial::Vec3;
 
 /// A three-axis sensor fixed to a body.
+///
+/// An accelerometer reads specific force: at rest 9.81 m/s² upwards, in free fall nothing. A gyroscope reads the
+/// angular velocity of its body. Both in their own axes, of which some may not be recorded.
 #[derive(Clone, Debug)]
 pub struct Sensor {
     /// Where it is and how it is turned.

@@ -66,6 +66,15 @@ pub struct Frame {
 }
 
 /// A tree of rigid bodies on a fixed base.
+///
+/// ```
+/// use linkside_core::spatial::{Mat3, Vec3};
+/// let robot = linkside_core::demo::arm()?;
+/// let elbow = robot.tree.frame("a probe", 0, &Mat3::IDENTITY, &Vec3([0.4, 0.0, 0.0]))?;
+/// assert!(robot.tree.frame("a probe", 7, &Mat3::IDENTITY, &Vec3([0.0; 3])).is_err()); // there is no body 7
+/// # drop(elbow);
+/// # Ok::<(), linkside_core::error::RobotError>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Tree {
     /// Each after the one that carries it.

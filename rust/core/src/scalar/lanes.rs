@@ -7,6 +7,12 @@ use core::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 ///
 /// A plain array: the compiler chooses the instructions of whatever target the caller was compiled for.
 /// Every lane holds the same bits that `f64` alone would.
+///
+/// ```
+/// use linkside_core::scalar::{Lanes, Scalar};
+/// let (sines, _) = Lanes([0.1, 0.2, 0.3, 0.4]).sin_cos();
+/// assert_eq!(sines.0[2], Scalar::sin_cos(0.3).0); // to the last bit
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(align(64))]
 pub struct Lanes<const L: usize>(pub [f64; L]);

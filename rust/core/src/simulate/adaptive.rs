@@ -48,7 +48,7 @@ impl StepTolerance {
 /// use linkside_core::simulate::{Adaptive, Plant, StepTolerance};
 ///
 /// let robot = linkside_core::demo::arm()?;
-/// let mut plant = Plant::new(&robot)?;
+/// let mut plant = Plant::new(&robot);
 /// let mut adaptive = Adaptive::new(&plant, StepTolerance { rtol: 1e-6, atol: 1e-9 })?;
 /// // (q, q̇, θ, θ̇): a twisted spring, let go. Half a second later it has come to rest, without any momentum.
 /// let mut x = [0.0, 0.0, 0.01, 0.0];

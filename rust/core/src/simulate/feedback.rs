@@ -23,6 +23,9 @@ pub struct Known<'a> {
 }
 
 /// Turns what is known into what the controller knows.
+///
+/// [`TrueState`] for a controller without sensors, [`SensorFeedback`] for one that takes links to be where their motors
+/// are, and an estimator in the loop: [`ObserverFeedback`], [`FilterFeedback`].
 pub trait Feedback {
     /// Writes the state at a sample, asked for once a sample, in order.
     ///

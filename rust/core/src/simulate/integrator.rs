@@ -8,6 +8,22 @@ use nalgebra::DMatrix;
 const RADIUS: f64 = 2.78;
 
 /// A robot's state, moved in fixed steps.
+///
+/// ```
+/// use linkside_core::simulate::{Plant, RungeKutta, largest_stable_step};
+///
+/// let robot = linkside_core::demo::arm()?;
+/// let mut plant = Plant::new(&robot);
+/// let mut x = [0.0; 4]; // (q, q̇, θ, θ̇)
+/// assert!(largest_stable_step(&robot, &x, &[0.0]) > 1e-3);
+/// let mut method = RungeKutta::new(&plant);
+/// for _ in 0..100 {
+///     method.step(&robot, &mut plant, &mut x, &[46.5], 1e-3);
+/// }
+/// // 46.5 N m for 0.1 s on motor and link together, whatever the spring does between them.
+/// assert!((1.65 * x[1] + 3.0 * x[3] - 4.65).abs() < 1e-9);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct RungeKutta {
     /// Where the slope is asked for, the slope, and the new state as it is summed up.

@@ -7,6 +7,14 @@ use core::ops::AddAssign;
 /// Moments of a body's mass about the base origin: ∫dm, ∫r dm and ∫r rᵀ dm. Bodies add.
 ///
 /// The rotational inertia is `tr(second)·1 − second`.
+///
+/// ```
+/// use linkside_core::spatial::{Inertia, Motion, Vec3};
+/// // Two kilograms half a metre out, turning at 3 rad/s about z: 3 N s along y, and 1.5 N m s about z.
+/// let mass = Inertia::point(2.0, &Vec3([0.5, 0.0, 0.0]));
+/// let momentum = mass.apply(&Motion { angular: Vec3([0.0, 0.0, 3.0]), linear: Vec3([0.0; 3]) });
+/// assert_eq!((momentum.force.0[1], momentum.moment.0[2]), (3.0, 1.5));
+/// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Inertia<T> {
     /// ∫dm [kg].

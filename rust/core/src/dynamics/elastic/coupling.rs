@@ -11,6 +11,7 @@ pub(super) struct Coupling<T> {
     matrix: Vec<T>,
     /// Motor j couples to none but the first so many links.
     reach: Vec<usize>,
+    /// Where links carry motors.
     pub(super) rotors: Option<Rotors<T>>,
 }
 
@@ -19,7 +20,9 @@ pub(super) struct Coupling<T> {
 /// A rotor is round: its angle matters to nothing.
 #[derive(Clone, Debug)]
 pub(super) struct Rotors<T> {
+    /// Links, then rotors.
     pub(super) tree: Tree,
+    /// Of every body's joint.
     pub(super) position: Vec<T>,
     pub(super) velocity: Vec<T>,
     pub(super) acceleration: Vec<T>,
@@ -82,6 +85,8 @@ impl<T: Scalar> Coupling<T> {
         let bodies = n + robot.rotors.len();
         for (row, rotor) in mass[n * bodies..].chunks_exact(bodies).zip(&robot.rotors) {
             for (i, &entry) in row[..n].iter().enumerate() {
+                // A rotor turns `ratio` times as fast as the motor's coordinate, reflected through the gear: S = ratio
+                // · M(link, rotor).
                 self.matrix[i * n + rotor.motor] = entry * rotor.ratio;
             }
         }

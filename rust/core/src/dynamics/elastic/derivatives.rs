@@ -13,6 +13,7 @@ impl<T: Scalar> ElasticDynamics<T> {
     }
 
     #[inline(always)]
+    /// ∂(right-hand side − left-hand side)/∂x with accelerations held, solved with the factors that `accelerate` left.
     fn differentiate_here(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T]) {
         let (n, d) = (layout.joints, layout.dense);
         self.differentiate_loads(robot, layout, x);
@@ -20,6 +21,7 @@ impl<T: Scalar> ElasticDynamics<T> {
             self.differentiate_motor(robot, layout, x, j);
         }
         let system = n * n;
+        // All columns at once.
         linear::solve(&self.mass[..system], n, &mut self.ddq_by, d);
         linear::solve(&self.mass[..system], n, &mut self.ddq_by_tau, n);
         for (j, drive) in robot.drives.iter().enumerate() {
@@ -49,6 +51,8 @@ impl<T: Scalar> ElasticDynamics<T> {
             }
             (tree, q, dq, acceleration) = (&rotors.tree, &rotors.position, &rotors.velocity, &rotors.acceleration);
         }
+        // M and S depend on q: at the accelerations just found their derivatives are inside those of the inverse
+        // dynamics.
         kinematics.set(tree, q, dq, acceleration);
         loads.inverse_dynamics_derivatives_into(tree, kinematics, load, by_q, by_dq, ignored);
         let bodies = tree.len();
@@ -215,6 +219,7 @@ impl<T: Scalar> ElasticDynamics<T> {
     }
 }
 
+/// [`ElasticDynamics::differentiate`], likewise.
 struct Differentiate<'a, T> {
     dynamics: &'a mut ElasticDynamics<T>,
     robot: &'a Robot,

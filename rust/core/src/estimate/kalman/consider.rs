@@ -28,6 +28,9 @@ const STRANGE: f64 = 5.0;
 /// With Σ = ∂(x − x̂)/∂p, predicted by Σ⁻ = F Σ + Ψ and corrected by Σ = (1 − K H) Σ⁻ − K N, the covariance of the
 /// error is P + Σ E[p pᵀ] Σᵀ. An innovation's mean is s p, s = H Σ⁻ + N, so innovations tell p: E[p pᵀ] is its second
 /// moment about the values of robot.yaml, given all readings so far.
+///
+/// Σ is states × parameters: a sample costs as much more than the filter as there are parameters for a state. Gains are
+/// those of the filter without them, so that switching tolerances off changes standard deviations and not the estimate.
 #[derive(Clone, Debug)]
 pub(super) struct Consider {
     /// Parameters.

@@ -13,6 +13,11 @@ use crate::robot::Robot;
 use crate::scalar::Dual;
 
 /// The acceleration-driven model with its noise, as a filter runs it.
+///
+/// It needs the links' masses and the springs, and no motor torques: what moves the links is taken to be random, beside
+/// the jerk that was commanded. Motors are measurements of the links, θ = q + φ⁻¹(M q̈ + C q̇ + g + friction), so that
+/// a motor's position tells acceleration as well, through the spring. The example is at
+/// [`ExtendedKalmanFilter`](super::ExtendedKalmanFilter).
 pub type JerkDriven = Paired<JerkProcess, JerkMeasurement>;
 
 impl JerkDriven {

@@ -9,6 +9,8 @@ use super::gaussian::{SHARP, Symmetric};
 use crate::linear;
 
 /// Λ and the scratch of what is done with it.
+///
+/// A step back costs about two measurement updates of as many channels as the step's noise has directions.
 #[derive(Clone, Debug)]
 pub(super) struct Information {
     /// Λ (states × states).

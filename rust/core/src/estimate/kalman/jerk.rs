@@ -25,6 +25,10 @@ pub struct JerkModel {
 }
 
 /// Standard deviations of everything that is random.
+///
+/// Densities, not variances of a step: they hold at any rate. A zero is exact knowledge; readings may not have it.
+/// `jerk` decides between lag and noise, and is the one to find from recordings; all others are what the sensors' data
+/// sheets say.
 #[derive(Clone, Debug)]
 pub struct JerkNoise {
     /// Density of each joint's jerk (n) [rad/s³/√Hz]: its acceleration wanders by this in one second.

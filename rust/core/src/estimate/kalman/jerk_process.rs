@@ -9,6 +9,10 @@ use crate::estimate::observer::link_position_at_rest;
 use crate::robot::Robot;
 
 /// See the module.
+///
+/// x₊ = F x + G u + w with a chain of three integrators a joint (Axelsson, Karlsson and Norrlöf 2012, eqs. (9) and
+/// (10)), u the commanded jerk, and w the exact integral of white jerk over the step, so that a density holds at any
+/// rate.
 #[derive(Clone, Debug)]
 pub struct JerkProcess {
     /// Channels and biases.

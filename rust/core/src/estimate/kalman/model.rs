@@ -14,6 +14,9 @@ use crate::robot::Robot;
 /// How the state moves: f, Q, and the adjoint that a smoother needs.
 ///
 /// The state begins with the link positions (n).
+///
+/// A filter asks for [`start`](Self::start) and [`predict`](Self::predict); the rest serves the smoother, which goes
+/// through the same steps backwards, and parameters, whose columns ride along. All in place, without allocating.
 pub trait Process: Clone + Send + Sync {
     /// The robot.
     fn robot(&self) -> &Robot;
@@ -74,6 +77,8 @@ pub trait Process: Clone + Send + Sync {
 ///
 /// Channels depend on the state's first [`dense`](Self::dense) entries, and each may have one further state that is its
 /// bias.
+///
+/// What a channel reads is in [`measurement`](crate::estimate::measurement); here it meets a state and its noise.
 pub trait Measurement: Clone + Send + Sync {
     /// Number of leading states on which channels may depend by more than a bias.
     fn dense(&self) -> usize;

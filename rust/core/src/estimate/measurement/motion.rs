@@ -156,6 +156,9 @@ impl<T: Scalar> Sensing<T> for LinkMotion<T> {
 }
 
 /// Motion and loads without derivatives, by half the work.
+///
+/// By [`NewtonEuler`]: bodies in their own axes, no matrices. Rounding differs from [`LinkMotion`]'s, which particles
+/// do not mind: they weigh by this text alone.
 #[derive(Clone, Debug)]
 pub(crate) struct PlainMotion<T> {
     /// The recursion in body frames.

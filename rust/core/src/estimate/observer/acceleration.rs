@@ -24,6 +24,20 @@ const UNOBSERVABLE: f64 = 1e-2;
 /// that combination of accelerations. Combinations with σ < ε are damped: 1/σ becomes σ/ε², which is the weighted
 /// estimate with prior variance (ε² − σ²)⁻¹; it meets 1/σ at ε and vanishes at a singular posture. Good
 /// combinations stay exact.
+///
+/// ```
+/// use linkside_core::dynamics::Kinematics;
+/// use linkside_core::estimate::observer::{AccelerationMap, Observability};
+///
+/// let robot = linkside_core::demo::arm()?;
+/// let mut kinematics = Kinematics::new(&robot.tree);
+/// kinematics.set_motion(&robot.tree, &[0.0], &[2.0], &[0.0]);
+/// // At the tip, a metre out: 3 rad/s² are 3 m/s² across, 2 rad/s pull 4 m/s² inwards, and gravity is there as well.
+/// let mut ddq = [0.0];
+/// let found = AccelerationMap::new(&robot, 10.0).solve(&robot, &kinematics, &[-4.0, 3.0, 9.81], &mut ddq);
+/// assert!(found == Observability::Full && (ddq[0] - 3.0).abs() < 1e-12);
+/// # Ok::<(), linkside_core::error::RobotError>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct AccelerationMap {
     /// 1/noise of each channel.

@@ -9,6 +9,13 @@ use crate::robot::Robot;
 /// The fixed-point iteration q ← θ − φ⁻¹(g(q)) contracts when gravity's stiffness is below the springs'; each spring
 /// is inverted by Newton's method.
 ///
+/// ```
+/// use linkside_core::estimate::observer::link_position_at_rest;
+/// let robot = linkside_core::demo::arm()?; // turns about the vertical: nothing twists its spring
+/// assert_eq!(link_position_at_rest(&robot, &[0.4])?, [0.4]);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
 /// # Errors
 /// [`DesignError::NoEquilibrium`] when it does not settle: gravity is too strong for the springs.
 pub fn link_position_at_rest(robot: &Robot, theta: &[f64]) -> Result<Vec<f64>, DesignError> {

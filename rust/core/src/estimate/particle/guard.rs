@@ -45,6 +45,8 @@ enum Verdict {
 }
 
 /// The Kalman filter, and how the cloud compares to it.
+///
+/// It costs a Kalman filter's step a sample, little beside a few hundred particles.
 #[derive(Clone, Debug)]
 pub(super) struct Guard {
     /// On the same model and noise, gated where the particles' noise has heavy tails.

@@ -36,6 +36,7 @@ pub struct Summary {
 }
 
 impl Summary {
+    /// Room for a cloud of so many.
     pub(super) fn new(model: &JerkModel, particles: usize) -> Self {
         let d = model.states();
         Self {

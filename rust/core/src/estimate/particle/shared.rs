@@ -91,9 +91,12 @@ impl Shared {
 
 /// Whether some particles from all over the cloud find what the shared linearisation says.
 pub(super) struct Probe<'a> {
+    /// Channels and biases.
     pub(super) model: &'a JerkModel,
     pub(super) sample: &'a ParticleSample,
+    /// Channels at the cloud's mean.
     pub(super) linearised: Linearised<'a>,
+    /// Particles to try it at.
     pub(super) cloud: &'a Cloud,
     pub(super) shared: &'a mut Shared,
 }

@@ -22,6 +22,7 @@ impl Block {
 
 /// The weighted mean of a block times its weight, for all entries; log-weights become weights.
 pub(super) struct Weigh<'a> {
+    /// Whose log-weights are read and whose sums are written.
     pub(super) block: &'a mut Block,
 }
 
@@ -41,10 +42,12 @@ impl Kernel for Weigh<'_> {
         }
         sums.largest = most.into_iter().fold(f64::NEG_INFINITY, f64::max);
         let group = logs.iter().position(|logs| logs.contains(&sums.largest)).unwrap_or(0);
+        // The first of the largest, so that the best particle does not depend on the width of instructions.
         sums.best = group * WIDE + logs[group].iter().position(|log| *log == sums.largest).unwrap_or(0);
         let largest = if sums.largest.is_finite() { sums.largest } else { 0.0 };
         let [mut weight, mut square] = [Wide::default(); 2];
         for (out, logs) in weights.0.iter_mut().zip(logs) {
+            // Relative to the block's largest: sums of blocks are brought to one scale later, in `Summary::weigh`.
             let part = Lanes(*logs) + -largest;
             let mut w = part.map(|log| log.max(NEGLIGIBLE)).exp();
             for (w, log) in w.0.iter_mut().zip(part.0) {
@@ -61,7 +64,9 @@ impl Kernel for Weigh<'_> {
 
 /// A block of copies of particles.
 pub(super) struct Gather<'a> {
+    /// All blocks as they are.
     pub(super) source: &'a [Block],
+    /// Numbers of the particles to copy, rising.
     pub(super) ancestors: &'a [u32],
     /// As [`Block::state`].
     pub(super) next: &'a mut [ParticleRow],
@@ -90,7 +95,9 @@ impl Kernel for Gather<'_> {
 
 /// Gives all particles of a block one weight.
 pub(super) struct EqualWeights<'a> {
+    /// Of copies, all as likely.
     pub(super) block: &'a mut Block,
+    /// −ln N.
     pub(super) log_weight: f64,
 }
 
@@ -110,7 +117,9 @@ impl Kernel for EqualWeights<'_> {
 
 /// Σ w (x − mean)(x − mean)ᵀ of the first `entries` of the state, over a block.
 pub(super) struct Deviations<'a> {
+    /// After [`Weigh`].
     pub(super) block: &'a mut Block,
+    /// The whole cloud's, about which deviations are taken.
     pub(super) mean: &'a [f64],
     pub(super) entries: usize,
 }

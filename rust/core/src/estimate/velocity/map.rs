@@ -8,6 +8,14 @@ use crate::scalar::{Scalar, exp_m1};
 /// k(y) = P y + Σ aₘ sin(m·y) + bₘ cos(m·y), the observer's gain being ∂k/∂y (Cristofaro and De Luca 2023, Section 3.2).
 ///
 /// Every such ∂k/∂y is a Jacobian, so that the observer needs no velocity: it takes differences of k itself.
+///
+/// ```
+/// use linkside_core::estimate::velocity::{Gains, GainMap};
+/// // One joint: 80 1/s where it points forwards, 40 where it points back.
+/// let map = GainMap { linear: vec![60.0], waves: vec![1.0], sine: vec![20.0], cosine: vec![0.0] };
+/// let gains = Gains::Mapped(map);
+/// # drop(gains);
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct GainMap {
     /// P, n × n [1/s].

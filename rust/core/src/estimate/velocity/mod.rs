@@ -8,6 +8,13 @@
 //!
 //! where the reduced-order observer has K_P = 0 and its K may depend on the posture. In this form a gain may jump without a
 //! jump of the estimate.
+//!
+//! | part | where |
+//! | --- | --- |
+//! | a(y, v), and the inertia's factors | `rigid` |
+//! | K that jumps with the estimated speed | [`Schedule`] |
+//! | K that depends on the posture | [`GainMap`] |
+//! | wraps and missing positions | `encoder` |
 
 mod encoder;
 mod map;
