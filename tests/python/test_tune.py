@@ -196,7 +196,7 @@ def test_walks_of_links_are_found_joint_by_joint():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"free": ("stiffness",)}, "'stiffness' is not one of jerk, transmission"),
+        ({"free": ("stiffness",)}, "'stiffness' is not one of transmission, motor_velocity"),
         ({"free": ()}, "expected a sequence of attributes"),
         ({"free": "jerk"}, "expected a sequence of attributes"),
         ({"free": ("transmission",), "noise": Noise(transmission=0.0)}, "transmission starts at 0"),

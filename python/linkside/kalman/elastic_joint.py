@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from os import PathLike
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from linkside import _core
 from linkside.arguments import one_of, per_joint, sized, time_step
 from linkside.arrays import FloatArray, Signal
-from linkside.files.yaml_source import Source
 from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
@@ -21,7 +18,7 @@ from linkside.robot.considered import considered
 
 from .filtering import KalmanEstimate, KalmanMethod
 from .late_sensors import inside
-from .noise import PositiveStd, Std, Time, channel_arrays, jerk_scale, motor_noise
+from .noise import PositiveStd, ReadingNoise, Std, channel_arrays, jerk_scale, motor_noise
 from .start import Moving, Readings, Start
 from .starting import DecidingFilter, first_readings, in_pieces
 
@@ -31,7 +28,7 @@ TORQUE_TIME = 0.5
 """Times over which a log is asked how far its torques wander end here [s]."""
 
 
-class ElasticNoise(BaseModel):
+class ElasticNoise(ReadingNoise):
     """Standard deviations of the elastic-joint model, the same for all joints or sensors unless given joint by joint.
 
     Attributes
@@ -47,15 +44,9 @@ class ElasticNoise(BaseModel):
     disturbance, disturbance_walk
         Initial uncertainty of each motor's disturbance torque, and by how much it wanders in a second, in multiples of
         the torque that the motor's friction has at 1 rad/s (N m if it has none).
-    transmission, motor_velocity, acceleration, rate, link, joint_torque, link_velocity
-        Noise of readings, as of `Noise`.
-    motor_bias, acceleration_bias, rate_bias
-        Initial uncertainty of biases, as of `Noise`; likewise ``…_bias_walk`` and ``…_bias_time``.
-    position, velocity
-        Uncertainty of links and motors at the first sample, where the robot is taken to be at rest [rad, rad/s].
+    transmission, motor_velocity, acceleration, rate, link, joint_torque, link_velocity, position, velocity
+        And biases: as of `ReadingNoise`, at the first sample of links and of motors.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     link_acceleration: Std | tuple[Std, ...] = 3e-3
     motor_acceleration: Std | tuple[Std, ...] = 1e-2
@@ -63,36 +54,14 @@ class ElasticNoise(BaseModel):
     torque_walk: Std | tuple[Std, ...] | None = None
     disturbance: Std = 0.1
     disturbance_walk: Std = 0.1
-    transmission: Std | tuple[Std, ...] = 1e-5
     motor_velocity: PositiveStd = 1e-3
-    acceleration: PositiveStd = 1.0
-    rate: PositiveStd = 1.0
-    link: PositiveStd = 1e-5
-    joint_torque: PositiveStd = 1.0
-    link_velocity: PositiveStd = 1e-3
-    motor_bias: Std = 1e-5
-    motor_bias_walk: Std = 1e-6
-    motor_bias_time: Time | None = None
-    acceleration_bias: Std = 0.1
-    acceleration_bias_walk: Std = 1e-3
-    acceleration_bias_time: Time | None = None
-    rate_bias: Std = 1e-3
-    rate_bias_walk: Std = 1e-5
-    rate_bias_time: Time | None = None
-    position: Std = 1e-4
-    velocity: Std = 1e-3
-
-    @classmethod
-    def read(cls, path: str | PathLike[str]) -> ElasticNoise:
-        """Read a tuning file: YAML with any of the attributes as keys; `ConfigError` names file, line and key."""
-        return Source.read(path).validate(cls)
 
     def for_log(self, log: Log, robot: Robot) -> ElasticNoise:
         """Fill in what is to be read off the log: how far torques wander where they are missing."""
         if self.torque_walk is not None or log.tau is None or not np.isnan(log.tau).any():
             return self
         walk = torque_walk(log, self.torque * robot.config.torque.noise_std)
-        return type(self).model_validate(self.model_dump() | {"torque_walk": tuple(walk.tolist())})
+        return self.updated(torque_walk=tuple(walk.tolist()))
 
     def arrays(self, robot: Robot, kinds: tuple[str, ...]) -> dict[str, list[float]]:
         """Arrays for the filter: one number a joint or channel, the channels being those of ``kinds`` in order."""

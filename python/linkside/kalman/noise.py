@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from os import PathLike
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -21,6 +21,7 @@ from .start import Readings
 Std = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 PositiveStd = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Time = Annotated[float, Field(gt=0)]
+Settings = TypeVar("Settings", bound="ReadingNoise")
 
 JERK_TIME = 0.02
 """Over this time jerk is taken to stay the same, where its size is read off a log [s]."""
@@ -38,8 +39,8 @@ LEAST_JERK = 10.0
 """A log in which nothing moves still leaves this density of jerk [rad/s³/√Hz]."""
 
 
-class Noise(BaseModel):
-    """Standard deviations, the same for all joints or for all sensors of a kind unless given joint by joint.
+class ReadingNoise(BaseModel):
+    """How uncertain readings are, whatever the model: what `Noise` and `ElasticNoise` have in common.
 
     The defaults belong to industrial arms in SI units, and are meant to work untuned. Biases are kept on a short
     lead on purpose: at rest a motor's bias cannot be told from link position, nor an accelerometer's from the
@@ -47,15 +48,10 @@ class Noise(BaseModel):
 
     Attributes
     ----------
-    jerk
-        Density of the links' jerk beside the commanded one: acceleration wanders by this in a second
-        [rad/s³/√Hz]. None: read off the log.
     transmission
         Error of a motor's predicted position beside encoder and damping, as of gear teeth [rad].
-    torsion
-        Relative error of the predicted torsion, as of a stiffness that is not quite right.
     motor_velocity
-        Noise of the motor velocity, which the damping torque is computed from [rad/s].
+        Noise of the motor velocity [rad/s].
     acceleration, rate
         Noise of accelerometers and gyroscopes, in multiples of their ``noise_std``.
     link
@@ -65,10 +61,6 @@ class Noise(BaseModel):
         not given in N m.
     link_velocity
         Noise of tachometers on the links [rad/s].
-    position_walk, velocity_walk
-        By how much the links' positions and velocities wander in one second beside what their acceleration does
-        [rad/√s, rad/s/√s]. Zero is mechanics; more is room for what no acceleration explains, such as samples that are
-        not quite in time.
     motor_bias, acceleration_bias, rate_bias
         Initial uncertainty of biases [rad, m/s², rad/s].
     motor_bias_walk, acceleration_bias_walk, rate_bias_walk
@@ -77,24 +69,19 @@ class Noise(BaseModel):
         Over which time biases forget where they were [s] (Gauss and Markov's process): beyond it they wander no further
         than ``walk · √(time/2)``. None: the time with which that is their initial uncertainty, so that they are as
         uncertain at any time. Infinite: they wander without bound, and over a long recording the estimate with them.
-    position, velocity, initial_acceleration
-        Uncertainty of the links' state at the first sample, where the robot is taken to be at rest
-        [rad, rad/s, rad/s²].
+    position, velocity
+        Uncertainty at the first sample, where the robot is taken to be at rest [rad, rad/s].
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    jerk: PositiveStd | tuple[PositiveStd, ...] | None = None
     transmission: Std | tuple[Std, ...] = 1e-5
-    torsion: Std = 3e-3
     motor_velocity: Std = 1e-3
     acceleration: PositiveStd = 1.0
     rate: PositiveStd = 1.0
     link: PositiveStd = 1e-5
     joint_torque: PositiveStd = 1.0
     link_velocity: PositiveStd = 1e-3
-    position_walk: Std | tuple[Std, ...] = 0.0
-    velocity_walk: Std | tuple[Std, ...] = 0.0
     motor_bias: Std = 1e-5
     motor_bias_walk: Std = 1e-6
     motor_bias_time: Time | None = None
@@ -106,10 +93,9 @@ class Noise(BaseModel):
     rate_bias_time: Time | None = None
     position: Std = 1e-4
     velocity: Std = 1e-3
-    initial_acceleration: Std = 0.1
 
     @classmethod
-    def read(cls, path: str | PathLike[str]) -> Noise:
+    def read(cls: type[Settings], path: str | PathLike[str]) -> Settings:
         """Read a tuning file: YAML with any of the attributes as keys; `ConfigError` names file, line and key."""
         return Source.read(path).validate(cls)
 
@@ -118,9 +104,36 @@ class Noise(BaseModel):
         changed = {k: list(v) if isinstance(v, tuple) else v for k, v in self.model_dump(exclude_defaults=True).items()}
         write_yaml(path, changed)
 
-    def updated(self, **changes: Any) -> Noise:
+    def updated(self: Settings, **changes: Any) -> Settings:
         """Give the same with some attributes changed, checked."""
         return type(self).model_validate(self.model_dump() | changes)
+
+
+class Noise(ReadingNoise):
+    """Standard deviations, the same for all joints or for all sensors of a kind unless given joint by joint.
+
+    Attributes
+    ----------
+    transmission, motor_velocity, acceleration, rate, link, joint_torque, link_velocity, position, velocity
+        And biases: as of `ReadingNoise`. Motor velocities are what the damping torque is computed from.
+    jerk
+        Density of the links' jerk beside the commanded one: acceleration wanders by this in a second
+        [rad/s³/√Hz]. None: read off the log.
+    torsion
+        Relative error of the predicted torsion, as of a stiffness that is not quite right.
+    position_walk, velocity_walk
+        By how much the links' positions and velocities wander in one second beside what their acceleration does
+        [rad/√s, rad/s/√s]. Zero is mechanics; more is room for what no acceleration explains, such as samples that are
+        not quite in time.
+    initial_acceleration
+        Uncertainty of the links' acceleration at the first sample [rad/s²].
+    """
+
+    jerk: PositiveStd | tuple[PositiveStd, ...] | None = None
+    torsion: Std = 3e-3
+    position_walk: Std | tuple[Std, ...] = 0.0
+    velocity_walk: Std | tuple[Std, ...] = 0.0
+    initial_acceleration: Std = 0.1
 
     def for_log(self, log: Log) -> Noise:
         """Fill in what is to be read off the log: the scale of jerk."""
@@ -143,10 +156,12 @@ class Noise(BaseModel):
         return np.asarray(np.hypot(motor_noise(robot, self.transmission), lag * self.motor_velocity))
 
 
-def channel_arrays(noise: Any, motor: FloatArray, robot: Robot, kinds: tuple[str, ...]) -> dict[str, FloatArray]:
+def channel_arrays(
+    noise: ReadingNoise, motor: FloatArray, robot: Robot, kinds: tuple[str, ...]
+) -> dict[str, FloatArray]:
     """Noise and biases of the channels of ``kinds`` in order: one number a channel.
 
-    ``noise`` has the attributes of `Noise` that describe readings; ``motor`` is that of motor positions (n,) [rad].
+    ``motor`` is the noise of motor positions (n,) [rad].
     """
     chosen = [CHANNELS[kind] for kind in kinds]
     readings = [motor if kind == "motor" else _reading_noise(noise, CHANNELS[kind], robot) for kind in kinds]
@@ -155,7 +170,7 @@ def channel_arrays(noise: Any, motor: FloatArray, robot: Robot, kinds: tuple[str
     return {"reading": np.concatenate(readings), "initial_bias": bias, "bias_walk": walk, "bias_time": time}
 
 
-def _bias(noise: Any, channel: Channel) -> tuple[float, float, float]:
+def _bias(noise: ReadingNoise, channel: Channel) -> tuple[float, float, float]:
     """Initial uncertainty, walk and time constant of the biases of a kind of channel."""
     if not channel.biased:
         return 0.0, 0.0, np.inf
@@ -165,7 +180,7 @@ def _bias(noise: Any, channel: Channel) -> tuple[float, float, float]:
     return bias, walk, time or np.inf
 
 
-def _reading_noise(noise: Any, channel: Channel, robot: Robot) -> FloatArray:
+def _reading_noise(noise: ReadingNoise, channel: Channel, robot: Robot) -> FloatArray:
     """In the channel's unit; of inertial and torque sensors a multiple of what robot.yaml gives."""
     value = getattr(noise, channel.noise)
     if channel.kind == "q" and robot.config.link_encoder is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, overload
 
 import numpy as np
@@ -12,11 +12,12 @@ import numpy.typing as npt
 from linkside import _core
 from linkside.arguments import one_of, start_of
 from linkside.arrays import FloatArray, Signal
-from linkside.errors import EstimatorError, NumericalError
-from linkside.recording.batch import Copies, Job, run_each
-from linkside.recording.continuity import longest_dropout, refuse_dropouts, refuse_uneven
+from linkside.errors import EstimatorError
+from linkside.recording.batch import run_each
+from linkside.recording.continuity import refuse_dropouts, refuse_uneven
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
+from linkside.recording.periodic import PeriodicObserver
 from linkside.robot import Robot
 from linkside.robot.requirements import refuse_unsupported
 
@@ -25,7 +26,7 @@ from .poles import PolePattern, damped
 Poles = float | PolePattern | Mapping[str, "PolePattern | Sequence[complex]"]
 
 
-class AccelerationObserver(Copies):
+class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate]):
     """Observer driven by measured accelerations; it needs nothing of the links' dynamics.
 
     De Luca, Schröder and Thümmel, "An acceleration-based state observer for robot manipulators with elastic joints",
@@ -70,8 +71,6 @@ class AccelerationObserver(Copies):
     torque held and the acceleration interpolated.
     """
 
-    _cores = ("_core",)
-
     def __init__(
         self,
         robot: Robot,
@@ -101,11 +100,7 @@ class AccelerationObserver(Copies):
             "rest": isinstance(start, str) and start == "rest",
         }
         self._signal = "acceleration" if accelerations == "sensors" else "ddq"
-        rate = robot.config.rate_hz
-        self._period = period if period is not None or rate is None else 1 / rate
-        self._core: _core.AccelerationObserver | None = None
-        if self._period is not None:
-            self._core = self._designed(self._period)
+        self._set_period(period)
 
     def step(self, *, theta: Signal, tau: Signal, acceleration: Signal) -> _core.State:
         """Take one sample and give the state at its time.
@@ -139,10 +134,6 @@ class AccelerationObserver(Copies):
         """Replace the torque (n,) of the last `step` [N m]: in a closed loop it follows from that step's state."""
         self._live().hold(tau)
 
-    def reset(self) -> None:
-        """Forget the state: the next sample starts anew."""
-        self._live().reset()
-
     def start(self, *, theta: Signal, q: Signal, dtheta: Signal, dq: Signal) -> None:
         """Start `step` from a given state, each (n,), one period before the next sample."""
         self._live().start(theta, q, dtheta, dq)
@@ -163,25 +154,8 @@ class AccelerationObserver(Copies):
         """
         return run_each(log, self._job, _core.AccelerationObserver.run_all)
 
-    def _job(self, log: Log) -> Job[Estimate]:
-        def finish(result: dict[str, Any]) -> Estimate:
-            return Estimate(t=log.t, names=self.robot.names, **result)
-
-        return Job(log, self._designed(log.period), self._arrays(log), finish)
-
-    def run_pieces(self, pieces: Iterable[Log]) -> Iterator[Estimate]:
-        """Estimate a recording that comes piece by piece, in bounded memory; the same bits as `run`."""
-        core: _core.AccelerationObserver | None = None
-        seen, first = None, 0
-        for piece in pieces:
-            core = core or self._designed(piece.period)
-            arrays = self._arrays(piece, seen, first)
-            try:
-                result: dict[str, Any] = core.run(*arrays)
-            except NumericalError as error:
-                raise NumericalError(f"{piece.source}: {error}") from None
-            seen, first = piece[-longest_dropout(piece) :], first + len(piece)
-            yield Estimate(t=piece.t, names=self.robot.names, **result)
+    def _estimate(self, log: Log, result: dict[str, Any]) -> Estimate:
+        return Estimate(t=log.t, names=self.robot.names, **result)
 
     def gains(self) -> dict[str, FloatArray]:
         """Continuous-time gains L of each joint in closed form (Remark 3), by the order of its states."""
@@ -194,17 +168,7 @@ class AccelerationObserver(Copies):
             raise EstimatorError("feedback: link accelerations are not simulated as readings; accelerations='sensors'")
         return self._designed(period)
 
-    def _live(self) -> _core.AccelerationObserver:
-        if self._core is None:
-            if self._period is None:
-                raise EstimatorError("step needs the sampling period: give period=…, or rate_hz in robot.yaml")
-            self._core = self._designed(self._period)
-        return self._core
-
-    def _designed(self, period: float) -> _core.AccelerationObserver:
-        # A rate that was stated is exact; the log's time stamps only have it to their own rounding.
-        if self._period is not None and np.isclose(period, self._period, rtol=1e-6):
-            period = self._period
+    def _design(self, period: float) -> _core.AccelerationObserver:
         try:
             core = _core.AccelerationObserver(self.robot.core, period=period, **self._settings)
         except EstimatorError as error:
@@ -213,8 +177,7 @@ class AccelerationObserver(Copies):
             core.begin(**self._given)
         return core
 
-    def _arrays(self, log: Log, before: Log | None = None, first: int = 0) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Check a log, or a piece of one that begins at row ``first`` after the rows ``before``; give its arrays."""
+    def _arrays(self, log: Log, before: Log | None, first: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         log.require("theta", "tau", self._signal, purpose="the acceleration-driven observer")
         refuse_uneven(log, before, first)
         elastic = self.robot.elastic

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from typing import Any, Literal, overload
 
 import numpy as np
@@ -13,11 +12,12 @@ import numpy.typing as npt
 from linkside import _core
 from linkside.arguments import one_of, per_joint, start_of
 from linkside.arrays import FloatArray, Signal
-from linkside.errors import EstimatorError, NumericalError
-from linkside.recording.batch import Copies, Job, run_each
-from linkside.recording.continuity import longest_dropout, refuse_dropouts, refuse_uneven
+from linkside.errors import EstimatorError
+from linkside.recording.batch import run_each
+from linkside.recording.continuity import refuse_dropouts, refuse_uneven
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
+from linkside.recording.periodic import PeriodicObserver
 from linkside.robot import Robot
 from linkside.robot.requirements import refuse_unsupported
 from linkside.robot.workspace import prismatic
@@ -87,7 +87,7 @@ class VelocityEstimate(Estimate):
     level: npt.NDArray[np.uint8] | None = None
 
 
-class ReducedOrderObserver(Copies):
+class ReducedOrderObserver(PeriodicObserver[_core.VelocityObserver, VelocityEstimate]):
     """Reduced-order velocity observer.
 
     Cristofaro and De Luca, "Reduced-order observer design for robot manipulators", 2023, eq. (6). It takes the joints
@@ -123,8 +123,6 @@ class ReducedOrderObserver(Copies):
     little more than a difference of two positions, so that is refused.
     """
 
-    _cores = ("_core",)
-
     def __init__(
         self,
         robot: Robot,
@@ -143,12 +141,8 @@ class ReducedOrderObserver(Copies):
         self.side = side
         self.gain = gain
         self._wrap = _turns(robot) if wrap is None else per_joint("wrap", wrap, robot.n).tolist()
-        rate = robot.config.rate_hz
-        self._period = period if period is not None or rate is None else 1 / rate
         self._rest = isinstance(start, str) and start == "rest"
-        self._core: _core.VelocityObserver | None = None
-        if self._period is not None:
-            self._core = self._designed(self._period)
+        self._set_period(period)
 
     def step(self, *, q: Signal, tau: Signal) -> _core.State:
         """Take one sample and give the state at its time.
@@ -181,10 +175,6 @@ class ReducedOrderObserver(Copies):
         """Start anew from a velocity (n,) [rad/s] at the next sample, and a position ``lag`` (n,) behind it [rad]."""
         self._live().start(dq, np.zeros(self.robot.n) if lag is None else lag)
 
-    def reset(self) -> None:
-        """Forget the state: the next sample starts anew."""
-        self._live().reset()
-
     @overload
     def run(self, log: Log) -> VelocityEstimate: ...
     @overload
@@ -201,9 +191,6 @@ class ReducedOrderObserver(Copies):
         """
         return run_each(log, self._job, _core.VelocityObserver.run_all)
 
-    def _job(self, log: Log) -> Job[VelocityEstimate]:
-        return Job(log, self._designed(log.period), self._arrays(log, None, 0), partial(self._estimate, log))
-
     def _estimate(self, log: Log, result: dict[str, Any]) -> VelocityEstimate:
         motor = {"theta": result["q"], "dtheta": result["dq"]}
         unknown = np.full(result["q"].shape, np.nan)
@@ -211,30 +198,7 @@ class ReducedOrderObserver(Copies):
             motor = {"theta": unknown, "dtheta": unknown}
         return VelocityEstimate(t=log.t, names=self.robot.names, **motor, **result)
 
-    def run_pieces(self, pieces: Iterable[Log]) -> Iterator[VelocityEstimate]:
-        """Estimate a recording that comes piece by piece, in bounded memory; the same bits as `run`."""
-        core: _core.VelocityObserver | None = None
-        seen, first = None, 0
-        for piece in pieces:
-            core = core or self._designed(piece.period)
-            q, tau = self._arrays(piece, seen, first)
-            try:
-                result: dict[str, Any] = core.run(q, tau)
-            except (NumericalError, EstimatorError) as error:
-                raise type(error)(f"{piece.source}: {error}") from None
-            seen, first = piece[-longest_dropout(piece) :], first + len(piece)
-            yield self._estimate(piece, result)
-
-    def _live(self) -> _core.VelocityObserver:
-        if self._core is None:
-            if self._period is None:
-                raise EstimatorError("step needs the sampling period: give period=…, or rate_hz in robot.yaml")
-            self._core = self._designed(self._period)
-        return self._core
-
-    def _designed(self, period: float) -> _core.VelocityObserver:
-        if self._period is not None and np.isclose(period, self._period, rtol=1e-6):
-            period = self._period
+    def _design(self, period: float) -> _core.VelocityObserver:
         core = _core.VelocityObserver(
             self.robot.core,
             period=period,
@@ -256,7 +220,6 @@ class ReducedOrderObserver(Copies):
         return [0.0] * self.robot.n
 
     def _arrays(self, log: Log, before: Log | None, first: int) -> tuple[FloatArray, FloatArray]:
-        """Check a log, or a piece of one that begins at row ``first`` after the rows ``before``; give its arrays."""
         position, torque = ("theta", "tau") if self.side == "motors" else ("q", "torque")
         log.require(position, torque, purpose="a velocity observer")
         refuse_uneven(log, before, first)
