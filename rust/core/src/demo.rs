@@ -1,7 +1,7 @@
 //! A robot to try things on; the examples of this documentation run on it.
 
 use crate::error::RobotError;
-use crate::robot::{BodySpec, Drive, JointKind, MotorFriction, Robot, Sensor, SoftWindup, Tree};
+use crate::robot::{Backlash, BodySpec, Drive, JointKind, MotorFriction, Robot, Sensor, SoftWindup, SpringCurve, Tree};
 use crate::spatial::{Mat3, Vec3};
 
 /// An arm of one joint: 5 kg on a metre that turn about the vertical, so that gravity does nothing, behind a spring that
@@ -34,6 +34,8 @@ pub fn arm() -> Result<Robot, RobotError> {
         motor_inertia: 3.0,
         cubic_stiffness: 0.0,
         soft_windup: SoftWindup::default(),
+        curve: SpringCurve::default(),
+        backlash: Backlash::default(),
         motor_friction: MotorFriction::default(),
         link_friction: [0.0; 6],
     };

@@ -54,7 +54,9 @@ impl Sensor {
 /// lent to all kernels; it does not change, so that threads share it.
 ///
 /// ```
-/// use linkside_core::robot::{BodySpec, Drive, JointKind, MotorFriction, Robot, SoftWindup, Tree};
+/// use linkside_core::robot::{
+///     Backlash, BodySpec, Drive, JointKind, MotorFriction, Robot, SoftWindup, SpringCurve, Tree,
+/// };
 /// use linkside_core::spatial::{Mat3, Vec3};
 ///
 /// // A pendulum of 2 kg on half a metre, hanging behind a spring of 500 N m/rad.
@@ -76,6 +78,8 @@ impl Sensor {
 ///     motor_inertia: 0.3, // of the rotor times the gear ratio squared
 ///     cubic_stiffness: 0.0,
 ///     soft_windup: SoftWindup::default(),
+///     curve: SpringCurve::default(),
+///     backlash: Backlash::default(),
 ///     motor_friction: MotorFriction::default(),
 ///     link_friction: [0.0; 6],
 /// };

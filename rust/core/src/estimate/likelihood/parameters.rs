@@ -52,12 +52,16 @@ pub enum Parameter {
 /// A joint's numbers.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct JointParameters<T> {
+    /// The spring's, D and B.
     pub(super) spring: SpringRates<T>,
     pub(super) damping: T,
     pub(super) motor_inertia: T,
+    /// The motor's.
     pub(super) viscous_friction: T,
     pub(super) coulomb_friction: T,
+    /// Factor on the mass of the link that the joint moves.
     pub(super) mass_scale: T,
+    /// Factors on standard deviations of its motor's position and torque, and on the density of its jerk.
     pub(super) motor_noise: T,
     pub(super) torque_noise: T,
     pub(super) jerk_noise: T,
@@ -66,22 +70,28 @@ pub(super) struct JointParameters<T> {
 /// An accelerometer's numbers.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SensorParameters<T> {
+    /// From where and how the robot says it is mounted, in its own axes [m, rad].
     pub(super) translation: Vec3<T>,
     pub(super) rotation: Vec3<T>,
+    /// A reading is scale · specific force + bias, axis by axis.
     pub(super) bias: Vec3<T>,
     pub(super) scale: Vec3<T>,
+    /// Of the filter inside, and the age of what is read [s].
     pub(super) time_constant: T,
     pub(super) delay: T,
+    /// Factor on its standard deviation.
     pub(super) noise: T,
 }
 
 /// All of a robot's numbers, over a scalar.
 #[derive(Clone, Debug)]
 pub(super) struct Parameters<T> {
+    /// One a joint, and one an accelerometer.
     pub(super) joints: Vec<JointParameters<T>>,
     pub(super) sensors: Vec<SensorParameters<T>>,
     /// S, n × n.
     pub(super) coupling: Vec<T>,
+    /// A point that the tool carries, in its frame.
     pub(super) payload_mass: T,
     pub(super) payload_centre: Vec3<T>,
 }
