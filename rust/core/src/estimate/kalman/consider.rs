@@ -41,6 +41,7 @@ pub(super) struct Consider {
     pub(super) columns: Vec<f64>,
     /// s of each channel after those before it, channels × stride.
     pub(super) signatures: Vec<f64>,
+    /// Variances of the parameters as robot.yaml's tolerances have them.
     prior: Vec<f64>,
     /// E[p] given the readings.
     mean: Vec<f64>,
@@ -52,9 +53,12 @@ pub(super) struct Consider {
     lasting: Vec<f64>,
     /// The most that it lately was; at least 1.
     peak: Vec<f64>,
+    /// Whether a channel's innovations may move the parameters (channels).
     teaches: Vec<bool>,
+    /// Sums of each channel's residuals over the present block, and samples taken.
     sums: Vec<f64>,
     taken: u32,
+    /// Scratch: Cov[p] s, and Σ E[p pᵀ].
     gain: Vec<f64>,
     /// H Σ⁻ (channels × stride), and the gains (states × channels).
     products: Vec<f64>,
@@ -71,6 +75,7 @@ pub(super) struct Consider {
     elapsed: f64,
     /// Innovations less what the parameters explain, in their standard deviations; NaN where not used.
     pub(super) residuals: Vec<f64>,
+    /// Variances of the residuals with what the parameters may do to them, in multiples of the filter's (channels).
     variances: Vec<f64>,
 }
 
@@ -123,6 +128,8 @@ impl Consider {
         self.peak.fill(1.0);
         self.sums.fill(0.0);
         self.taken = 0;
+        // E[p pᵀ] = Cov[p] + E[p] E[p]ᵀ: the state is not corrected by E[p], so that a mean off zero is an error as
+        // well.
         self.moment.data.copy_from_slice(&self.spread.data);
     }
 
@@ -199,9 +206,14 @@ impl Consider {
             }
             let weight = 1.0 / innovation.variance.sqrt();
             let signature = &self.signatures[i * self.stride..][..self.stride];
+            // What the parameters' estimates leave of the innovation. For white residuals their sum over a block has
+            // the block's length for a variance; whatever lasts makes it larger, and must not be taken for news of the
+            // parameters.
             let residual = (innovation.value - linear::dot(signature, &self.mean)) * weight;
             self.sums[i] += residual;
             if learn {
+                // Friedland's second stage (1969): the innovation is a reading of p by s, of the filter's variance and
+                // what lasts.
                 let noise = self.lasting[i].max(1.0) * innovation.variance;
                 for (g, row) in self.gain.iter_mut().zip(self.spread.data.chunks_exact(self.stride)) {
                     *g = linear::dot(row, signature);
@@ -266,6 +278,7 @@ impl Consider {
         held.raise(swings, core::mem::take(elapsed), total, rows);
     }
 
+    /// E[p pᵀ] by the readings so far.
     pub(super) fn moment(&self) -> &Symmetric {
         &self.moment
     }
