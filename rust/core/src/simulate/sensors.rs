@@ -45,6 +45,7 @@ const LONGEST_DELAY: f64 = 1e6;
 /// One channel's sensor with its past.
 #[derive(Clone, Debug)]
 struct Reader {
+    /// What is wrong with it.
     model: SensorModel,
     /// Of the low-pass' output and input a sample before, and of its input.
     weights: [f64; 3],
@@ -83,6 +84,7 @@ impl Reader {
         let back = |samples: usize| self.past[(sample + size - samples.min(size - 1)) % size];
         let (near, far) = (back(whole), back(whole + 1));
         let SensorModel { noise, bias, resolution, .. } = self.model;
+        // A delay of part of a sample is read on a straight line between two.
         let value = near + (self.lag - whole as f64) * (far - near) + bias;
         let noisy = if noise == 0.0 { value } else { value + noise * random.normal(channel) };
         if resolution == 0.0 { noisy } else { (noisy / resolution).round() * resolution }
@@ -92,8 +94,10 @@ impl Reader {
 /// All sensors of a robot.
 #[derive(Clone, Debug)]
 pub struct Suite {
+    /// All kinds on this robot, in the order of [`Kind::ALL`].
     channels: Vec<Channel>,
     readers: Vec<Reader>,
+    /// Of the noise, and what would be read without faults (channels).
     seed: u64,
     truth: Vec<f64>,
     /// The last readings, of all kinds in the order of [`Kind::ALL`].

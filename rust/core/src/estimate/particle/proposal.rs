@@ -16,17 +16,22 @@ use crate::simd::{self, Kernel};
 /// What all particles share at a sample.
 #[derive(Clone, Debug)]
 pub(super) struct ParticleSample {
+    /// Of all random numbers, and the step that they are of.
     pub(super) seed: u64,
     pub(super) step: u32,
+    /// Time since the sample before [s]; zero at the first.
     pub(super) dt: f64,
     /// Commanded jerk (n), zero at the first sample.
     pub(super) jerk: Vec<f64>,
+    /// Motor velocities for the damping torque (n), NaN to leave it out.
     pub(super) dtheta: Vec<f64>,
     /// How each joint's (q, q̇, q̈) follow from its three standard normal numbers, see [`jerk_noise::factor`].
     pub(super) factors: Vec<[[f64; 3]; 3]>,
     /// Late ones come last, where there is a sample before.
+    /// Those that were read.
     pub(super) readings: Vec<ParticleReading>,
     pub(super) past: Past,
+    /// Biases that are drawn whatever is read.
     pub(super) walks: Vec<Walk>,
     /// What is left of each bias after the step, by entry of the state.
     pub(super) decays: Vec<(usize, f64)>,
@@ -34,15 +39,19 @@ pub(super) struct ParticleSample {
     pub(super) draws: usize,
     /// Logarithm of the total weight before.
     pub(super) offset: f64,
+    /// Where particles are drawn from.
     pub(super) proposal: Proposal,
+    /// Least and largest position of each joint [rad].
     pub(super) limits: Vec<(f64, f64)>,
 }
 
 /// One channel's reading, and what its bias, if it has one, does with the innovation.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ParticleReading {
+    /// Which, and what it read.
     pub(super) channel: usize,
     pub(super) value: f64,
+    /// The entry of the state that is its bias.
     pub(super) bias: Option<usize>,
     /// Of the reading for a given path of the links: its own noise, and a marginalised or undrawn bias.
     pub(super) noise: NoiseDensity,
@@ -56,6 +65,7 @@ pub(super) struct ParticleReading {
 /// An entry of the state that is drawn before readings are looked at.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Walk {
+    /// Which, and its standard deviation.
     pub(super) entry: usize,
     pub(super) std: f64,
     /// Which normal number it is drawn by.
@@ -95,6 +105,7 @@ impl Kernel for Propagate<'_> {
 }
 
 #[inline(always)]
+/// The states of a group's particles into the scratch.
 pub(super) fn load(block: &mut Block, group: usize) {
     for (entry, row) in block.scratch.before.iter_mut().zip(&block.state) {
         *entry = Lanes(row.0[group]);
@@ -102,6 +113,7 @@ pub(super) fn load(block: &mut Block, group: usize) {
 }
 
 #[inline(always)]
+/// And back, weights with them: they go on from those before, in multiples of their total.
 pub(super) fn store(block: &mut Block, group: usize, increment: Wide, offset: f64) {
     for (entry, row) in block.scratch.after.iter().zip(&mut block.state) {
         row.0[group] = entry.0;
@@ -360,6 +372,7 @@ fn unwind(zeta: &mut [Wide], factor: &[Wide]) {
 }
 
 #[inline(always)]
+/// |x|².
 fn square(x: &[Wide]) -> Wide {
     x.iter().fold(Wide::default(), |sum, &x| sum + x * x)
 }
@@ -369,6 +382,7 @@ pub(super) fn draw(stream: &Stream, items: [u32; WIDE], from: u32, out: &mut [Wi
     simd::phase(Draw { stream, items, from, out });
 }
 
+/// [`draw`], a phase of its own: two particle filters and the first cloud share it.
 struct Draw<'a> {
     stream: &'a Stream,
     items: [u32; WIDE],

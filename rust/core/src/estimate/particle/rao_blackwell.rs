@@ -21,9 +21,11 @@ pub(super) struct Densities {
     path: Conditional<Wide>,
     /// The same with readings taken where they are linearised to find out where to draw.
     trial: Conditional<Wide>,
+    /// h and its Jacobian at the mean.
     evaluation: Evaluation<Wide>,
     /// The mean at which the density is.
     mean: Vec<Wide>,
+    /// How a reading changes with the numbers by which positions and velocities are drawn (2n).
     by_noise: Vec<Wide>,
 }
 
@@ -78,8 +80,10 @@ pub(super) fn condition(cloud: &mut Cloud, factor: &mut [f64], d: usize, first: 
 
 /// Moves a block by one sample.
 pub(super) struct PropagateMarginalised<'a> {
+    /// Channels and biases.
     pub(super) model: &'a JerkModel,
     pub(super) sample: &'a ParticleSample,
+    /// The process noise of this sample, the same for all particles.
     pub(super) motion: &'a ProcessNoise,
     pub(super) block: &'a mut Block,
 }
@@ -112,6 +116,7 @@ impl Kernel for PropagateMarginalised<'_> {
 
 impl Densities {
     #[inline(always)]
+    /// The covariances of a group's particles, out of the block's rows.
     fn load(&mut self, rows: &[ParticleRow], group: usize) {
         for (entry, row) in self.path.covariance.iter_mut().zip(rows) {
             *entry = Lanes(row.0[group]);
@@ -119,6 +124,7 @@ impl Densities {
     }
 
     #[inline(always)]
+    /// And back into them.
     fn store(&self, rows: &mut [ParticleRow], group: usize) {
         for (entry, row) in self.path.covariance.iter().zip(rows) {
             row.0[group] = entry.0;
@@ -165,9 +171,11 @@ impl Densities {
         let mut change = Wide::default();
         // One text of the sensors for all passes: it is long, and compiled for each level.
         for pass in 0..=passes {
+            // Where ζ puts positions and velocities, with the mean of accelerations and biases that goes with them.
             self.path.displace(motion, &scratch.before, &scratch.noise, &mut scratch.after);
             self.evaluation.evaluate(&model.robot, &model.channels, &scratch.after, &sample.dtheta);
             sample.past.mix(model, &mut self.evaluation, &scratch.after, true);
+            // The last pass weighs, at what was drawn; those before find out where to draw.
             if pass == passes {
                 change += self.weigh_and_learn(&mut scratch.after, model, sample);
             } else {
@@ -204,6 +212,7 @@ impl Densities {
             let error = self.error(reading, row, after);
             self.trial.by_noise(motion, row, &mut self.by_noise);
             let precision = Wide::constant(1.0) / self.trial.observe(row, reading.noise.variance);
+            // The next reading is seen given this one: its slope by ζ changes with what this one taught.
             self.trial.tilt(&self.by_noise);
             learn(&mut self.mean[2 * model.joints()..], &self.trial.gain, error);
             for (j, b) in self.by_noise.iter().enumerate() {
@@ -228,6 +237,7 @@ impl Densities {
             let error = self.error(reading, row, after);
             let variance = self.path.observe(row, reading.noise.variance);
             learn(&mut self.mean[2 * model.joints()..], &self.path.gain, error);
+            // p(y | path), accelerations and biases integrated out: a Kalman filter's innovation density.
             change -= (error * error / variance + (variance * TAU).map(ln)) * 0.5;
         }
         after.copy_from_slice(&self.mean);
@@ -264,6 +274,7 @@ fn slope<'a>(
 }
 
 #[inline(always)]
+/// m ← m + K ε.
 fn learn(mean: &mut [Wide], gain: &[Wide], error: Wide) {
     for (mean, gain) in mean.iter_mut().zip(gain) {
         *mean += *gain * error;
