@@ -260,7 +260,7 @@ impl Process for ElasticProcess {
     }
 
     #[inline(always)]
-    fn disturbance(&self) -> Option<usize> {
+    fn link_disturbance(&self) -> Option<usize> {
         self.transition.layout.link_disturbance
     }
 

@@ -273,7 +273,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
     /// How often this sample's measurement is linearised.
     fn passes(&self) -> usize {
         let (samples, passes) = EARLY;
-        if self.taken < samples && self.model.disturbance().is_some() {
+        if self.taken < samples && self.model.link_disturbance().is_some() {
             return self.settings.iterations.max(passes);
         }
         self.settings.iterations

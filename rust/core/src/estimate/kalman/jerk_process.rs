@@ -37,14 +37,14 @@ impl Process for JerkProcess {
         }
         let q = link_position_at_rest(&self.model.robot, theta)?;
         *belief = self.model.initial(&q, &self.noise);
-        if let Some(first) = self.disturbance() {
+        if let Some(first) = self.link_disturbance() {
             hold(&self.model.robot, theta, first, belief);
         }
         Ok(())
     }
 
     #[inline(always)]
-    fn disturbance(&self) -> Option<usize> {
+    fn link_disturbance(&self) -> Option<usize> {
         self.model.disturbances.first()
     }
 

@@ -46,7 +46,7 @@ pub trait Process: Clone + Send + Sync {
 
     /// The first of the links' disturbance torques in the state, which has one a joint or none.
     #[inline(always)]
-    fn disturbance(&self) -> Option<usize> {
+    fn link_disturbance(&self) -> Option<usize> {
         None
     }
 
@@ -206,14 +206,14 @@ pub trait Model: Clone + Send + Sync {
         false
     }
 
-    /// See [`Process::disturbance`].
-    fn disturbance(&self) -> Option<usize> {
+    /// See [`Process::link_disturbance`].
+    fn link_disturbance(&self) -> Option<usize> {
         None
     }
 
     /// Number of leading states whose standard deviations are reported, or have one that is among them.
     fn reported(&self) -> usize {
-        self.disturbance().unwrap_or(0) + self.robot().len()
+        self.link_disturbance().unwrap_or(0) + self.robot().len()
     }
 
     /// How many numbers [`remember`](Self::remember) writes.
@@ -386,8 +386,8 @@ impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
     }
 
     #[inline(always)]
-    fn disturbance(&self) -> Option<usize> {
-        self.process.disturbance()
+    fn link_disturbance(&self) -> Option<usize> {
+        self.process.link_disturbance()
     }
 
     #[inline(always)]

@@ -71,7 +71,7 @@ impl FilterOutput {
         let rows = |width: usize| filled(0.0, count, width);
         let tool = if model.robot().tool.is_some() { 3 } else { 0 };
         let innovations = if keep.innovations { m } else { 0 };
-        let disturbed = if model.disturbance().is_some() { n } else { 0 };
+        let disturbed = if model.link_disturbance().is_some() { n } else { 0 };
         let states = if keep.covariance { states } else { 0 };
         Ok(Self {
             q: rows(n)?,

@@ -118,7 +118,7 @@ impl<T: Scalar> LinkMotion<T> {
     #[inline(always)]
     pub(crate) fn relieve(&mut self, by: &[T]) {
         for (tau, &by) in self.tau.iter_mut().zip(by) {
-            *tau = *tau - by;
+            *tau -= by;
         }
     }
 
@@ -214,7 +214,7 @@ impl<T: Scalar> Kernel for PredictReadings<'_, T> {
         let Self { motion, robot, channels, state, dtheta, prediction } = self;
         motion.set(robot, state);
         for (tau, &by) in motion.tau.iter_mut().zip(&state[3 * robot.len()..]) {
-            *tau = *tau - by;
+            *tau -= by;
         }
         let view = Driven { links: motion, state, dtheta, springs: &OfDrives };
         read_all(robot, channels, &view, &mut Values(prediction));
