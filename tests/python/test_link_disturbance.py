@@ -369,8 +369,9 @@ def test_tolerances_count_in_what_is_left_of_them():
     """A stiffness that is not known leaves q off by the torsion's part whatever the disturbance takes over."""
     robot, simulation = pushed_leg("torque")
     assert considered(robot)
-    exact = ExtendedKalmanFilter(robot, link_disturbance=True, tolerances=False).run(simulation.log)
-    honest = ExtendedKalmanFilter(robot, link_disturbance=True).run(simulation.log)
+    noise = Noise(jerk=30.0, link_disturbance=(6.0, 2.0))
+    exact = ExtendedKalmanFilter(robot, noise, link_disturbance=True, tolerances=False).run(simulation.log)
+    honest = ExtendedKalmanFilter(robot, noise, link_disturbance=True).run(simulation.log)
     np.testing.assert_array_equal(honest.q, exact.q)
     assert (np.median(honest.q_std, axis=0) > 1.2 * np.median(exact.q_std, axis=0)).all()
     assert (np.median(honest.disturbance_std, axis=0) > np.median(exact.disturbance_std, axis=0)).all()
