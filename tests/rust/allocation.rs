@@ -9,6 +9,7 @@ use core::hint::black_box;
 use linkside_core::dynamics::{Kinematics, Loads};
 use linkside_core::estimate::kalman::{
     ExtendedKalmanFilter, FilterSettings, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanSample, Lateness,
+    LinkDisturbance,
 };
 use linkside_core::estimate::measurement::Kind;
 use linkside_core::estimate::observer::{
@@ -116,12 +117,21 @@ fn a_step_allocates_nothing() {
 
 #[test]
 fn a_kalman_step_allocates_nothing() {
-    let model = JerkModel::new(
+    check_kalman_step(false);
+    check_kalman_step(true);
+}
+
+fn check_kalman_step(disturbed: bool) {
+    let mut model = JerkModel::new(
         Arc::new(robot()),
         &[Kind::Motor, Kind::Acceleration, Kind::MotorVelocity, Kind::Link, Kind::Torque],
         &[true; 30],
     )
     .unwrap();
+    if disturbed {
+        let law = LinkDisturbance { initial: vec![5.0; 6], walk: vec![20.0; 6], time: 1.0 };
+        model = model.with_disturbances(law).unwrap();
+    }
     let noise = JerkNoise {
         jerk: vec![20.0; 6],
         link_walk: vec![0.0; 12],

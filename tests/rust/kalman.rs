@@ -5,7 +5,7 @@ mod arm;
 use arm::{Mounting, arm, drive};
 use linkside_core::estimate::kalman::{
     ExtendedKalmanFilter, FilterSettings, Gaussian, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanRecording,
-    KalmanSample, Keep, Measurement, Model, Smoother,
+    KalmanSample, Keep, LinkDisturbance, Measurement, Model, Smoother,
 };
 use linkside_core::estimate::measurement::{Evaluation, Kind};
 use linkside_core::robot::{Drive, Robot, Sensor, SoftWindup};
@@ -48,14 +48,19 @@ fn noise() -> JerkNoise {
     }
 }
 
-fn model() -> JerkDriven {
-    let model = JerkModel::new(Arc::new(robot()), ALL, &[true; CHANNELS]).unwrap();
+fn model(disturbed: bool) -> JerkDriven {
+    let mut model = JerkModel::new(Arc::new(robot()), ALL, &[true; CHANNELS]).unwrap();
+    if disturbed {
+        let law = LinkDisturbance { initial: vec![5.0; JOINTS], walk: vec![20.0; JOINTS], time: 0.7 };
+        model = model.with_disturbances(law).unwrap();
+    }
     JerkDriven::new(model, noise(), true).unwrap()
 }
 
-/// A model that has seen a sample, so that motor velocities and jerk are in it, linearised at `state`.
+/// A model that has seen a sample, so that motor velocities and jerk are in it, linearised at `state`; with disturbance
+/// torques where that has them.
 fn linearised(state: &[f64]) -> JerkDriven {
-    let mut model = model();
+    let mut model = model(state.len() > 3 * JOINTS);
     let mut belief = Gaussian::independent(&vec![0.0; model.states()]);
     let inputs = Inputs { dtheta: &[0.3, -0.2, 0.1], jerk: &[5.0, -7.0, 3.0], tau: &[] };
     model.start(&KalmanSample { dt: 1e-3, readings: &[0.0; CHANNELS], inputs }, &mut belief).unwrap();
@@ -64,7 +69,7 @@ fn linearised(state: &[f64]) -> JerkDriven {
 }
 
 fn states() -> impl Strategy<Value = Vec<f64>> {
-    prop::collection::vec(-1.5..1.5, 3 * JOINTS)
+    prop::collection::vec(-1.5..1.5, 4 * JOINTS)
 }
 
 proptest! {
@@ -72,16 +77,35 @@ proptest! {
     fn derivatives_of_channels_are_those_of_dual_numbers(state in states()) {
         let (robot, dtheta) = (robot(), [0.3, -0.2, f64::NAN]);
         let channels = JerkModel::new(Arc::new(robot.clone()), ALL, &[true; CHANNELS]).unwrap().channel_list().to_vec();
-        let mut plain = Evaluation::new(&robot, CHANNELS);
+        let mut plain = Evaluation::disturbed(&robot, CHANNELS, JOINTS);
         plain.evaluate(&robot, &channels, &state, &dtheta);
-        let mut dual = Evaluation::<Dual<9>>::new(&robot, CHANNELS);
+        let mut dual = Evaluation::<Dual<12>>::disturbed(&robot, CHANNELS, JOINTS);
         let variables: Vec<_> = state.iter().enumerate().map(|(i, &x)| Dual::variable(x, i)).collect();
         dual.evaluate(&robot, &channels, &variables, &dtheta);
         for (i, h) in dual.prediction.iter().enumerate() {
             prop_assert_eq!(h.value, plain.prediction[i]);
-            for k in 0..3 * JOINTS {
-                let (ours, theirs) = (plain.jacobian[i * 3 * JOINTS + k], h.gradient[k]);
+            for k in 0..4 * JOINTS {
+                let (ours, theirs) = (plain.jacobian[i * 4 * JOINTS + k], h.gradient[k]);
                 prop_assert!((ours - theirs).abs() <= 1e-11 * (1.0 + theirs.abs()), "{:?} {k}: {ours} {theirs}", channels[i]);
+            }
+        }
+    }
+
+    /// What others give a link its transmission need not; without that, all is as it was.
+    #[test]
+    fn disturbances_are_taken_off_the_loads(state in states()) {
+        let d = 3 * JOINTS;
+        let (plain, disturbed) = (linearised(&state[..d]), linearised(&state));
+        let still = linearised(&[&state[..d], &[0.0; JOINTS]].concat());
+        prop_assert_eq!(still.linearised().prediction, plain.linearised().prediction);
+        let (before, after) = (plain.linearised().prediction, disturbed.linearised().prediction);
+        let torques = CHANNELS - 2 * JOINTS;
+        for (channel, (before, after)) in before.iter().zip(after).enumerate() {
+            if (torques..torques + JOINTS).contains(&channel) {
+                let off = state[d + channel - torques];
+                prop_assert!((before - off - after).abs() <= 1e-12 * (1.0 + before.abs()));
+            } else if (JOINTS..JOINTS + 2).contains(&channel) {
+                prop_assert_eq!(before, after);
             }
         }
     }
@@ -89,10 +113,12 @@ proptest! {
     /// The two ways to the links' motion, by bodies' own axes and by the base's, read the same.
     #[test]
     fn channels_alone_are_those_with_derivatives(state in states()) {
-        let mut model = linearised(&state);
-        let with: Vec<f64> = model.linearised().prediction.to_vec();
-        for (with, alone) in with.iter().zip(model.measurement_mut().evaluate(&state)) {
-            prop_assert!((with - alone).abs() <= 1e-12 * (1.0 + with.abs()), "{with} {alone}");
+        for state in [&state[..], &state[..3 * JOINTS]] {
+            let mut model = linearised(state);
+            let with: Vec<f64> = model.linearised().prediction.to_vec();
+            for (with, alone) in with.iter().zip(model.measurement_mut().evaluate(state)) {
+                prop_assert!((with - alone).abs() <= 1e-12 * (1.0 + with.abs()), "{with} {alone}");
+            }
         }
     }
 
@@ -100,10 +126,11 @@ proptest! {
     fn motor_velocity_is_the_rate_of_motor_position(state in states()) {
         let model = linearised(&state);
         let at = model.linearised();
-        let (d, jerk) = (3 * JOINTS, [5.0, -7.0, 3.0]);
+        let (d, jerk) = (4 * JOINTS, [5.0, -7.0, 3.0]);
         let first = JOINTS + 2;
         for j in 0..JOINTS {
-            let rates = state[JOINTS..].iter().chain(&jerk);
+            let fading = state[3 * JOINTS..].iter().map(|d| -d / 0.7);
+            let rates = state[JOINTS..3 * JOINTS].iter().chain(&jerk).copied().chain(fading);
             let rate: f64 = at.jacobian[j * d..][..d].iter().zip(rates).map(|(h, x)| h * x).sum();
             prop_assert!((at.prediction[first + j] - rate).abs() <= 1e-12 * (1.0 + rate.abs()));
         }
@@ -137,6 +164,10 @@ fn signals(count: usize) -> [Vec<f64>; 4] {
 
 #[test]
 fn a_smoother_does_not_depend_on_how_a_recording_is_cut() {
+    [false, true].into_iter().for_each(check_cuts);
+}
+
+fn check_cuts(disturbed: bool) {
     let count = 60;
     let [dt, readings, dtheta, jerk] = signals(count);
     let rows = |a: usize, b: usize| KalmanRecording {
@@ -145,7 +176,7 @@ fn a_smoother_does_not_depend_on_how_a_recording_is_cut() {
         inputs: Inputs { dtheta: &dtheta[a * JOINTS..b * JOINTS], jerk: &jerk[a * JOINTS..b * JOINTS], tau: &[] },
     };
     let keep = Keep { covariance: true, innovations: false };
-    let filter = ExtendedKalmanFilter::new(model(), FilterSettings { gate: None, iterations: 1 }).unwrap();
+    let filter = ExtendedKalmanFilter::new(model(disturbed), FilterSettings { gate: None, iterations: 1 }).unwrap();
     let whole = Smoother::new(&filter).run(rows(0, count), keep).unwrap();
     let cuts = [0, 1, 17, 18, 40, count];
     let (mut ahead, mut starts) = (filter.clone(), Vec::new());

@@ -84,6 +84,13 @@ def main(ctx: click.Context, debug: bool) -> None:
 @click.option("--form", type=click.Choice(["current", "predictor"]), default="current", show_default=True)
 @click.option("--tuning", type=click.Path(), help="As `linkside tune` writes it for this method.")
 @click.option("--gate", type=float, help="Leave out readings more than so many standard deviations off.")
+@click.option(
+    "--link-disturbance",
+    type=click.Choice(["auto", "on", "off"]),
+    default="auto",
+    show_default=True,
+    help="Whether links may be pushed by torques that the model lacks.",
+)
 @click.option("--particles", type=int, default=1000, show_default=True, help="How many a particle filter has.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of a particle filter's random numbers.")
 @click.option("--gain", type=float, default=100, show_default=True, help="Gain of a velocity observer [1/s].")
@@ -150,7 +157,7 @@ def _refuse_untaken(method: str) -> None:
     for option in sorted({option for other in METHODS.values() for option in other.takes}):
         given = context.get_parameter_source(option) == click.core.ParameterSource.COMMANDLINE
         if given and option not in METHODS[method].takes:
-            raise click.UsageError(f"--{option} is not for --with {method}")
+            raise click.UsageError(f"--{option.replace('_', '-')} is not for --with {method}")
 
 
 @main.command()
@@ -172,7 +179,7 @@ def tune(robot: str, logs: tuple[str, ...], method: str, **options: Any) -> None
     """
     for option in ("start",) if method == "observer" else ("states", "figure"):
         if options[option]:
-            raise click.UsageError(f"--{option} is not for --with {method}")
+            raise click.UsageError(f"--{option.replace('_', '-')} is not for --with {method}")
     _refuse_clashes([Path(options["out"])], [robot, *logs, *options["states"]])
     check_writable(options["out"], (".yaml", ".yml"))
     (_tune_observer if method == "observer" else _tune_noise)(robot, logs, options)

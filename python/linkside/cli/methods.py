@@ -33,10 +33,17 @@ class Options:
     form: Literal["current", "predictor"]
     tuning: Any
     gate: float | None
+    link_disturbance: Literal["auto", "on", "off"]
     particles: int
     seed: int
     gain: float
     spill: Path
+
+    @property
+    def of_filters(self) -> dict[str, Any]:
+        """What Kalman filters and smoothers are told."""
+        disturbance = {"auto": "auto", "on": True, "off": False}[self.link_disturbance]
+        return {"gate": self.gate, "link_disturbance": disturbance}
 
 
 @dataclass(frozen=True)
@@ -70,21 +77,21 @@ def _observer(robot: Robot, options: Options) -> Run:
 
 
 def _ekf(robot: Robot, options: Options) -> Run:
-    ekf = ExtendedKalmanFilter(robot, options.tuning, gate=options.gate)
+    ekf = ExtendedKalmanFilter(robot, options.tuning, **options.of_filters)
     return ekf.run_pieces
 
 
 def _smoother(robot: Robot, options: Options) -> Run:
-    smoother = RauchTungStriebelSmoother(robot, options.tuning, gate=options.gate)
+    smoother = RauchTungStriebelSmoother(robot, options.tuning, **options.of_filters)
     return partial(smooth_pieces, smoother, folder=options.spill)
 
 
 def _elastic_ekf(robot: Robot, options: Options) -> Run:
-    return ElasticJointFilter(robot, options.tuning, gate=options.gate).run_pieces
+    return ElasticJointFilter(robot, options.tuning, **options.of_filters).run_pieces
 
 
 def _elastic_smoother(robot: Robot, options: Options) -> Run:
-    return partial(map, ElasticJointSmoother(robot, options.tuning, gate=options.gate).run)
+    return partial(map, ElasticJointSmoother(robot, options.tuning, **options.of_filters).run)
 
 
 def _particle(method: type[ParticleFilter], robot: Robot, options: Options) -> Run:
@@ -102,17 +109,19 @@ METHODS = {
         _observer,
         read_tuning=ObserverTuning.read,
     ),
-    "ekf": Method("Kalman filter with the links' dynamics, and how sure it is", ("tuning", "gate"), _ekf),
-    "smoother": Method("the same by all samples, later ones too", ("tuning", "gate"), _smoother),
+    "ekf": Method(
+        "Kalman filter with the links' dynamics, and how sure it is", ("tuning", "gate", "link_disturbance"), _ekf
+    ),
+    "smoother": Method("the same by all samples, later ones too", ("tuning", "gate", "link_disturbance"), _smoother),
     "elastic-ekf": Method(
         "Kalman filter on the elastic-joint dynamics, moved by the motor torques; needs no accelerometer",
-        ("tuning", "gate"),
+        ("tuning", "gate", "link_disturbance"),
         _elastic_ekf,
         read_tuning=ElasticNoise.read,
     ),
     "elastic-smoother": Method(
         "the same by all samples, later ones too",
-        ("tuning", "gate"),
+        ("tuning", "gate", "link_disturbance"),
         _elastic_smoother,
         lambda _: True,
         ElasticNoise.read,

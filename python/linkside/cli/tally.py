@@ -8,6 +8,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+import numpy as np
+
 from linkside._core import largest_nis
 from linkside.findings import Fault
 from linkside.kalman.filtering import KalmanEstimate
@@ -45,6 +47,8 @@ class Tally:
         Normalised innovation squared and readings used, where the method is a Kalman filter.
     findings : tuple of Fault
         Contradictions between readings and model.
+    disturbed : dict of str to float
+        The largest disturbance torque of each link, where there are any [N m].
     """
 
     rows: int = 0
@@ -54,6 +58,7 @@ class Tally:
     nis: float = 0.0
     used: int = 0
     findings: tuple[Fault, ...] = ()
+    disturbed: dict[str, float] = field(default_factory=dict)
     _first: float | None = None
 
     def add(self, estimate: Estimate) -> None:
@@ -64,6 +69,10 @@ class Tally:
         self.rows += len(estimate)
         self.status.update(estimate.status_summary())
         self.findings = estimate.findings or self.findings
+        if estimate.disturbance is not None:
+            largest = np.abs(estimate.disturbance).max(axis=0, initial=0.0)
+            for name, torque in zip(estimate.names, largest.tolist(), strict=True):
+                self.disturbed[name] = max(torque, self.disturbed.get(name, 0.0))
         if isinstance(estimate, KalmanEstimate) and estimate.nis is not None and estimate.used is not None:
             self.nis += float(estimate.nis.sum())
             self.used += int(estimate.used.sum())
@@ -85,7 +94,11 @@ class Tally:
         """One line: rows, motion, speed and status."""
         speed = 1e6 * self.seconds / max(self.rows, 1)
         nis = f"; NIS {self.nis / self.used:.2f} per reading (1 if the noise is right)" if self.used else ""
-        return f"{self.rows} rows, {self.motion:.6g} s of motion, {speed:.3g} µs per sample; {self._status()}{nis}"
+        text = f"{self.rows} rows, {self.motion:.6g} s of motion, {speed:.3g} µs per sample; {self._status()}{nis}"
+        if not self.disturbed:
+            return text
+        torques = ", ".join(f"{name} {torque:.3g}" for name, torque in self.disturbed.items())
+        return f"{text}; disturbance torques of links up to {torques} N m"
 
     @property
     def believable(self) -> bool:

@@ -18,6 +18,7 @@ from linkside.robot.considered import considered
 
 from .filtering import KalmanEstimate, KalmanMethod
 from .late_sensors import inside
+from .link_disturbance import LinkDisturbance, Wanted
 from .noise import PositiveStd, ReadingNoise, Std, channel_arrays, jerk_scale, motor_noise
 from .start import Moving, Readings, Start
 from .starting import DecidingFilter, first_readings, in_pieces
@@ -44,7 +45,7 @@ class ElasticNoise(ReadingNoise):
     disturbance, disturbance_walk
         Initial uncertainty of each motor's disturbance torque, and by how much it wanders in a second, in multiples of
         the torque that the motor's friction has at 1 rad/s (N m if it has none).
-    transmission, motor_velocity, acceleration, rate, link, joint_torque, link_velocity, position, velocity
+    transmission, motor_velocity, acceleration, rate, link, joint_torque, link_velocity, link_disturbance, position, velocity
         And biases: as of `ReadingNoise`, at the first sample of links and of motors.
     """
 
@@ -102,9 +103,10 @@ class ElasticJoint(KalmanMethod):
         iterations: int = 1,
         tolerances: bool = True,
         start: Start = "auto",
+        link_disturbance: Wanted = "auto",
     ) -> None:
         wanted = {"acceleration": accelerations, "dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
-        super().__init__(robot, wanted, biases, gate, iterations, start)
+        super().__init__(robot, wanted, biases, gate, iterations, start, link_disturbance)
         one_of("transition", transition, ("exact", "first-order"))
         one_of("motor_torque", motor_torque, ("sampled", "held"))
         self.noise = noise or ElasticNoise()
@@ -114,10 +116,10 @@ class ElasticJoint(KalmanMethod):
 
     _run_all = staticmethod(_core.ElasticJointFilter.run_all)
 
-    def _job(self, log: Log) -> Job[KalmanEstimate]:
+    def _job(self, log: Log, law: LinkDisturbance | None = None) -> Job[KalmanEstimate]:
         kinds = self.kinds(log)
         arrays = self.arrays(log, kinds)
-        core = self.started_core(kinds, log, first_readings(log))
+        core = self.started_core(kinds, log, first_readings(log), law)
         return Job(log, core, arrays, partial(self._estimate, log, kinds))
 
     def kinds(self, log: Log) -> tuple[str, ...]:
@@ -127,11 +129,13 @@ class ElasticJoint(KalmanMethod):
         log.require("tau", purpose=purpose)
         return self._with_wanted(("motor",), log, purpose)
 
-    def started_core(self, kinds: tuple[str, ...], log: Log, first: Readings) -> _core.ElasticJointFilter:
+    def started_core(
+        self, kinds: tuple[str, ...], log: Log, first: Readings, law: LinkDisturbance | None = None
+    ) -> _core.ElasticJointFilter:
         """Build a filter of the core that starts where the ``first`` samples say."""
         noise = self.noise.for_log(log, self.robot)
-        core = self.core(kinds, log.period, noise, held=self._held)
-        self._begin(core, first, kinds, noise, jerk_scale(first))
+        core = self.core(kinds, log.period, noise, held=self._held, law=law)
+        self._begin(core, first, kinds, noise, jerk_scale(first), law)
         return core
 
     def _state(self, moving: Moving, arrays: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
@@ -146,7 +150,13 @@ class ElasticJoint(KalmanMethod):
         return np.concatenate(mean), np.concatenate(std)
 
     def core(
-        self, kinds: tuple[str, ...], period: float, noise: ElasticNoise, *, held: bool
+        self,
+        kinds: tuple[str, ...],
+        period: float,
+        noise: ElasticNoise,
+        *,
+        held: bool,
+        law: LinkDisturbance | None = None,
     ) -> _core.ElasticJointFilter:
         """Build a filter of the core, without a sample yet, for channels of these kinds every ``period`` [s]."""
         return _core.ElasticJointFilter(
@@ -160,6 +170,7 @@ class ElasticJoint(KalmanMethod):
             iterations=self._iterations,
             late=inside(self.robot, kinds, period),
             told=[parameter.told for parameter in self._uncertain],
+            link_disturbance=None if law is None else law.arrays,
         )
 
     def arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:
@@ -206,8 +217,9 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter])
     transition
         How the covariance is carried over a step: ``"exact"``, by the exponential of the derivatives, or
         ``"first-order"``, 1 + A h, as in the paper.
-    gate, iterations, tolerances, start
-        As of `ExtendedKalmanFilter`.
+    gate, iterations, tolerances, start, link_disturbance
+        As of `ExtendedKalmanFilter`. With ``link_disturbance=True`` the motors' torques tell a disturbance even without
+        further sensors, as far as the motors' friction is known.
 
     Raises
     ------
@@ -264,7 +276,7 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter])
             sample |= {"acceleration": acceleration, "further": further}
 
             def begin(first: Readings) -> None:
-                self._begin(self._live, first, self.live_kinds, self.noise, jerk_scale(first))
+                self._begin(self._live, first, self.live_kinds, self.noise, jerk_scale(first), self.live_law)
 
             return self._decide(sample, self._step, begin)
         return self._step(dt, theta, tau, dtheta, acceleration, further)
@@ -301,16 +313,19 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter])
 
     def _told(self, period: float, *, held: bool) -> _core.ElasticJointFilter:
         """Build a filter of the core that starts where the user says, if that is a state."""
-        core = self.core(self.live_kinds, period, self.noise, held=held)
-        self._begin(core, None, self.live_kinds, self.noise, np.zeros(self.robot.n))
+        core = self.core(self.live_kinds, period, self.noise, held=held, law=self.live_law)
+        self._begin(core, None, self.live_kinds, self.noise, np.zeros(self.robot.n), self.live_law)
         return core
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
-        """Estimate a recording that comes piece by piece, in bounded memory; the same bits as `run`."""
+        """Estimate a recording that comes piece by piece, in bounded memory; the same bits as `run`.
+
+        Whether links are disturbed is what the first piece shows.
+        """
 
         def start(piece: Log, first: Readings) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
             kinds = self.kinds(piece)
-            return self.started_core(kinds, piece, first), kinds
+            return self.started_core(kinds, piece, first, self.law(piece)), kinds
 
         def run(
             core: _core.ElasticJointFilter, kinds: tuple[str, ...], piece: Log, before: Log | None

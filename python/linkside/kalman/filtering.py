@@ -20,6 +20,8 @@ from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
+from .disturbance_evidence import explains, is_seen, is_suspicious, looks_broken, of_estimate, of_load
+from .link_disturbance import LinkDisturbance, Wanted, check, given_law, stiffness, widened
 from .scale import blame_settings
 from .start import Moving, Readings, Spread, Start, find_start, given
 
@@ -123,8 +125,10 @@ class KalmanMethod(ABC):
         gate: float | None,
         iterations: int,
         start: Start = "auto",
+        link_disturbance: Wanted = False,
     ) -> None:
         super().__init__()
+        self._link_disturbance = check(link_disturbance)
         if isinstance(start, str) and start not in ("auto", "rest"):
             raise EstimatorError(f"start is {start!r}, expected 'auto', 'rest', or a mean and a covariance")
         self._at = start
@@ -163,13 +167,68 @@ class KalmanMethod(ABC):
         NumericalError
             The estimate is no longer finite; names the sample.
         """
+        logs = [log] if isinstance(log, Log) else log
         try:
-            return run_each(log, self._job, lambda jobs: self._run_all(jobs, self._smooth, covariance, innovations))
+            found: list[KalmanEstimate] = self._run_each(logs, self._job, covariance, innovations)
+            if self._link_disturbance is not False:
+                found = [self._disturbed(*pair, covariance, innovations) for pair in zip(logs, found, strict=True)]
+            return found[0] if isinstance(log, Log) else found
         except NumericalError as error:
             raise blame_settings(error, self.robot, self.noise) from None
 
+    def _run_each(
+        self, log: Any, job: Callable[[Log], Job[KalmanEstimate]], covariance: bool, innovations: bool
+    ) -> Any:
+        return run_each(log, job, lambda jobs: self._run_all(jobs, self._smooth, covariance, innovations))
+
+    def _filtered(self, log: Log, law: LinkDisturbance | None) -> KalmanEstimate:
+        """The filter's estimate of a recording, also of a smoother."""
+        return run_each(log, lambda one: self._job(one, law), lambda jobs: self._run_all(jobs, False, False, False))
+
+    def _disturbed(self, log: Log, plain: KalmanEstimate, covariance: bool, innovations: bool) -> KalmanEstimate:
+        """The estimate with disturbance torques of the links where there are some, else ``plain``."""
+        law = self._law(log, plain)
+        if law is None:
+            return plain
+        found: KalmanEstimate = self._run_each(log, lambda one: self._job(one, law), covariance, innovations)
+        return found
+
+    def law(self, log: Log) -> LinkDisturbance | None:
+        """How the links' disturbance torques wander in a recording; None where there are none."""
+        return None if self._link_disturbance is False else self._law(log, self._filtered(log, None))
+
+    def _law(self, log: Log, plain: KalmanEstimate) -> LinkDisturbance | None:
+        """The same, by an estimate without such torques."""
+        automatic, kinds = self._link_disturbance == "auto", self.kinds(log)
+        if automatic and not (is_seen(kinds) and is_suspicious(plain)):
+            return None
+        law = of_load(self.noise, self.robot, log, plain)
+        try:
+            found = self._filtered(log, law)
+            if self.noise.link_disturbance is None:
+                law = of_estimate(law, found)
+                found = self._filtered(log, law)
+        except NumericalError:
+            if automatic:
+                return None
+            raise
+        if automatic and not (explains(found, plain) and not looks_broken(self.robot, log, kinds, plain, found)):
+            return None
+        return law
+
+    @property
+    def live_law(self) -> LinkDisturbance | None:
+        """The same for `step`, which has no recording to look at."""
+        return given_law(self.noise, self.robot) if self._link_disturbance is True else None
+
     def _begin(
-        self, core: Startable, first: Readings | None, kinds: tuple[str, ...], noise: Any, jerk: FloatArray
+        self,
+        core: Startable,
+        first: Readings | None,
+        kinds: tuple[str, ...],
+        noise: Any,
+        jerk: FloatArray,
+        law: LinkDisturbance | None = None,
     ) -> None:
         """Tell a filter of the core where it starts: what the user says, or its first samples, if there are any."""
         if self._at == "rest":
@@ -178,8 +237,9 @@ class KalmanMethod(ABC):
         biased = self._channels(kinds)["biased"]
         bias = np.array(arrays["initial_bias"])[biased]
         if not isinstance(self._at, str):
-            dense = core.own_states - len(bias)
-            core.set_start(*given(self._at, np.concatenate([np.zeros(dense), bias]), dense))
+            dense = core.own_states - len(bias) - (0 if law is None else self.robot.n)
+            start = given(self._at, np.concatenate([np.zeros(dense), bias]), dense)
+            core.set_start(*(start if law is None else widened(start, dense, law, np.zeros(self.robot.n))))
             return
         if first is None:
             return
@@ -191,16 +251,23 @@ class KalmanMethod(ABC):
         moving = find_start(self.robot, first, spread)
         if moving is not None:
             mean, std = self._state(moving, arrays)
-            std = np.concatenate([std, bias])
-            core.set_start(np.concatenate([mean, np.zeros(len(bias))]), np.diag(std**2))
+            dense, std = len(std), np.concatenate([std, bias])
+            start = np.concatenate([mean, np.zeros(len(bias))]), np.diag(std**2)
+            if law is not None:
+                start = widened(start, dense, law, 1 / stiffness(self.robot))
+            core.set_start(*start)
 
     @abstractmethod
     def _state(self, moving: Moving, arrays: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviations of the state without biases, of a robot that is moving."""
 
     @abstractmethod
-    def _job(self, log: Log) -> Job[KalmanEstimate]:
-        """Prepare one recording."""
+    def _job(self, log: Log, law: LinkDisturbance | None = None) -> Job[KalmanEstimate]:
+        """Prepare one recording, links having disturbance torques that wander as ``law`` says."""
+
+    @abstractmethod
+    def kinds(self, log: Log) -> tuple[str, ...]:
+        """Kinds of channels to use, in the filter's order."""
 
     _run_all: Callable[..., list[Any]]
     """Of the core's filter."""

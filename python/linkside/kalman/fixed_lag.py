@@ -50,7 +50,8 @@ class FixedLagSmoother(Copies):
 
     def reset(self) -> None:
         """Forget everything: the next `step` starts anew."""
-        self._before = self._filter.core(self._kinds, self._filter.noise, np.inf)
+        law = self._filter.live_law
+        self._before = self._filter.core(self._kinds, self._filter.noise_for(None, law), np.inf, law)
         self._window: deque[tuple[float, FloatArray, FloatArray, FloatArray]] = deque()
         self._ddqref: FloatArray | None = None
         self._period = np.inf  # the first step of time says how many samples a delay spans
@@ -157,7 +158,9 @@ class FixedLagSmoother(Copies):
             None if np.isnan(dtheta).all() else dtheta,
             None if np.isnan(readings[:, n : n + sensors]).all() else readings[:, n : n + sensors],
         )
-        self._before = self._filter.started_core(self._kinds, self._filter.noise, first, self._period)
+        law = self._filter.live_law
+        noise = self._filter.noise_for(None, law)
+        self._before = self._filter.started_core(self._kinds, noise, first, self._period, law)
 
     def _back(self, rows: slice) -> KalmanEstimate:
         """Rows of the window, smoothed."""

@@ -19,7 +19,8 @@ from linkside.robot.requirements import refuse_unsupported
 
 from .filtering import CoreFilter, KalmanEstimate, KalmanMethod, LiveFilter, Startable
 from .late_sensors import inside
-from .noise import Noise
+from .link_disturbance import LinkDisturbance, Wanted
+from .noise import LEAST_JERK, Noise
 from .start import Moving, Readings, Start
 from .starting import DecidingFilter, first_readings, in_pieces
 
@@ -113,20 +114,30 @@ class JerkDriven(KalmanMethod):
         iterations: int = 1,
         tolerances: bool = True,
         start: Start = "auto",
+        link_disturbance: Wanted = "auto",
     ) -> None:
         refuse_unsupported(robot, "a filter on the acceleration-driven model")
         wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
-        super().__init__(robot, wanted, biases, gate, iterations, start)
+        super().__init__(robot, wanted, biases, gate, iterations, start, link_disturbance)
         self.noise = noise or Noise()
         self._damping = damping
         self._uncertain = considered(robot) if tolerances else []
 
     _run_all = staticmethod(_core.ExtendedKalmanFilter.run_all)
 
-    def _job(self, log: Log) -> Job[KalmanEstimate]:
+    def _job(self, log: Log, law: LinkDisturbance | None = None) -> Job[KalmanEstimate]:
         kinds = self.kinds(log)
-        core = self.started_core(kinds, self.noise.for_log(log), first_readings(log), log.period)
+        core = self.started_core(kinds, self.noise_for(log, law), first_readings(log), log.period, law)
         return Job(log, core, self.arrays(log, kinds), partial(self._estimate, log, kinds))
+
+    def noise_for(self, log: Log | None, law: LinkDisturbance | None) -> Noise:
+        """The noise with what is to be read off a recording, and of what disturbances give links; None: in `step`."""
+        noise: Noise = self.noise if log is None else self.noise.for_log(log)
+        if law is None or self.noise.jerk is not None:
+            return noise
+        jerk = np.full(self.robot.n, LEAST_JERK) if noise.jerk is None else np.ravel(noise.jerk)
+        posture = np.zeros(self.robot.n) if log is None else np.nan_to_num(log.theta[0])
+        return noise.updated(jerk=tuple(np.hypot(jerk, law.jerk(self.robot, posture)).tolist()))
 
     def kinds(self, log: Log) -> tuple[str, ...]:
         """Kinds of channels to use, in the filter's order."""
@@ -135,7 +146,9 @@ class JerkDriven(KalmanMethod):
             log.require("acceleration", purpose="the Kalman filter")
         return self._with_wanted(("motor", "acceleration"), log, "the Kalman filter")
 
-    def core(self, kinds: tuple[str, ...], noise: Noise, period: float) -> _core.ExtendedKalmanFilter:
+    def core(
+        self, kinds: tuple[str, ...], noise: Noise, period: float, law: LinkDisturbance | None = None
+    ) -> _core.ExtendedKalmanFilter:
         """Build a filter of the core, without a sample yet, for channels of these kinds every ``period`` [s]."""
         return _core.ExtendedKalmanFilter(
             self.robot.core,
@@ -143,19 +156,32 @@ class JerkDriven(KalmanMethod):
             gate=self._gate,
             iterations=self._iterations,
             told=[parameter.told for parameter in self._uncertain],
+            link_disturbance=None if law is None else law.arrays,
         )
 
     def started_core(
-        self, kinds: tuple[str, ...], noise: Noise, first: Readings | None, period: float
+        self,
+        kinds: tuple[str, ...],
+        noise: Noise,
+        first: Readings | None,
+        period: float,
+        law: LinkDisturbance | None = None,
     ) -> _core.ExtendedKalmanFilter:
         """Build a filter of the core that starts where the ``first`` samples say, if they are to."""
-        core = self.core(kinds, noise, period)
-        self.begin(core, first, kinds, noise)
+        core = self.core(kinds, noise, period, law)
+        self.begin(core, first, kinds, noise, law)
         return core
 
-    def begin(self, core: Startable, first: Readings | None, kinds: tuple[str, ...], noise: Noise) -> None:
+    def begin(
+        self,
+        core: Startable,
+        first: Readings | None,
+        kinds: tuple[str, ...],
+        noise: Noise,
+        law: LinkDisturbance | None = None,
+    ) -> None:
         """Tell a filter of the core where the ``first`` samples say that it starts."""
-        self._begin(core, first, kinds, noise, np.array(noise.arrays(self.robot, kinds)["jerk"]))
+        self._begin(core, first, kinds, noise, np.array(noise.arrays(self.robot, kinds)["jerk"]), law)
 
     def _state(self, moving: Moving, arrays: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
         mean = np.concatenate([moving.q, moving.dq, moving.ddq])
@@ -218,6 +244,11 @@ class ExtendedKalmanFilter(
         The state at the first sample: ``"auto"``, the first 32 samples decide, be the robot at rest or in motion;
         ``"rest"``; or a mean and a covariance of the state, with or without its biases. `step` answers at once: its
         first rows are as uncertain as the samples up to then leave them.
+    link_disturbance
+        Whether each link has a disturbance torque of its own that the model lacks, such as contact, a push, a payload
+        or a counterbalance; it adds to what the transmission gives the link, and is in the estimate as ``disturbance``.
+        ``"auto"``, where joint torque sensors or link encoders are read and a recording's innovations show such torques
+        and no broken sensor; in `step` not. The size is read off the recording unless ``noise`` says it.
 
     Raises
     ------
@@ -239,7 +270,11 @@ class ExtendedKalmanFilter(
         if not self._deciding():
             return super().step(**sample)
         return self._decide(
-            sample, super().step, lambda first: self.begin(self._live, first, self.live_kinds, self.noise)
+            sample,
+            super().step,
+            lambda first: self.begin(
+                self._live, first, self.live_kinds, self.noise_for(None, self.live_law), self.live_law
+            ),
         )
 
     @property
@@ -248,17 +283,19 @@ class ExtendedKalmanFilter(
         return ("motor", "acceleration", *(kind for kind, wanted in self._wanted.items() if wanted))
 
     def _start(self) -> _core.ExtendedKalmanFilter:
-        return self.started_core(self.live_kinds, self.noise, None, self._period)
+        law = self.live_law
+        return self.started_core(self.live_kinds, self.noise_for(None, law), None, self._period, law)
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
         """Estimate a recording that comes piece by piece, in bounded memory.
 
         The same bits as `run` when ``noise.jerk`` is given; otherwise the scale of jerk is read off the first piece.
+        The first piece also shows whether links are disturbed.
         """
 
         def start(piece: Log, first: Readings) -> tuple[_core.ExtendedKalmanFilter, tuple[str, ...]]:
-            kinds = self.kinds(piece)
-            return self.started_core(kinds, self.noise.for_log(piece), first, piece.period), kinds
+            kinds, law = self.kinds(piece), self.law(piece)
+            return self.started_core(kinds, self.noise_for(piece, law), first, piece.period, law), kinds
 
         def run(
             core: _core.ExtendedKalmanFilter, kinds: tuple[str, ...], piece: Log, before: Log | None

@@ -69,6 +69,9 @@ class ReadingNoise(BaseModel):
         Over which time biases forget where they were [s] (Gauss and Markov's process): beyond it they wander no further
         than ``walk · √(time/2)``. None: the time with which that is their initial uncertainty, so that they are as
         uncertain at any time. Infinite: they wander without bound, and over a long recording the estimate with them.
+    link_disturbance, link_disturbance_time
+        Standard deviation of each link's disturbance torque, where a filter has such torques, and over which time it
+        forgets where it was [N m, s]. None: read off the log; in `step`, what would move a resting link at 10 rad/s².
     position, velocity
         Uncertainty at the first sample, where the robot is taken to be at rest [rad, rad/s].
     """
@@ -91,6 +94,8 @@ class ReadingNoise(BaseModel):
     rate_bias: Std = 1e-3
     rate_bias_walk: Std = 1e-5
     rate_bias_time: Time | None = None
+    link_disturbance: Std | tuple[Std, ...] | None = None
+    link_disturbance_time: PositiveStd = 1.0
     position: Std = 1e-4
     velocity: Std = 1e-3
 

@@ -144,7 +144,8 @@ def _forward(
         arrays = smoother.arrays(piece, kinds, before)
         if core is None:
             assert first is not None  # there is a piece
-            core = smoother.started_core(kinds, smoother.noise.for_log(piece), first, piece.period)
+            law = smoother.law(piece)
+            core = smoother.started_core(kinds, smoother.noise_for(piece, law), first, piece.period, law)
         starts.append(core.copy())
         _save(spill / f"{index}.log", dict(zip((*READ, "t"), (*arrays, piece.t), strict=True)))
         with _in_rows(rows, len(piece)):

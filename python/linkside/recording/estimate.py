@@ -72,6 +72,9 @@ class Estimate:
         Tool in the base frame [m].
     q_std, tool_std : (T, n) and (T, 3), optional
         Standard deviations, where the method has a covariance [rad, m].
+    disturbance, disturbance_std : (T, n), optional
+        Torque on each link from outside, or that the model lacks, and its standard deviation [N m]; columns
+        ``d_<joint>`` and ``d_std_<joint>``.
     covariance : (T, k, k), optional
         Covariance of the method's state. It is kept in memory only: files have the standard deviations.
     nis : (T,), optional
@@ -93,12 +96,15 @@ class Estimate:
     tool_std: FloatArray | None = None
     covariance: FloatArray | None = None
     nis: FloatArray | None = None
+    disturbance: FloatArray | None = None
+    disturbance_std: FloatArray | None = None
     findings: tuple[Fault, ...] = ()
 
     def __post_init__(self) -> None:
         """Check shapes, once."""
         rows, joints = len(self.t), len(self.names)
-        wanted = dict.fromkeys(("q", "dq", "ddq", "theta", "dtheta", "q_std"), (rows, joints))
+        of_joints = ("q", "dq", "ddq", "theta", "dtheta", "q_std", "disturbance", "disturbance_std")
+        wanted = dict.fromkeys(of_joints, (rows, joints))
         wanted |= {"tool_position": (rows, 3), "tool_std": (rows, 3)}
         for name, shape in wanted.items():
             array = getattr(self, name)
@@ -273,12 +279,14 @@ def _groups(names: tuple[str, ...]) -> dict[str, list[str]]:
     """Columns of a file by field of `Estimate`, in order."""
     groups = {s: [f"{s}_{joint}" for joint in names] for s in ("q", "dq", "ddq", "theta", "dtheta", "q_std")}
     groups |= {"t": ["t"], "status": ["status"], "nis": ["nis"]}
+    groups |= {"disturbance": [f"d_{joint}" for joint in names]}
+    groups |= {"disturbance_std": [f"d_std_{joint}" for joint in names]}
     groups |= {
         "tool_position": [f"tool_{axis}" for axis in "xyz"],
         "tool_std": [f"tool_std_{axis}" for axis in "xyz"],
     }
-    order = ("t", "q", "dq", "ddq", "theta", "dtheta", "tool_position", "q_std", "tool_std", "nis", "status")
-    return {group: groups[group] for group in order}
+    order = ("t", "q", "dq", "ddq", "theta", "dtheta", "tool_position", "q_std", "tool_std")
+    return {group: groups[group] for group in (*order, "disturbance", "disturbance_std", "nis", "status")}
 
 
 def _joints(columns: list[str], source: str) -> tuple[str, ...]:

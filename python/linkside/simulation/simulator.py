@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from linkside import _core
-from linkside.arguments import one_of, sized, whole
+from linkside.arguments import numbers, one_of, sized, whole
 from linkside.arrays import FloatArray
 from linkside.channels import CHANNELS, joint_columns
 from linkside.control.controllers import Controller, State, law_of
@@ -70,7 +70,8 @@ class Simulation:
     log
         The recording: sensors, and motor torques, each held from its sample until the next.
     truth
-        Columns ``t`` (T,), ``q``, ``dq``, ``ddq``, ``theta``, ``dtheta`` (T, n), and ``tool`` (T, 3) if there is one.
+        Columns ``t`` (T,), ``q``, ``dq``, ``ddq``, ``theta``, ``dtheta`` (T, n), ``tool`` (T, 3) if there is one, and
+        ``push`` (T, n) where links were pushed, ``d_<joint>`` in files.
         Accelerations are those just before the torque changes.
     known
         What the controller knew of the robot, (T, n) each.
@@ -87,6 +88,8 @@ class Simulation:
         columns = {"t": self.truth["t"]}
         for signal in ("q", "dq", "ddq", "theta", "dtheta"):
             columns |= {f"{signal}_{name}": self.truth[signal][:, j] for j, name in enumerate(self.robot.names)}
+        if "push" in self.truth:
+            columns |= {f"d_{name}": self.truth["push"][:, j] for j, name in enumerate(self.robot.names)}
         if "tool" in self.truth:
             columns |= {f"tool_{axis}": self.truth["tool"][:, i] for i, axis in enumerate("xyz")}
         try:
@@ -116,6 +119,7 @@ def simulate(
     atol: float | None = None,
     keep_every: int = 1,
     seed: int = 0,
+    push: npt.ArrayLike | None = None,
 ) -> Simulation:
     """Move a robot under a controller, from rest unless said otherwise.
 
@@ -158,6 +162,9 @@ def simulate(
         One sample in so many is kept.
     seed
         Of the noise: the same seed gives the same bits.
+    push : (n,) or (T, n)
+        Torque on each link from outside [N m]: contact, a payload, whatever the robot does not know. All the time, or
+        at each sample, straight in between; between samples a link is pushed as in the middle.
 
     Raises
     ------
@@ -179,10 +186,20 @@ def simulate(
         "seed": whole("seed", seed),
         **{name: None if value is None else sized(name, value, robot.n).tolist() for name, value in start.items()},
     }
+    settings["push"] = None if push is None else _push(push, robot.n, settings["count"], settings["period"])
     channels = [dataclasses.asdict(channel) for kind in SIGNALS for channel in models[kind]]
     source = _feedback_source(feedback, robot, 1.0 / rate)
     result = _core.simulate(robot.core, settings, channels, source, law_of(controller, robot))
     return _assemble(robot, result, left_out=EXTRA - set(sensors or {}) - set(_declared(robot)))
+
+
+def _push(push: npt.ArrayLike, n: int, count: int, period: float) -> dict[str, Any]:
+    """Torques from outside, as the core takes a path in time."""
+    torque = numbers("push", push)
+    if torque.shape not in ((n,), (count, n)):
+        raise EstimatorError(f"push has shape {torque.shape}, expected ({n},) or ({count}, {n})")
+    times = period * np.arange(count if torque.ndim == 2 else 1)
+    return {"times": times.tolist(), "values": torque.ravel().tolist(), "width": n}
 
 
 def _stepping(integrator: str, substeps: int, rtol: float | None, atol: float | None) -> dict[str, Any]:

@@ -144,7 +144,7 @@ def tune(
     """
     logs = [logs] if isinstance(logs, Log) else list(logs)
     _refuse(logs, free, span, settings)
-    settings = {"tolerances": False} | settings  # noise is to explain what noise can
+    settings = {"tolerances": False, "link_disturbance": False} | settings  # noise is to explain what noise can
     search = _NoiseSearch(robot, logs, noise or Noise(), tuple(free), settings, progress)
     best = search.maximise(span)
     factors = search.widening(best) if widen else np.ones(len(best))

@@ -1,6 +1,7 @@
 //! Kalman filter and smoother on the elastic-joint model.
 
 use crate::array::{Signal, rows, shaped};
+use crate::disturbance::LinkDisturbance;
 use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
 use crate::kalman::{Inside, Matrix, check_step, inside, into_dict, named};
@@ -67,7 +68,8 @@ type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'py>);
 impl ElasticJointFilter {
     #[new]
     #[pyo3(signature = (
-        robot, *, kinds, disturbances, biased, first_order, held, noise, gate, iterations, told, late=None
+        robot, *, kinds, disturbances, biased, first_order, held, noise, gate, iterations, told, late=None,
+        link_disturbance=None
     ))]
     fn new(
         robot: &Robot,
@@ -81,6 +83,7 @@ impl ElasticJointFilter {
         iterations: usize,
         told: Vec<ToleranceTuple>,
         late: Option<Vec<Inside>>,
+        link_disturbance: Option<LinkDisturbance>,
     ) -> PyResult<Self> {
         let settings = ElasticSettings {
             kinds: named(&kinds)?,
@@ -91,7 +94,9 @@ impl ElasticJointFilter {
         };
         let tolerances = tolerances(&told)?;
         let build = || {
-            let model = ElasticModel::new(Arc::clone(&robot.0), &settings, noise.into())?.with_late(&inside(late))?;
+            let links = link_disturbance.map(Into::into);
+            let model = ElasticModel::disturbed(Arc::clone(&robot.0), &settings, noise.into(), links)?
+                .with_late(&inside(late))?;
             ExtendedKalmanFilter::new(model.with_tolerances(tolerances), FilterSettings { gate, iterations })
         };
         let filter = build().map_err(IntoPyErr::into_py_err)?;

@@ -1,6 +1,7 @@
 //! Kalman filter and smoother on the acceleration-driven model.
 
 use crate::array::{Signal, rows, shaped};
+use crate::disturbance::LinkDisturbance;
 use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
 use crate::robot::Robot;
@@ -167,7 +168,9 @@ pub(crate) type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'
 #[pymethods]
 impl ExtendedKalmanFilter {
     #[new]
-    #[pyo3(signature = (robot, *, kinds, biased, noise, gate, iterations, damping, told, late=None))]
+    #[pyo3(signature = (
+        robot, *, kinds, biased, noise, gate, iterations, damping, told, late=None, link_disturbance=None
+    ))]
     fn new(
         robot: &Robot,
         kinds: Vec<String>,
@@ -178,11 +181,15 @@ impl ExtendedKalmanFilter {
         damping: bool,
         told: Vec<ToleranceTuple>,
         late: Option<Vec<Inside>>,
+        link_disturbance: Option<LinkDisturbance>,
     ) -> PyResult<Self> {
         let told = tolerances(&told)?;
         let kinds = named(&kinds)?;
         let build = || {
-            let model = JerkModel::new(Arc::clone(&robot.0), &kinds, &biased)?;
+            let mut model = JerkModel::new(Arc::clone(&robot.0), &kinds, &biased)?;
+            if let Some(law) = link_disturbance {
+                model = model.with_disturbances(law.into())?;
+            }
             let model =
                 JerkDriven::new(model, noise.into(), damping)?.with_tolerances(told).with_late(&inside(late))?;
             kalman::ExtendedKalmanFilter::new(model, FilterSettings { gate, iterations })
@@ -328,6 +335,10 @@ pub(crate) fn into_dict<'py>(
         put(name, values, &[n])?;
     }
     put("q_std", o.q_std, &[n])?;
+    if !o.disturbance.is_empty() {
+        put("disturbance", o.disturbance, &[n])?;
+        put("disturbance_std", o.disturbance_std, &[n])?;
+    }
     if tool {
         put("tool_position", o.tool, &[3])?;
         put("tool_std", o.tool_std, &[3])?;

@@ -2,6 +2,7 @@
 
 mod array;
 mod control;
+mod disturbance;
 mod elastic_filter;
 mod error;
 mod gil;

@@ -37,6 +37,8 @@ pub(crate) struct SimulationFields {
     theta: Option<Vec<f64>>,
     dtheta: Option<Vec<f64>>,
     tau: Option<Vec<f64>>,
+    /// Torques from outside on the links.
+    push: Option<Knots>,
 }
 
 #[derive(FromPyObject)]
@@ -164,6 +166,7 @@ struct Job {
     robot: Arc<linkside_core::robot::Robot>,
     plan: Plan,
     start: SimulationStart,
+    push: Option<Reference>,
     suite: Suite,
 }
 
@@ -177,6 +180,7 @@ impl Job {
             robot: Arc::clone(&robot.0),
             suite: Suite::new(&robot.0, &models, s.period, s.seed)?,
             plan: Plan { period: s.period, count: s.count, stepping, keep_every: s.keep_every },
+            push: s.push.map(Knots::build).transpose()?,
             start: SimulationStart { q: s.q, dq: s.dq, theta: s.theta, dtheta: s.dtheta, tau: s.tau },
         })
     }
@@ -223,8 +227,8 @@ impl Job {
         mut feedback: impl Feedback + Send,
         controller: &mut (dyn Controller + Send),
     ) -> PyResult<Result<SimulatedRecording, SimulationError>> {
-        let Self { robot, plan, start, suite } = self;
-        py.release(|| Ok::<_, DesignError>(core::simulate(&robot, start, plan, suite, &mut feedback, controller)))
+        let Self { robot, plan, start, push, suite } = self;
+        py.release(|| Ok::<_, DesignError>(core::simulate(&robot, start, plan, push, suite, &mut feedback, controller)))
     }
 }
 
@@ -252,6 +256,9 @@ fn into_dict<'py>(
     out.set_item("t", PyArray1::from_vec(py, recording.t))?;
     if robot.tool.is_some() {
         out.set_item("tool", shaped(py, recording.tool, vec![count, 3])?)?;
+    }
+    if !recording.push.is_empty() {
+        out.set_item("push", shaped(py, recording.push, vec![count, n])?)?;
     }
     for (name, values, width) in [
         ("readings", recording.readings, channels),

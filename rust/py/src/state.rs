@@ -14,7 +14,8 @@ pub(crate) struct State {
     #[pyo3(get)]
     status: u8,
     n: usize,
-    /// q, q̇, q̈, θ, θ̇ and standard deviations of q, n each; what there is not is left out from the end.
+    /// q, q̇, q̈, θ, θ̇, standard deviations of q, disturbance torques and theirs, n each; what there is not is left out from
+    /// the end.
     joints: Box<[f64]>,
     tool: Option<[f64; 3]>,
     tool_std: Option<[f64; 3]>,
@@ -40,6 +41,7 @@ pub(crate) struct State {
 
 const THETA: usize = 3;
 const Q_STD: usize = 5;
+const DISTURBANCE: usize = 6;
 
 impl State {
     fn bare(t: f64, status: u8, n: usize, joints: Vec<f64>) -> Self {
@@ -62,8 +64,10 @@ impl State {
 
     /// Row `i` of a filter's estimate, for a robot of `n` joints.
     pub(crate) fn of_row(t: f64, n: usize, rows: &FilterOutput, i: usize) -> Self {
-        let mut joints = Vec::with_capacity(6 * n);
-        for part in [&rows.q, &rows.dq, &rows.ddq, &rows.theta, &rows.dtheta, &rows.q_std] {
+        let mut joints = Vec::with_capacity(8 * n);
+        let parts = [&rows.q, &rows.dq, &rows.ddq, &rows.theta, &rows.dtheta, &rows.q_std];
+        for part in parts.into_iter().chain([&rows.disturbance, &rows.disturbance_std]).filter(|part| !part.is_empty())
+        {
             joints.extend_from_slice(&part[i * n..][..n]);
         }
         let three = |values: &[f64]| values.chunks_exact(3).nth(i).and_then(|row| row.first_chunk().copied());
@@ -160,6 +164,16 @@ impl State {
     #[getter]
     fn q_std<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<f64>>> {
         self.part(py, Q_STD)
+    }
+
+    #[getter]
+    fn disturbance<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<f64>>> {
+        self.part(py, DISTURBANCE)
+    }
+
+    #[getter]
+    fn disturbance_std<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<f64>>> {
+        self.part(py, DISTURBANCE + 1)
     }
 
     #[getter]

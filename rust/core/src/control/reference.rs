@@ -40,7 +40,7 @@ impl Reference {
 
     /// Value and slope of every number at `t` [s], handed to `put`.
     #[inline(always)]
-    pub(super) fn at(&mut self, t: f64, mut put: impl FnMut(usize, f64, f64)) {
+    pub(crate) fn at(&mut self, t: f64, mut put: impl FnMut(usize, f64, f64)) {
         if t < self.times[self.knot] {
             self.knot = 0;
         }

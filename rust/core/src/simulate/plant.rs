@@ -15,7 +15,15 @@ pub struct Plant {
 impl Plant {
     /// Room for `robot`.
     pub fn new(robot: &Robot) -> Self {
-        let layout = ElasticLayout::new(robot, false);
+        Self::pushed(robot, false)
+    }
+
+    /// The same, with a torque from outside on each link in the state if `pushed`; it stays as it is.
+    pub fn pushed(robot: &Robot, pushed: bool) -> Self {
+        let mut layout = ElasticLayout::new(robot, false);
+        if pushed {
+            layout = layout.with_link_disturbances(f64::INFINITY);
+        }
         Self { dynamics: ElasticDynamics::new(robot, &layout), layout }
     }
 

@@ -23,6 +23,8 @@ pub struct SimulatedRecording {
     pub theta: Vec<f64>,
     /// Motor velocities (n) [rad/s].
     pub dtheta: Vec<f64>,
+    /// Torques from outside on the links (n) [N m]; empty where there are none.
+    pub push: Vec<f64>,
     /// What the controller knew: q, q̇, θ, θ̇ (4 n).
     pub known: Vec<f64>,
     /// Tool centre point (3) [m]; empty without a tool.
@@ -43,6 +45,7 @@ impl SimulatedRecording {
             ddq: joints()?,
             theta: joints()?,
             dtheta: joints()?,
+            push: Vec::new(),
             known: room(count, 4 * robot.len())?,
             tool: room(if robot.tool.is_some() { count } else { 0 }, 3)?,
         })

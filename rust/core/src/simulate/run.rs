@@ -7,8 +7,8 @@ use super::plant::Plant;
 use super::recording::SimulatedRecording;
 use super::sensors::{JointMotion, Suite};
 use super::start::SimulationStart;
-use crate::check::expect;
-use crate::control::{Controller, RobotState};
+use crate::check::{expect, expect_length};
+use crate::control::{Controller, Reference, RobotState};
 use crate::error::{DesignError, SimulationError};
 use crate::interrupt::Watch;
 use crate::robot::Robot;
@@ -55,7 +55,8 @@ impl Plan {
     }
 }
 
-/// Moves `robot` under `controller`; sensors and controller act every period, the torque is held in between.
+/// Moves `robot` under `controller` and, where there is one, a `push` from outside on each link (n) [N m]; sensors and
+/// controller act every period, torques are held in between, the push at what it is in the middle.
 ///
 /// ```
 /// use linkside_core::control::{JointPd, Reference};
@@ -82,16 +83,18 @@ pub fn simulate(
     robot: &Robot,
     start: SimulationStart,
     plan: Plan,
+    push: Option<Reference>,
     suite: Suite,
     feedback: &mut dyn Feedback,
     controller: &mut dyn Controller,
 ) -> Result<SimulatedRecording, SimulationError> {
     plan.check()?;
-    let mut world = World::new(robot, start, plan.stepping)?;
+    let mut world = World::new(robot, start, plan.stepping, push)?;
     world.out = SimulatedRecording::with_capacity(robot, plan.count.div_ceil(plan.keep_every), suite.readings.len())?;
     // A fixed step beyond the stability limit of the stiffest mode would explode after samples that look right: refused
     // beforehand, with the number of substeps that would do.
-    let limit = largest_stable_step(robot, &world.x, &world.tau);
+    let own = world.x.len() - if world.push.is_some() { robot.len() } else { 0 };
+    let limit = largest_stable_step(robot, &world.x[..own], &world.tau);
     if limit.is_nan() {
         return Err(SimulationError::Singular);
     }
@@ -130,6 +133,8 @@ struct World {
     x: Vec<f64>,
     /// Torque until the next sample (n) [N m].
     tau: Vec<f64>,
+    /// Torques on the links from outside.
+    push: Option<Reference>,
     /// Dynamics, with the accelerations and frames of the sample.
     plant: Plant,
     mover: Mover,
@@ -143,24 +148,34 @@ struct World {
 }
 
 impl World {
-    fn new(robot: &Robot, start: SimulationStart, stepping: Stepping) -> Result<Self, DesignError> {
+    fn new(
+        robot: &Robot,
+        start: SimulationStart,
+        stepping: Stepping,
+        mut push: Option<Reference>,
+    ) -> Result<Self, DesignError> {
         let n = robot.len();
-        let (RobotState { q, dq, theta, dtheta }, tau) = start.complete(robot)?;
-        let plant = Plant::new(robot);
+        let mut pushed = vec![0.0; n];
+        if let Some(push) = &mut push {
+            expect_length("push", push.width(), n)?;
+            push.at(0.0, |j, value, _| pushed[j] = value);
+        }
+        let (RobotState { q, dq, theta, dtheta }, tau) = start.complete(robot, &pushed)?;
+        let plant = Plant::pushed(robot, push.is_some());
         let mover = Mover::new(&plant, stepping)?;
         let mut x = vec![0.0; plant.layout.dense];
         plant.layout.gather([&q, &dq, &theta, &dtheta], &mut x);
         let known = RobotState::new(n);
-        Ok(Self {
-            x,
-            tau,
-            plant,
-            mover,
-            known,
-            theta: vec![0.0; n],
-            dtheta: vec![0.0; n],
-            out: SimulatedRecording::default(),
-        })
+        let [theta, dtheta] = [vec![0.0; n], vec![0.0; n]];
+        Ok(Self { x, tau, push, plant, mover, known, theta, dtheta, out: SimulatedRecording::default() })
+    }
+
+    /// Lets the push be what it is at `t`.
+    #[inline(always)]
+    fn push(&mut self, t: f64) {
+        if let (Some(push), Some(first)) = (&mut self.push, self.plant.layout.link_disturbance) {
+            push.at(t, |j, value, _| self.x[first + j] = value);
+        }
     }
 
     /// Accelerations, motor positions and the kinematics at the present state.
@@ -219,6 +234,9 @@ impl World {
         ] {
             all.extend_from_slice(values);
         }
+        if let Some(first) = plant.layout.link_disturbance {
+            out.push.extend_from_slice(&x[first..][..n]);
+        }
         if let Some(tool) = &robot.tool {
             out.tool.extend_from_slice(&plant.dynamics.kinematics.position(tool).0);
         }
@@ -274,6 +292,7 @@ impl SimulationRun<'_> {
         let Self { robot, plan, world, suite, feedback, controller } = self;
         let (dt, t) = (plan.period, sample as f64 * plan.period);
         // 1. Where the robot is: accelerations under the torque that has been acting, and all frames.
+        world.push(t);
         simd::phase(Look { world, robot });
         if !world.plant.dynamics.ddq.iter().chain(&world.x).all(|value| value.is_finite()) {
             return Err(SimulationError::NotFinite { time: t });
@@ -295,6 +314,7 @@ impl SimulationRun<'_> {
             world.keep(robot, t, &suite.readings);
         }
         // 6. Move to t + dt.
+        world.push(t + 0.5 * dt);
         world.advance(robot, t, dt, watch)
     }
 }

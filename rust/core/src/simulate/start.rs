@@ -22,11 +22,11 @@ pub struct SimulationStart {
 }
 
 impl SimulationStart {
-    /// The whole state and the torques.
+    /// The whole state and the torques, links being pushed by `push` (n).
     ///
     /// # Errors
     /// Not n finite numbers.
-    pub(super) fn complete(self, robot: &Robot) -> Result<(RobotState, Vec<f64>), DesignError> {
+    pub(super) fn complete(self, robot: &Robot, push: &[f64]) -> Result<(RobotState, Vec<f64>), DesignError> {
         let n = robot.len();
         let given = [("q", &self.q), ("dq", &self.dq), ("theta", &self.theta), ("dtheta", &self.dtheta)];
         for (what, values) in given.into_iter().chain([("tau", &self.tau)]) {
@@ -36,7 +36,8 @@ impl SimulationStart {
         }
         let q = self.q.unwrap_or_else(|| vec![0.0; n]);
         let dq = self.dq.unwrap_or_else(|| vec![0.0; n]);
-        let gravity = gravity(robot, &q);
+        let mut gravity = gravity(robot, &q);
+        crate::linear::add_scaled(&mut gravity, -1.0, push);
         let hold =
             |(j, q): (usize, &f64)| if robot.drives[j].elastic { q + robot.drives[j].torsion(gravity[j]) } else { *q };
         let theta = self.theta.unwrap_or_else(|| q.iter().enumerate().map(hold).collect());

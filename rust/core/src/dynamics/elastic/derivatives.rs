@@ -65,6 +65,9 @@ impl<T: Scalar> ElasticDynamics<T> {
                 row[n + k] = -by_dq[i * bodies + k];
             }
             row[n + i] -= robot.drives[i].link_friction(x[n + i]).1;
+            if let Some(first) = layout.link_disturbance {
+                row[first + i] = T::constant(1.0);
+            }
             for (k, rotor) in (n..).zip(&robot.rotors) {
                 row[layout.dtheta[rotor.motor]] -= by_dq[i * bodies + k] * rotor.ratio;
             }
@@ -214,6 +217,9 @@ impl<T: Scalar> ElasticDynamics<T> {
             a[layout.dtheta[j] * d..][..d].copy_from_slice(&self.ddtheta_by[j * d..][..d]);
             a[j * d + n + j] = T::constant(1.0);
             a[(n + j) * d..][..d].copy_from_slice(&self.ddq_by[j * d..][..d]);
+            if let Some(first) = layout.link_disturbance {
+                a[(first + j) * (d + 1)] = T::constant(-layout.forgetting);
+            }
         }
         a
     }

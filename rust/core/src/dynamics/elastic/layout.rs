@@ -2,7 +2,7 @@
 
 use crate::robot::Robot;
 
-/// Where in the state each joint's numbers are: (q, q̇, θ, θ̇ of the elastic joints, disturbance torques).
+/// Where in the state each joint's numbers are: (q, q̇, θ, θ̇ of the elastic joints, disturbance torques of motors, of links).
 #[derive(Clone, Debug)]
 pub struct ElasticLayout {
     /// Number of joints.
@@ -11,8 +11,12 @@ pub struct ElasticLayout {
     pub theta: Vec<usize>,
     /// θ̇ of each joint; q̇ where the joint is rigid.
     pub dtheta: Vec<usize>,
-    /// The first disturbance torque.
+    /// The first disturbance torque of a motor.
     pub disturbance: Option<usize>,
+    /// The first disturbance torque of a link.
+    pub link_disturbance: Option<usize>,
+    /// How fast the links' disturbance torques fade [1/s].
+    pub forgetting: f64,
     /// Length of the whole.
     pub dense: usize,
 }
@@ -37,8 +41,16 @@ impl ElasticLayout {
             theta,
             dtheta,
             disturbance: disturbances.then_some(first),
+            link_disturbance: None,
+            forgetting: 0.0,
             dense: first + if disturbances { n } else { 0 },
         }
+    }
+
+    /// The same with a disturbance torque of each link, which forgets over `time` [s].
+    pub fn with_link_disturbances(self, time: f64) -> Self {
+        let dense = self.dense + self.joints;
+        Self { link_disturbance: Some(self.dense), forgetting: 1.0 / time, dense, ..self }
     }
 
     /// Puts q, q̇, θ and θ̇ (n each) where they belong in `x`; of a rigid joint θ and θ̇ are not looked at.

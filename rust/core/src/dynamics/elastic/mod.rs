@@ -180,6 +180,9 @@ impl<T: Scalar> ElasticDynamics<T> {
             };
             self.ddq[j] = self.spring[j] - self.load[j] - drive.link_friction(dq[j]).0;
         }
+        if let Some(first) = layout.link_disturbance {
+            linear::add_scaled(&mut self.ddq, T::constant(1.0), &x[first..][..n]);
+        }
     }
 
     /// What motors add to the links' inertia and torque.
@@ -250,7 +253,7 @@ impl<T: Scalar> ElasticDynamics<T> {
         before + entry(j, j) + -robot.drives[j].motor_inertia - own
     }
 
-    /// ẋ, after [`accelerate`](Self::accelerate) at state `x`: `out` (dense) is overwritten; disturbances stay.
+    /// ẋ, after [`accelerate`](Self::accelerate) at state `x`: `out` (dense) is overwritten; motors' disturbances stay.
     #[inline(always)]
     pub fn rate_into(&self, layout: &ElasticLayout, x: &[T], out: &mut [T]) {
         let n = layout.joints;
@@ -260,6 +263,9 @@ impl<T: Scalar> ElasticDynamics<T> {
             out[layout.dtheta[j]] = self.ddtheta[j];
             out[j] = x[n + j];
             out[n + j] = self.ddq[j];
+        }
+        if let Some(first) = layout.link_disturbance {
+            linear::add_scaled(&mut out[first..][..n], T::constant(-layout.forgetting), &x[first..][..n]);
         }
     }
 }

@@ -39,9 +39,10 @@ fn robot() -> Robot {
 #[test]
 fn derivatives_are_those_of_differences() {
     let robot = robot();
-    let layout = ElasticLayout::new(&robot, true);
+    let layout = ElasticLayout::new(&robot, true).with_link_disturbances(0.7);
     let d = layout.dense;
-    assert_eq!((d, &layout.theta[..], &layout.dtheta[..]), (18, &[8, 9, 2, 10][..], &[11, 12, 6, 13][..]));
+    assert_eq!(layout.link_disturbance, Some(18));
+    assert_eq!((d, &layout.theta[..], &layout.dtheta[..]), (22, &[8, 9, 2, 10][..], &[11, 12, 6, 13][..]));
     let x: Vec<f64> = (0..d).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
     let tau = [5.0, -3.0, 2.0, 1.0];
     let mut dynamics = ElasticDynamics::new(&robot, &layout);

@@ -9,7 +9,6 @@ use super::recording::{KalmanRecording, KalmanSample};
 use super::uncertain::Tolerance;
 use crate::error::DesignError;
 use crate::estimate::measurement::{Channel, Evaluation};
-use crate::robot::Robot;
 use crate::scalar::Dual;
 
 /// The acceleration-driven model with its noise, as a filter runs it.
@@ -90,9 +89,9 @@ impl JerkMeasurement {
     fn new(model: JerkModel, noise: JerkNoise, damping: bool) -> Self {
         let (n, m) = (model.joints(), model.channels());
         Self {
-            evaluation: Evaluation::new(&model.robot, m),
-            motors: model.channels.contains(&Channel::MotorVelocity(0)).then(|| Motors::new(&model.robot)),
-            reference: vec![0.0; 3 * n],
+            evaluation: Evaluation::disturbed(&model.robot, m, model.disturbances.len()),
+            motors: model.channels.contains(&Channel::MotorVelocity(0)).then(|| Motors::new(&model)),
+            reference: vec![0.0; model.dense()],
             dtheta: vec![f64::NAN; n],
             dtheta_variance: vec![0.0; n],
             slope: MotorVelocity::new(n),
@@ -184,7 +183,7 @@ impl Measurement for JerkMeasurement {
         let Self { model, evaluation, dtheta, jerk, motors, .. } = self;
         evaluation.predict(&model.robot, &model.channels, state, dtheta);
         if let Some(motors) = motors {
-            motors.evaluate(&model.robot, state, dtheta, jerk);
+            motors.evaluate(model, state, dtheta, jerk);
             motors.write_values(&model.channels, evaluation);
         }
         &self.evaluation.prediction
@@ -196,9 +195,9 @@ impl Measurement for JerkMeasurement {
         let Self { model, evaluation, dtheta, jerk, motors, .. } = self;
         evaluation.evaluate(&model.robot, &model.channels, reference, dtheta);
         if let Some(motors) = motors {
-            motors.evaluate(&model.robot, reference, dtheta, jerk);
+            motors.evaluate(model, reference, dtheta, jerk);
             motors.write_values(&model.channels, evaluation);
-            motors.write_rows(&model.channels, evaluation);
+            motors.write_rows(model, evaluation);
         }
     }
 
@@ -219,9 +218,10 @@ impl Measurement for JerkMeasurement {
                 own + square(self.noise.torsion * torsion) + self.velocity_variance(j, torsion)
             }
             Channel::MotorVelocity(j) => {
-                let n = self.model.joints();
-                let by_ddq = &self.evaluation.jacobian[j * 3 * n + 2 * n..][..n];
-                let jolts: f64 = by_ddq.iter().zip(&self.noise.jerk).map(|(h, jerk)| square(h * jerk)).sum();
+                let (n, d) = (self.model.joints(), self.dense());
+                let by_ddq = &self.evaluation.jacobian[j * d + 2 * n..][..d - 2 * n];
+                let densities = self.noise.jerk.iter().chain(&self.model.disturbances.walk);
+                let jolts: f64 = by_ddq.iter().zip(densities).map(|(h, jolt)| square(h * jolt)).sum();
                 own + jolts / self.dt
             }
             _ => own,
@@ -232,14 +232,14 @@ impl Measurement for JerkMeasurement {
 impl Report for JerkMeasurement {
     fn memory(&self) -> usize {
         let n = self.model.joints();
-        n * (3 * n + 5)
+        n * (self.dense() + 2) + self.dense()
     }
 
     /// Where the motors' channels were linearised, and what came of it.
     #[inline(always)]
     fn remember(&self, memory: &mut Vec<f64>) {
         let n = self.model.joints();
-        memory.extend_from_slice(&self.evaluation.jacobian[..n * 3 * n]);
+        memory.extend_from_slice(&self.evaluation.jacobian[..n * self.dense()]);
         memory.extend_from_slice(&self.evaluation.prediction[..n]);
         memory.extend_from_slice(&self.reference);
         memory.extend_from_slice(&self.jerk);
@@ -248,19 +248,23 @@ impl Report for JerkMeasurement {
     /// The first n channels are the motors': their positions by the linearisation, their velocities by its rate.
     #[inline(always)]
     fn report(&mut self, memory: &[f64], state: &[f64], i: usize, out: &mut FilterOutput) {
-        let n = self.model.joints();
-        let (jacobian, rest) = memory.split_at(n * 3 * n);
+        let (n, d) = (self.model.joints(), self.dense());
+        let (jacobian, rest) = memory.split_at(n * d);
         let (prediction, rest) = rest.split_at(n);
-        let (reference, jerk) = rest.split_at(3 * n);
+        let (reference, jerk) = rest.split_at(d);
         for (signal, values) in [&mut out.q, &mut out.dq, &mut out.ddq].into_iter().zip(state.chunks_exact(n)) {
             signal[i * n..][..n].copy_from_slice(values);
         }
-        for (j, row) in jacobian.chunks_exact(3 * n).enumerate() {
+        for (j, row) in jacobian.chunks_exact(d).enumerate() {
             let (mut theta, mut dtheta) = (prediction[j], 0.0);
             // θ(x) ≈ θ(x₀) + H (x − x₀), θ̇ = H ẋ with ẋ = (q̇, q̈, jerk): the linearisation that the update has used.
             for k in 0..3 * n {
                 theta += row[k] * (state[k] - reference[k]);
                 dtheta += row[k] * if k < 2 * n { state[n + k] } else { jerk[k - 2 * n] };
+            }
+            for k in 3 * n..d {
+                theta += row[k] * (state[k] - reference[k]);
+                dtheta += row[k] * self.model.disturbances.rate(k - 3 * n, state[k]);
             }
             (out.theta[i * n + j], out.dtheta[i * n + j]) = (theta, dtheta);
         }
@@ -281,24 +285,26 @@ struct Motors {
 }
 
 impl Motors {
-    fn new(robot: &Robot) -> Self {
-        let n = robot.len();
+    fn new(model: &JerkModel) -> Self {
+        let n = model.joints();
         Self {
             channels: (0..n).map(Channel::Motor).collect(),
-            evaluation: Evaluation::new(robot, n),
-            state: vec![Dual::default(); 3 * n],
+            evaluation: Evaluation::disturbed(&model.robot, n, model.disturbances.len()),
+            state: vec![Dual::default(); model.dense()],
             rates: Vec::new(),
         }
     }
 
     /// At a state that moves with `jerk`; the damping torque's `dtheta` is taken to stay.
     #[inline(always)]
-    fn evaluate(&mut self, robot: &Robot, state: &[f64], dtheta: &[f64], jerk: &[f64]) {
-        let rates = state[jerk.len()..].iter().chain(jerk);
-        for ((x, &value), &rate) in self.state.iter_mut().zip(state).zip(rates) {
+    fn evaluate(&mut self, model: &JerkModel, state: &[f64], dtheta: &[f64], jerk: &[f64]) {
+        let (n, torques) = (jerk.len(), &model.disturbances);
+        let fading = state[3 * n..].iter().enumerate().map(|(j, &d)| torques.rate(j, d));
+        let rates = state[n..3 * n].iter().chain(jerk).copied().chain(fading);
+        for ((x, &value), rate) in self.state.iter_mut().zip(state).zip(rates) {
             *x = Dual { value, gradient: [rate] };
         }
-        self.evaluation.evaluate(robot, &self.channels, &self.state, dtheta);
+        self.evaluation.evaluate(&model.robot, &self.channels, &self.state, dtheta);
     }
 
     /// Rates of the motor positions' signatures into the rows of the motor velocities.
@@ -334,14 +340,18 @@ impl Motors {
 
     /// ∂θ̇/∂x = Ḣ + H ∂ẋ/∂x into their rows.
     #[inline(always)]
-    fn write_rows(&self, channels: &[Channel], out: &mut Evaluation<f64>) {
-        let n = self.channels.len();
-        for (i, channel) in channels.iter().enumerate() {
+    fn write_rows(&self, model: &JerkModel, out: &mut Evaluation<f64>) {
+        let (n, d) = (self.channels.len(), model.dense());
+        for (i, channel) in model.channels.iter().enumerate() {
             let Channel::MotorVelocity(j) = *channel else { continue };
-            let row = &self.evaluation.jacobian[j * 3 * n..][..3 * n];
-            for (k, out) in out.jacobian[i * 3 * n..][..3 * n].iter_mut().enumerate() {
+            let row = &self.evaluation.jacobian[j * d..][..d];
+            for (k, out) in out.jacobian[i * d..][..3 * n].iter_mut().enumerate() {
                 // ∂ẋ/∂x shifts by one block: q's rate is q̇, q̇'s is q̈; jerk does not depend on the state.
                 *out = row[k].gradient[0] + if k < n { 0.0 } else { row[k - n].value };
+            }
+            for k in 3 * n..d {
+                let fading = model.disturbances.forgetting(k - 3 * n) * row[k].value;
+                out.jacobian[i * d + k] = row[k].gradient[0] - fading;
             }
         }
     }

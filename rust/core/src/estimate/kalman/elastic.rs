@@ -1,5 +1,6 @@
 //! The elastic-joint model's process: links and motors moved by motor torques.
 
+use super::disturbance::{LinkDisturbance, hold};
 use super::drift::Biases;
 use super::elastic_measurement::ElasticMeasurement;
 use super::elastic_sensitivity::ElasticSensitivity;
@@ -66,7 +67,7 @@ pub struct ElasticSettings {
     pub discretization: Discretization,
 }
 
-/// State (q, q̇, θ, θ̇, disturbance torques, biases) of an elastic-joint robot under measured motor torques
+/// State (q, q̇, θ, θ̇, disturbance torques of motors, of links, biases) of an elastic-joint robot under measured motor torques
 /// (Ulrich and Sasiadek 2011, with every sensor that a log can have).
 ///
 /// θ and θ̇ are those of the elastic joints: the motor of a rigid one moves as its link.
@@ -116,17 +117,37 @@ impl ElasticModel {
     /// # Errors
     /// Noise or biases that do not fit the channels, a negative standard deviation, a reading without noise.
     pub fn new(robot: Arc<Robot>, settings: &ElasticSettings, noise: ElasticNoise) -> Result<Self, DesignError> {
+        Self::disturbed(robot, settings, noise, None)
+    }
+
+    /// The same with a disturbance torque of each link.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new), and one that does not fit the robot.
+    pub fn disturbed(
+        robot: Arc<Robot>,
+        settings: &ElasticSettings,
+        noise: ElasticNoise,
+        links: Option<LinkDisturbance>,
+    ) -> Result<Self, DesignError> {
         let channels = Kind::all_channels(&settings.kinds, &robot);
         expect_length("biased", settings.biased.len(), channels.len())?;
-        let layout = ElasticLayout::new(&robot, settings.disturbances);
+        let mut layout = ElasticLayout::new(&robot, settings.disturbances);
         check(&noise, robot.len(), channels.len())?;
+        if let Some(links) = &links {
+            links.check(robot.len())?;
+            layout = layout.with_link_disturbances(links.time);
+        }
         let mut states = layout.dense;
         let mut number = |&biased: &bool| {
             states += usize::from(biased);
             biased.then(|| states - 1)
         };
         let biases: Vec<_> = settings.biased.iter().map(&mut number).collect();
-        let (reading, sources) = (noise.reading.clone(), sources(&robot, &layout, &noise));
+        let (reading, mut sources) = (noise.reading.clone(), sources(&robot, &layout, &noise));
+        if let (Some(first), Some(links)) = (layout.link_disturbance, &links) {
+            sources.extend(links.walk.iter().enumerate().map(|(j, walk)| (first + j, *walk)));
+        }
         let n = robot.len();
         let process = ElasticProcess {
             transition: Transition::new(&robot, layout.clone(), settings.discretization, states, sources),
@@ -140,6 +161,7 @@ impl ElasticModel {
             biases: biases.clone(),
             states,
             noise,
+            links: links.map_or_else(Vec::new, |links| links.initial),
         };
         Ok(Self::of(process, ElasticMeasurement::new(robot, layout, channels, biases, reading)))
     }
@@ -164,6 +186,8 @@ pub struct ElasticProcess {
     states: usize,
     /// Densities, walks and initial uncertainties.
     noise: ElasticNoise,
+    /// What the links' disturbance torques may be at the first sample (n); empty where there are none.
+    links: Vec<f64>,
     /// The step of time with its scratch.
     transition: Transition,
     /// The latest torques that were read.
@@ -259,8 +283,14 @@ impl ElasticProcess {
                 std[b] = *s;
             }
         }
+        if let Some(first) = layout.link_disturbance {
+            std[first..][..n].copy_from_slice(&self.links);
+        }
         let mut belief = Gaussian::independent(&std);
         belief.mean.copy_from_slice(&mean);
+        if let Some(first) = layout.link_disturbance {
+            hold(&self.robot, theta, first, &mut belief);
+        }
         belief
     }
 }
@@ -277,6 +307,11 @@ impl Process for ElasticProcess {
 
     fn widen(&mut self, states: usize) {
         self.transition.widen(states);
+    }
+
+    #[inline(always)]
+    fn link_disturbance(&self) -> Option<usize> {
+        self.transition.layout.link_disturbance
     }
 
     fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError> {

@@ -19,6 +19,9 @@ use crate::parallel;
 /// A sample's measurement is linearised no more often than this.
 pub const MOST_ITERATIONS: usize = 100;
 
+/// The first samples of links with disturbance torques are linearised so often: links stand far from where motors say.
+const EARLY: (usize, usize) = (32, 5);
+
 /// What a filter does beyond the textbook.
 #[derive(Clone, Copy, Debug)]
 pub struct FilterSettings {
@@ -288,14 +291,15 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
     fn correct(&mut self, sample: &KalmanSample<'_>) {
         // A channel stays shut out over all iterations of this sample: the gate judges the first innovation only.
         self.correction.gated.fill(false);
-        if self.settings.iterations > 1 {
+        let passes = self.passes();
+        if passes > 1 {
             self.prior.copy_from(&self.belief);
         }
         self.linearise();
         self.update(sample.readings, self.settings.gate);
         // Iterated update (Bell and Cathey 1993): Gauss–Newton on prior and readings together. Each pass begins from
         // the prior, not from the pass before, or the readings would count as often as there are passes.
-        for _ in 1..self.settings.iterations {
+        for _ in 1..passes {
             self.linearise();
             self.belief.copy_from(&self.prior);
             self.update(sample.readings, None);
@@ -307,6 +311,15 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         if self.model.bridged() {
             self.correction.status |= Status::BRIDGED;
         }
+    }
+
+    /// How often this sample's measurement is linearised.
+    fn passes(&self) -> usize {
+        let (samples, passes) = EARLY;
+        if self.taken < samples && self.model.link_disturbance().is_some() {
+            return self.settings.iterations.max(passes);
+        }
+        self.settings.iterations
     }
 
     /// One measurement update of the present belief, channels linearised where they last were.
@@ -423,7 +436,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         memory.clear();
         model.remember(memory);
         // Σ Σᵀ, which tolerances add to P, is summed for the rows that are written and no more.
-        let rows = if whole { mean.len() } else { model.robot().len() };
+        let rows = if whole { mean.len() } else { model.reported() };
         let more = self.consider.as_mut().map(|consider| {
             consider.sum_up(rows);
             (&consider.total[..rows * rows], rows)

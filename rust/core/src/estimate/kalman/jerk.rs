@@ -1,5 +1,6 @@
 //! The acceleration-driven model: links moved by jerk, motor and sensors as measurements, readings with slow biases.
 
+use super::disturbance::{Disturbances, LinkDisturbance};
 use super::drift::Biases;
 use super::gaussian::{Gaussian, Symmetric};
 use crate::check::{check_deviations, check_readings, check_times, expect_length};
@@ -11,7 +12,7 @@ use crate::linear;
 use crate::robot::Robot;
 use std::sync::Arc;
 
-/// State (q, q̇, q̈, biases) and the channels that measure it (Axelsson, Karlsson and Norrlöf 2012, eqs. (9)–(17)).
+/// State (q, q̇, q̈, disturbance torques of links if any, biases) and the channels that measure it (Axelsson, Karlsson and Norrlöf 2012, eqs. (9)–(17)).
 #[derive(Clone, Debug)]
 pub struct JerkModel {
     /// Links, drives and sensors.
@@ -20,7 +21,9 @@ pub struct JerkModel {
     pub(crate) channels: Vec<Channel>,
     /// The state that is each channel's bias.
     pub(crate) biases: Vec<Option<usize>>,
-    /// 3n, and one for each bias.
+    /// Torques on links from outside, if they are in the state.
+    pub(super) disturbances: Disturbances,
+    /// 3n, one for each disturbance torque, and one for each bias.
     states: usize,
 }
 
@@ -73,7 +76,26 @@ impl JerkModel {
             biased.then(|| states - 1)
         };
         let biases = biased.iter().map(&mut number).collect();
-        Ok(Self { robot, channels, biases, states })
+        Ok(Self { robot, channels, biases, disturbances: Disturbances::default(), states })
+    }
+
+    /// The same with a disturbance torque of each link.
+    ///
+    /// # Errors
+    /// One that does not fit the robot.
+    pub fn with_disturbances(mut self, law: LinkDisturbance) -> Result<Self, DesignError> {
+        let n = self.joints();
+        law.check(n)?;
+        self.disturbances = Disturbances::new(law, 3 * n);
+        self.biases.iter_mut().flatten().for_each(|bias| *bias += n);
+        self.states += n;
+        Ok(self)
+    }
+
+    /// Number of leading states that channels depend on by more than a bias.
+    #[inline(always)]
+    pub fn dense(&self) -> usize {
+        3 * self.joints() + self.disturbances.len()
     }
 
     /// Number of states.
@@ -104,6 +126,7 @@ impl JerkModel {
     /// Links at `q`, at rest, with the initial uncertainty of `noise`.
     pub(crate) fn initial(&self, q: &[f64], noise: &JerkNoise) -> Gaussian {
         let mut std = noise.initial.clone();
+        std.extend_from_slice(self.disturbances.initial());
         for (bias, value) in self.biases.iter().zip(&noise.initial_bias) {
             std.extend(bias.map(|_| *value));
         }
@@ -144,6 +167,7 @@ impl JerkModel {
         self.add_process_noise(p, noise, dt);
         p.mirror();
         self.drift(noise).predict(belief, dt);
+        self.disturbances.drift().predict(belief, dt);
     }
 
     #[inline(always)]
@@ -168,6 +192,7 @@ impl JerkModel {
     pub(super) fn noise_rows(&self, rows: &mut [f64], stride: usize, noise: &JerkNoise, dt: f64) {
         let (n, white_jerk) = (self.joints(), jerk_noise::covariance(dt));
         let rest = self.drift(noise).noise_rows(rows, stride, dt);
+        let rest = self.disturbances.drift().noise_rows(rest, stride, dt);
         for (j, rows) in rest.chunks_exact_mut(3 * stride).take(n).enumerate() {
             let density = noise.jerk[j] * noise.jerk[j];
             // From the acceleration up, which all else follows.
@@ -192,6 +217,7 @@ impl JerkModel {
     #[inline(always)]
     pub(crate) fn retreat(&self, lambda: &mut [f64], big: &mut Symmetric, noise: &JerkNoise, dt: f64) {
         self.drift(noise).retreat(lambda, big, dt);
+        self.disturbances.drift().retreat(lambda, big, dt);
         let n = self.joints();
         let half = 0.5 * dt * dt;
         for j in 0..n {

@@ -1,5 +1,6 @@
 //! The process of the acceleration-driven model: links moved by commanded and random jerk, biases that wander.
 
+use super::disturbance::hold;
 use super::gaussian::{Gaussian, Symmetric};
 use super::jerk::{JerkModel, JerkNoise};
 use super::model::Process;
@@ -42,7 +43,15 @@ impl Process for JerkProcess {
         }
         let q = link_position_at_rest(&self.model.robot, theta)?;
         *belief = self.model.initial(&q, &self.noise);
+        if let Some(first) = self.link_disturbance() {
+            hold(&self.model.robot, theta, first, belief);
+        }
         Ok(())
+    }
+
+    #[inline(always)]
+    fn link_disturbance(&self) -> Option<usize> {
+        self.model.disturbances.first()
     }
 
     #[inline(always)]
@@ -61,6 +70,7 @@ impl Process for JerkProcess {
             dq[i] += dt * ddq[i];
         }
         self.model.drift(&self.noise).carry(columns, stride, dt);
+        self.model.disturbances.drift().carry(columns, stride, dt);
     }
 
     #[inline(always)]
@@ -74,6 +84,7 @@ impl Process for JerkProcess {
             dq[i] += dt * q[i];
         }
         self.model.drift(&self.noise).carry(columns, stride, dt);
+        self.model.disturbances.drift().carry(columns, stride, dt);
     }
 
     fn memory(&self) -> usize {

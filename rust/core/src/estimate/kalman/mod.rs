@@ -17,6 +17,7 @@ mod bank;
 mod consider;
 mod consider_back;
 mod correction;
+mod disturbance;
 mod drift;
 mod driven;
 mod elastic;
@@ -40,6 +41,7 @@ mod step_noise;
 mod transition;
 mod uncertain;
 
+pub use disturbance::LinkDisturbance;
 pub use driven::{JerkDriven, JerkMeasurement};
 pub use elastic::{Discretization, ElasticModel, ElasticNoise, ElasticProcess, ElasticSettings};
 pub use elastic_measurement::ElasticMeasurement;

@@ -47,6 +47,12 @@ pub trait Process: Clone + Send + Sync {
         false
     }
 
+    /// The first of the links' disturbance torques in the state, which has one a joint or none.
+    #[inline(always)]
+    fn link_disturbance(&self) -> Option<usize> {
+        None
+    }
+
     /// Time update from the sample before: x ← f(x), P ← F P Fᵀ + Q.
     fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian);
 
@@ -203,6 +209,16 @@ pub trait Model: Clone + Send + Sync {
     /// Whether what drives the model was missing at the sample last predicted to, and was bridged.
     fn bridged(&self) -> bool {
         false
+    }
+
+    /// See [`Process::link_disturbance`].
+    fn link_disturbance(&self) -> Option<usize> {
+        None
+    }
+
+    /// Number of leading states whose standard deviations are reported, or have one that is among them.
+    fn reported(&self) -> usize {
+        self.link_disturbance().unwrap_or(0) + self.robot().len()
     }
 
     /// How many numbers [`remember`](Self::remember) writes.
@@ -372,6 +388,11 @@ impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
 
     fn bridged(&self) -> bool {
         self.process.bridged()
+    }
+
+    #[inline(always)]
+    fn link_disturbance(&self) -> Option<usize> {
+        self.process.link_disturbance()
     }
 
     #[inline(always)]

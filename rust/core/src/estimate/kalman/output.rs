@@ -33,6 +33,10 @@ pub struct FilterOutput {
     pub dtheta: Vec<f64>,
     /// Standard deviations of link positions (n).
     pub q_std: Vec<f64>,
+    /// Disturbance torques of the links (n); empty where the model has none.
+    pub disturbance: Vec<f64>,
+    /// Their standard deviations (n).
+    pub disturbance_std: Vec<f64>,
     /// Tool centre point (3); empty when the robot has none.
     pub tool: Vec<f64>,
     /// Its standard deviations (3).
@@ -67,6 +71,7 @@ impl FilterOutput {
         let rows = |width: usize| filled(0.0, count, width);
         let tool = if model.robot().tool.is_some() { 3 } else { 0 };
         let innovations = if keep.innovations { m } else { 0 };
+        let disturbed = if model.link_disturbance().is_some() { n } else { 0 };
         let states = if keep.covariance { states } else { 0 };
         Ok(Self {
             q: rows(n)?,
@@ -75,6 +80,8 @@ impl FilterOutput {
             theta: rows(n)?,
             dtheta: rows(n)?,
             q_std: rows(n)?,
+            disturbance: rows(disturbed)?,
+            disturbance_std: rows(disturbed)?,
             tool: rows(tool)?,
             tool_std: rows(tool)?,
             status: filled(0, count, 1)?,
@@ -127,6 +134,21 @@ impl FilterOutput {
         }
     }
 
+    /// The links' disturbance torques at sample `i`, which are in the state from `first` on, and their deviations.
+    #[inline(always)]
+    pub(super) fn write_disturbances(
+        &mut self,
+        i: usize,
+        (first, n): (usize, usize),
+        state: &[f64],
+        covariance: impl Fn(usize, usize) -> f64,
+    ) {
+        self.disturbance[i * n..][..n].copy_from_slice(&state[first..][..n]);
+        for (j, std) in self.disturbance_std[i * n..][..n].iter_mut().enumerate() {
+            *std = covariance(first + j, first + j).max(0.0).sqrt();
+        }
+    }
+
     /// The whole state of sample `i`, and its covariance, rows of which are `stride` apart in `covariance`.
     #[inline(always)]
     pub(crate) fn write_state(&mut self, i: usize, state: &[f64], covariance: &[f64], stride: usize) {
@@ -161,7 +183,7 @@ impl FilterOutput {
     }
 
     /// All signals of numbers, row by row; taken apart by name, so that a new field is not forgotten here.
-    fn signals(&mut self) -> [&mut Vec<f64>; 14] {
+    fn signals(&mut self) -> [&mut Vec<f64>; 16] {
         let Self {
             q,
             dq,
@@ -169,6 +191,8 @@ impl FilterOutput {
             theta,
             dtheta,
             q_std,
+            disturbance,
+            disturbance_std: torque_std,
             tool,
             tool_std,
             nis,
@@ -181,7 +205,24 @@ impl FilterOutput {
             used: _,
             findings: _,
         } = self;
-        [q, dq, ddq, theta, dtheta, q_std, tool, tool_std, nis, log_likelihood, state, covariance, innovation, std]
+        [
+            q,
+            dq,
+            ddq,
+            theta,
+            dtheta,
+            q_std,
+            disturbance,
+            torque_std,
+            tool,
+            tool_std,
+            nis,
+            log_likelihood,
+            state,
+            covariance,
+            innovation,
+            std,
+        ]
     }
 }
 

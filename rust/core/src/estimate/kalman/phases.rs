@@ -170,6 +170,9 @@ impl<M: Model> Kernel for WriteReport<'_, M> {
         model.report(memory, mean, i, out);
         let total = |r: usize, c: usize| covariance[r * stride + c] + more.map_or(0.0, |(more, n)| more[r * n + c]);
         out.write_links(i, model.robot(), mean, total, tool);
+        if let Some(first) = model.link_disturbance() {
+            out.write_disturbances(i, (first, model.robot().len()), mean, total);
+        }
         if whole {
             out.write_state(i, mean, covariance, stride);
             if let Some((more, _)) = more {

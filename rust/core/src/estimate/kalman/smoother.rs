@@ -366,7 +366,7 @@ impl<M: Phases> Smoother<M> {
         for (r, row) in predicted.chunks_exact(stride).enumerate() {
             self.mean[r] = history.means[i * states + r] - linear::dot(row, &self.lambda);
         }
-        let rows = if whole { states } else { self.filter.model.robot().len() };
+        let rows = if whole { states } else { self.filter.model.reported() };
         self.information.smooth(predicted, rows, &mut self.smoothed);
         if let Some(consider) = &mut self.consider {
             consider.sum_up(&history.consider, i, predicted, stride, rows, history.dt[i]);

@@ -372,6 +372,10 @@ fn apply(layout: &ElasticLayout, dynamics: &ElasticDynamics, right: &[f64], stri
         linear::product(&dynamics.ddtheta_by[j * d..][..d], d, right, stride, &mut out[dtheta..]);
         out[theta..theta + stride].copy_from_slice(&right[dtheta..dtheta + stride]);
     }
+    if let Some(first) = layout.link_disturbance.filter(|_| layout.forgetting > 0.0) {
+        let rows = first * stride..(first + n) * stride;
+        linear::add_scaled(&mut out[rows.clone()], -layout.forgetting, &right[rows]);
+    }
 }
 
 /// `out` ← `matrix`ᵀ, d × d in rows of `stride`.

@@ -25,8 +25,10 @@ use crate::simd::{self, Kernel};
 pub struct Evaluation<T> {
     /// h (channels), without bias.
     pub prediction: Vec<T>,
-    /// ∂h/∂(q, q̇, q̈), channels × 3n, row-major.
+    /// ∂h/∂(q, q̇, q̈), and by the links' disturbance torques if there are any, channels × 3n or 4n, row-major.
     pub jacobian: Vec<T>,
+    /// Numbers of a row.
+    width: usize,
     /// Motion and loads with derivatives, and without for values alone.
     pub(crate) motion: LinkMotion<T>,
     plain: PlainMotion<T>,
@@ -35,9 +37,16 @@ pub struct Evaluation<T> {
 impl<T: Scalar> Evaluation<T> {
     /// Room for `channels` of `robot`.
     pub fn new(robot: &Robot, channels: usize) -> Self {
+        Self::disturbed(robot, channels, 0)
+    }
+
+    /// The same where the state goes on with `disturbances` torques of the links, one each or none.
+    pub fn disturbed(robot: &Robot, channels: usize, disturbances: usize) -> Self {
+        let width = 3 * robot.len() + disturbances;
         Self {
             prediction: vec![T::default(); channels],
-            jacobian: vec![T::default(); channels * 3 * robot.len()],
+            jacobian: vec![T::default(); channels * width],
+            width,
             motion: LinkMotion::new(robot),
             plain: PlainMotion::new(robot),
         }
@@ -50,10 +59,26 @@ impl<T: Scalar> Evaluation<T> {
         simd::phase(Evaluate { evaluation: self, robot, channels, state, dtheta });
     }
 
+    /// Derivatives by the disturbances, each of which is taken off the load of its own joint.
+    #[inline(always)]
+    fn by_disturbances(&mut self, robot: &Robot, channels: &[Channel], state: &[T]) {
+        let n = robot.len();
+        for (row, channel) in channels.iter().enumerate() {
+            let (j, by) = match *channel {
+                Channel::Motor(j) if robot.drives[j].elastic => {
+                    (j, -robot.drives[j].compliance(self.prediction[row] - state[j]))
+                }
+                Channel::Torque(j) => (j, T::constant(-1.0)),
+                _ => continue,
+            };
+            self.jacobian[row * self.width + 3 * n + j] = by;
+        }
+    }
+
     /// Predictions alone, as [`evaluate`](Self::evaluate) but for rounding.
     #[inline]
     pub fn predict(&mut self, robot: &Robot, channels: &[Channel], state: &[T], dtheta: &[f64]) {
-        self.plain.predict(robot, channels, state, dtheta, &mut self.prediction);
+        self.plain.predict(robot, channels, &state[..self.width], dtheta, &mut self.prediction);
     }
 }
 
@@ -72,10 +97,18 @@ impl<T: Scalar> Kernel for Evaluate<'_, T> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { evaluation: Evaluation { prediction, jacobian, motion, .. }, robot, channels, state, dtheta } = self;
+        let Self { evaluation, robot, channels, state, dtheta } = self;
+        let Evaluation { prediction, jacobian, motion, width, .. } = evaluation;
+        let (joints, width) = (robot.len(), *width);
         motion.set(robot, state);
+        if width > 3 * joints {
+            motion.relieve(&state[3 * joints..width]);
+        }
         jacobian.fill(T::default());
         let view = Driven { links: motion, state, dtheta, springs: &OfDrives };
-        read_all(robot, channels, &view, &mut Jacobian { prediction, rows: jacobian, joints: robot.len() });
+        read_all(robot, channels, &view, &mut Jacobian { prediction, rows: jacobian, joints, width });
+        if width > 3 * joints {
+            evaluation.by_disturbances(robot, channels, state);
+        }
     }
 }

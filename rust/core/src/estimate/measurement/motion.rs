@@ -117,6 +117,14 @@ impl<T: Scalar> LinkMotion<T> {
         self.kinematics.swap_masses(masses);
     }
 
+    /// After [`set`](Self::set): torques that others than the transmissions give the links.
+    #[inline(always)]
+    pub(crate) fn relieve(&mut self, by: &[T]) {
+        for (tau, &by) in self.tau.iter_mut().zip(by) {
+            *tau -= by;
+        }
+    }
+
     /// Torques (n) that hold the links at rest at `q`.
     pub(crate) fn holding_torques(&mut self, robot: &Robot, q: &[T]) -> &[T] {
         let zero = vec![T::default(); q.len()];
@@ -180,7 +188,7 @@ impl<T: Scalar> PlainMotion<T> {
         self.motion.inverse_dynamics_into(tree, &mut self.tau);
     }
 
-    /// `channels` at `state`, links moved by jerk; `dtheta` (n) is each motor's velocity for the damping torque, NaN to
+    /// `channels` at `state` = (q, q̇, q̈) with the links' disturbance torques if any, links moved by jerk; `dtheta` (n) is each motor's velocity for the damping torque, NaN to
     /// leave it out.
     #[inline]
     pub(crate) fn predict(
@@ -213,6 +221,9 @@ impl<T: Scalar> Kernel for PredictReadings<'_, T> {
     fn run(self) {
         let Self { motion, robot, channels, state, dtheta, prediction } = self;
         motion.set(robot, state);
+        for (tau, &by) in motion.tau.iter_mut().zip(&state[3 * robot.len()..]) {
+            *tau -= by;
+        }
         let view = Driven { links: motion, state, dtheta, springs: &OfDrives };
         read_all(robot, channels, &view, &mut Values(prediction));
     }

@@ -40,7 +40,7 @@ impl<T: Scalar> Wanted<T> for Values<'_, T> {
     }
 }
 
-/// Values and the whole Jacobian in (q, q̇, q̈), rows × 3n.
+/// Values and the whole Jacobian in (q, q̇, q̈) and what follows them, rows × `width`.
 pub(crate) struct Jacobian<'a, T> {
     /// h (rows).
     pub(crate) prediction: &'a mut [T],
@@ -48,6 +48,7 @@ pub(crate) struct Jacobian<'a, T> {
     pub(crate) rows: &'a mut [T],
     /// n.
     pub(crate) joints: usize,
+    pub(crate) width: usize,
 }
 
 impl<T: Scalar> Wanted<T> for Jacobian<'_, T> {
@@ -60,7 +61,7 @@ impl<T: Scalar> Wanted<T> for Jacobian<'_, T> {
     fn columns(&mut self, row: usize, joint: usize, by: [T; 3]) {
         let n = self.joints;
         for (part, entry) in by.into_iter().enumerate() {
-            self.rows[row * 3 * n + part * n + joint] = entry;
+            self.rows[row * self.width + part * n + joint] = entry;
         }
     }
 
@@ -68,7 +69,7 @@ impl<T: Scalar> Wanted<T> for Jacobian<'_, T> {
     fn add(&mut self, row: usize, joint: usize, by: [T; 2]) {
         let n = self.joints;
         for (part, entry) in by.into_iter().enumerate() {
-            self.rows[row * 3 * n + part * n + joint] += entry;
+            self.rows[row * self.width + part * n + joint] += entry;
         }
     }
 }
