@@ -45,8 +45,8 @@ class ElasticNoise(ReadingNoise):
     disturbance, disturbance_walk
         Initial uncertainty of each motor's disturbance torque, and by how much it wanders in a second, in multiples of
         the torque that the motor's friction has at 1 rad/s (N m if it has none).
-    transmission, motor_velocity, acceleration, rate, link, joint_torque, link_velocity, link_disturbance, position, velocity
-        And biases: as of `ReadingNoise`, at the first sample of links and of motors.
+    transmission, motor_velocity, acceleration, rate, link, joint_torque, link_velocity, position, velocity
+        And biases and disturbance torques of links: as of `ReadingNoise`, at the first sample of links and of motors.
     """
 
     link_acceleration: Std | tuple[Std, ...] = 3e-3
