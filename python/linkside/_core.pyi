@@ -178,7 +178,7 @@ class ExtendedKalmanFilter:
         gate: float | None,
         iterations: int,
         damping: bool,
-        told: Sequence[tuple[str, int, int, float]],
+        tolerances: Sequence[tuple[str, int, int, float]],
         late: Sequence[tuple[float, float, int] | None] | None = None,
     ) -> ExtendedKalmanFilter: ...
     @property
@@ -225,7 +225,7 @@ class ElasticJointFilter:
         noise: Mapping[str, Any],
         gate: float | None,
         iterations: int,
-        told: Sequence[tuple[str, int, int, float]],
+        tolerances: Sequence[tuple[str, int, int, float]],
         late: Sequence[tuple[float, float, int] | None] | None = None,
     ) -> ElasticJointFilter: ...
     @property

@@ -159,7 +159,7 @@ class ElasticJoint(KalmanMethod):
             gate=self._gate,
             iterations=self._iterations,
             late=inside(self.robot, kinds, period),
-            told=[parameter.told for parameter in self._uncertain],
+            tolerances=[parameter.as_tuple for parameter in self._uncertain],
         )
 
     def arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:

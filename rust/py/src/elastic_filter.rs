@@ -6,7 +6,7 @@ use crate::gil::Release;
 use crate::kalman::{Inside, Matrix, check_step, inside, into_dict, named};
 use crate::robot::Robot;
 use crate::state::State;
-use crate::tolerance::{ToleranceTuple, tolerances};
+use crate::tolerance::{ToleranceTuple, of_core};
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
     Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterOutput, FilterSettings,
@@ -67,7 +67,7 @@ type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'py>);
 impl ElasticJointFilter {
     #[new]
     #[pyo3(signature = (
-        robot, *, kinds, disturbances, biased, first_order, held, noise, gate, iterations, told, late=None
+        robot, *, kinds, disturbances, biased, first_order, held, noise, gate, iterations, tolerances, late=None
     ))]
     fn new(
         robot: &Robot,
@@ -79,7 +79,7 @@ impl ElasticJointFilter {
         noise: ElasticNoiseFields,
         gate: Option<f64>,
         iterations: usize,
-        told: Vec<ToleranceTuple>,
+        tolerances: Vec<ToleranceTuple>,
         late: Option<Vec<Inside>>,
     ) -> PyResult<Self> {
         let settings = ElasticSettings {
@@ -89,7 +89,7 @@ impl ElasticJointFilter {
             held,
             discretization: if first_order { Discretization::FirstOrder } else { Discretization::Exact },
         };
-        let tolerances = tolerances(&told)?;
+        let tolerances = of_core(&tolerances)?;
         let build = || {
             let model = ElasticModel::new(Arc::clone(&robot.0), &settings, noise.into())?.with_late(&inside(late))?;
             ExtendedKalmanFilter::new(model.with_tolerances(tolerances), FilterSettings { gate, iterations })
