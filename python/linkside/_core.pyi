@@ -182,7 +182,7 @@ class ExtendedKalmanFilter:
         gate: float | None,
         iterations: int,
         damping: bool,
-        told: Sequence[tuple[str, int, int, float]],
+        tolerances: Sequence[tuple[str, int, int, float]],
         late: Sequence[tuple[float, float, int] | None] | None = None,
         link_disturbance: Mapping[str, Any] | None = None,
     ) -> ExtendedKalmanFilter: ...
@@ -230,7 +230,7 @@ class ElasticJointFilter:
         noise: Mapping[str, Any],
         gate: float | None,
         iterations: int,
-        told: Sequence[tuple[str, int, int, float]],
+        tolerances: Sequence[tuple[str, int, int, float]],
         late: Sequence[tuple[float, float, int] | None] | None = None,
         link_disturbance: Mapping[str, Any] | None = None,
     ) -> ElasticJointFilter: ...

@@ -145,7 +145,7 @@ UNCONCERNED = {
 """What a method has nothing to do with.
 
 Velocity observers read no accelerometer and take joints as rigid, and on the links motors do not matter; the
-acceleration-driven model looks at no motor torque, its observer at none of a link and at no link encoder; a simulated
+jerk-driven model looks at no motor torque, its observer at none of a link and at no link encoder; a simulated
 reading has its bias, which the log takes off.
 """
 

@@ -29,7 +29,7 @@ SLOW = 60.0
 RIGID = 25.0
 """Frequency of a rigid joint's closed-loop poles [rad/s].
 
-The observer is told no torque of rigid joints, so that estimation and control do not separate there: the loop swings up
+The observer gets no torque of rigid joints, so that estimation and control do not separate there: the loop swings up
 at observer poles of about twice this frequency, and is well damped from four times on.
 """
 

@@ -1,4 +1,4 @@
-"""Kalman filters and smoothers: on the acceleration-driven model, and on the elastic-joint dynamics."""
+"""Kalman filters and smoothers: on the jerk-driven model, and on the elastic-joint dynamics."""
 
 from .elastic_joint import ElasticJointFilter, ElasticJointSmoother, ElasticNoise
 from .filtering import KalmanEstimate

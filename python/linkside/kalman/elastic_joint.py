@@ -169,7 +169,7 @@ class ElasticJoint(KalmanMethod):
             gate=self._gate,
             iterations=self._iterations,
             late=inside(self.robot, kinds, period),
-            told=[parameter.told for parameter in self._uncertain],
+            tolerances=[parameter.as_tuple for parameter in self._uncertain],
             link_disturbance=None if law is None else law.arrays,
         )
 

@@ -1,4 +1,4 @@
-"""Kalman filter and smoother on the acceleration-driven model: link state and tool position with their uncertainty."""
+"""Kalman filter and smoother on the jerk-driven model: link state and tool position with their uncertainty."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Arrays = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 class JerkDrivenCore(CoreFilter, Protocol):
-    """A filter of the core on the acceleration-driven model."""
+    """A filter of the core on the jerk-driven model."""
 
     def step(
         self,
@@ -46,7 +46,7 @@ Core = TypeVar("Core", bound=JerkDrivenCore)
 
 
 class JerkDrivenFilter(LiveFilter[Core]):
-    """A filter on the acceleration-driven model, sample by sample."""
+    """A filter on the jerk-driven model, sample by sample."""
 
     def step(
         self,
@@ -96,7 +96,7 @@ class JerkDrivenFilter(LiveFilter[Core]):
 
 
 class JerkDriven(KalmanMethod):
-    """What filter and smoother on the acceleration-driven model share; parameters as of `ExtendedKalmanFilter`."""
+    """What filter and smoother on the jerk-driven model share; parameters as of `ExtendedKalmanFilter`."""
 
     def __init__(
         self,
@@ -116,7 +116,7 @@ class JerkDriven(KalmanMethod):
         start: Start = "auto",
         link_disturbance: Wanted = "auto",
     ) -> None:
-        refuse_unsupported(robot, "a filter on the acceleration-driven model")
+        refuse_unsupported(robot, "a filter on the jerk-driven model")
         wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
         super().__init__(robot, wanted, biases, gate, iterations, start, link_disturbance)
         self.noise = noise or Noise()
@@ -155,7 +155,7 @@ class JerkDriven(KalmanMethod):
             **self.settings(kinds, noise, period),
             gate=self._gate,
             iterations=self._iterations,
-            told=[parameter.told for parameter in self._uncertain],
+            tolerances=[parameter.as_tuple for parameter in self._uncertain],
             link_disturbance=None if law is None else law.arrays,
         )
 
@@ -210,7 +210,7 @@ class JerkDriven(KalmanMethod):
 class ExtendedKalmanFilter(
     JerkDriven, DecidingFilter[_core.ExtendedKalmanFilter], JerkDrivenFilter[_core.ExtendedKalmanFilter]
 ):
-    """EKF on the acceleration-driven model: jerk moves the links, motor and sensors measure.
+    """EKF on the jerk-driven model: jerk moves the links, motor and sensors measure.
 
     Axelsson, Karlsson and Norrlöf, "Tool position estimation of a flexible industrial robot using recursive Bayesian
     methods", ICRA 2012. State: link position, velocity and acceleration of every joint, and a bias of each motor and

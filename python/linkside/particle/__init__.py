@@ -1,4 +1,4 @@
-"""Particle filters on the acceleration-driven model."""
+"""Particle filters on the jerk-driven model."""
 
 from .filters import MarginalizedParticleFilter, Mixture, ParticleEstimate, ParticleFilter
 

@@ -77,7 +77,7 @@ class ParticleEstimate(Estimate):
 
 
 class ParticleFilter(DecidingFilter[_core.ParticleFilter], JerkDrivenFilter[_core.ParticleFilter]):
-    """Particle filter on the acceleration-driven model, with the same noise as `ExtendedKalmanFilter`.
+    """Particle filter on the jerk-driven model, with the same noise as `ExtendedKalmanFilter`.
 
     Axelsson, Karlsson and Norrlöf, "Tool position estimation of a flexible industrial robot using recursive Bayesian
     methods", ICRA 2012. N weighted samples of the state (link positions, velocities, accelerations, biases) stand for

@@ -9,7 +9,7 @@ import numpy as np
 
 from .robot import Robot
 
-Told = tuple[str, int, int, float]
+CoreTolerance = tuple[str, int, int, float]
 """A parameter as the core has it: kind, joint or sensor, axis, standard deviation."""
 
 AXES = "xyz"
@@ -36,7 +36,7 @@ class Uncertain:
     std: float
 
     @property
-    def told(self) -> Told:
+    def as_tuple(self) -> CoreTolerance:
         """For the core."""
         return self.kind, self.index, self.axis, self.std
 

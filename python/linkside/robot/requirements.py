@@ -41,7 +41,7 @@ JOINT_SIDE = tuple(f"{carrier}.{key}" for carrier in ("link_encoder", "joint_tor
 UNSUPPORTED: dict[str, tuple[str, ...]] = {
     "the acceleration-driven observer": ("rotors", "backlash", "corner_frequency", "delay"),
     "the acceleration-driven observer on joint accelerations": ("rotors", "backlash"),
-    "a filter on the acceleration-driven model": ("coupling", "rotors"),
+    "a filter on the jerk-driven model": ("coupling", "rotors"),
     "a velocity observer": ("rotors",),
     "a velocity observer on the links": ("rotors", *JOINT_SIDE),
     "the momentum residual": ("rotors",),

@@ -16,8 +16,8 @@ const ROWS: usize = 4;
 /// What one vector register holds.
 type Lane = [f64; LANES];
 
-#[inline(always)]
 /// A padded row by registers.
+#[inline(always)]
 fn lanes(values: &[f64]) -> &[Lane] {
     values.as_chunks().0
 }
@@ -31,6 +31,9 @@ fn accumulate(sum: &mut Lane, a: f64, b: &Lane) {
 }
 
 /// `out[i] = Σⱼ left[i][j] · right[j]`: `left` has rows of `inner` numbers, `right` at least `inner` rows of `stride`.
+///
+/// Four rows share each load of `right`. A filter's matrices fit into the nearest cache as they are: nothing is blocked
+/// for one, and nothing is copied.
 pub(crate) fn product(left: &[f64], inner: usize, right: &[f64], stride: usize, out: &mut [f64]) {
     simd::phase(Product { left, inner, right, stride, out });
 }
@@ -61,8 +64,8 @@ impl Kernel for Product<'_> {
     }
 }
 
-#[inline(always)]
 /// R rows of a product: two registers wide while there are two.
+#[inline(always)]
 fn product_rows<const R: usize>(left: &[f64], inner: usize, right: &[f64], stride: usize, out: &mut [f64]) {
     let left = &left[..R * inner];
     let (right, step) = (lanes(right), stride / LANES);
@@ -265,6 +268,8 @@ pub(crate) fn cholesky(a: &mut [f64], n: usize, stride: usize) {
 }
 
 /// X of L D Lᵀ X = B, in place, after [`factorise`]: B has n rows of `width`.
+///
+/// Row by row, all columns of B side by side, so that a wide B is as fast as it can be.
 #[inline(always)]
 pub(crate) fn solve<T: Scalar>(a: &[T], n: usize, b: &mut [T], width: usize) {
     let subtract = |own: &mut [T], row: &[T], factor: T| {

@@ -12,6 +12,7 @@ pub(super) struct Lu {
 }
 
 impl Lu {
+    /// Room for `size` equations.
     pub(super) fn new(size: usize) -> Self {
         Self { size, matrix: vec![0.0; size * size], exchanged: vec![0; size] }
     }
@@ -30,6 +31,8 @@ impl Lu {
             *exchanged = pivot;
             let (above, below) = a.split_at_mut((k + 1) * n);
             let own = &mut above[k * n..];
+            // Whole rows, their multipliers with them, as LAPACK does: a solution then exchanges its right-hand side
+            // once.
             if pivot > k {
                 own.swap_with_slice(&mut below[(pivot - k - 1) * n..][..n]);
             }

@@ -52,6 +52,8 @@ pub(crate) fn each<I: Send>(items: Vec<I>, f: impl Fn(I) + Sync) {
 }
 
 /// As [`each`], for items of microseconds, on the threads of a pool; items are left out once the work is to stop.
+///
+/// To start threads would take longer than the work: blocks of particles go to some that wait for them.
 pub(crate) fn each_short<I: Send>(items: impl Iterator<Item = I> + Send, count: usize, f: impl Fn(I) + Sync) {
     let helpers = threads().min(count).saturating_sub(1);
     let f = |item| {

@@ -30,6 +30,9 @@ pub(crate) enum Purpose {
 }
 
 /// The random numbers of one step and purpose.
+///
+/// A number is a function of (seed, step, purpose, item, draw) and of nothing else: no state is handed from one draw to
+/// the next, so that threads, blocks and lanes may take them in any order, and a sample may be drawn again.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Stream {
     /// The key; step and purpose are words of the counter.

@@ -7,7 +7,7 @@ use crate::gil::Release;
 use crate::kalman::{Inside, Matrix, check_step, inside, into_dict, named};
 use crate::robot::Robot;
 use crate::state::State;
-use crate::tolerance::{ToleranceTuple, tolerances};
+use crate::tolerance::{ToleranceTuple, of_core};
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
     Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterOutput, FilterSettings,
@@ -68,7 +68,7 @@ type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'py>);
 impl ElasticJointFilter {
     #[new]
     #[pyo3(signature = (
-        robot, *, kinds, disturbances, biased, first_order, held, noise, gate, iterations, told, late=None,
+        robot, *, kinds, disturbances, biased, first_order, held, noise, gate, iterations, tolerances, late=None,
         link_disturbance=None
     ))]
     fn new(
@@ -81,7 +81,7 @@ impl ElasticJointFilter {
         noise: ElasticNoiseFields,
         gate: Option<f64>,
         iterations: usize,
-        told: Vec<ToleranceTuple>,
+        tolerances: Vec<ToleranceTuple>,
         late: Option<Vec<Inside>>,
         link_disturbance: Option<LinkDisturbance>,
     ) -> PyResult<Self> {
@@ -92,7 +92,7 @@ impl ElasticJointFilter {
             held,
             discretization: if first_order { Discretization::FirstOrder } else { Discretization::Exact },
         };
-        let tolerances = tolerances(&told)?;
+        let tolerances = of_core(&tolerances)?;
         let build = || {
             let links = link_disturbance.map(Into::into);
             let model = ElasticModel::disturbed(Arc::clone(&robot.0), &settings, noise.into(), links)?

@@ -1,4 +1,4 @@
-//! Kalman filter and smoother on the acceleration-driven model.
+//! Kalman filter and smoother on the jerk-driven model.
 
 use crate::array::{Signal, rows, shaped};
 use crate::disturbance::LinkDisturbance;
@@ -6,7 +6,7 @@ use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
 use crate::robot::Robot;
 use crate::state::State;
-use crate::tolerance::{ToleranceTuple, tolerances};
+use crate::tolerance::{ToleranceTuple, of_core};
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
     self, Fault, FilterOutput, FilterSettings, Finding, Gaussian, Inputs, JerkDriven, JerkModel, KalmanRecording,
@@ -169,7 +169,7 @@ pub(crate) type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'
 impl ExtendedKalmanFilter {
     #[new]
     #[pyo3(signature = (
-        robot, *, kinds, biased, noise, gate, iterations, damping, told, late=None, link_disturbance=None
+        robot, *, kinds, biased, noise, gate, iterations, damping, tolerances, late=None, link_disturbance=None
     ))]
     fn new(
         robot: &Robot,
@@ -179,11 +179,11 @@ impl ExtendedKalmanFilter {
         gate: Option<f64>,
         iterations: usize,
         damping: bool,
-        told: Vec<ToleranceTuple>,
+        tolerances: Vec<ToleranceTuple>,
         late: Option<Vec<Inside>>,
         link_disturbance: Option<LinkDisturbance>,
     ) -> PyResult<Self> {
-        let told = tolerances(&told)?;
+        let tolerances = of_core(&tolerances)?;
         let kinds = named(&kinds)?;
         let build = || {
             let mut model = JerkModel::new(Arc::clone(&robot.0), &kinds, &biased)?;
@@ -191,7 +191,7 @@ impl ExtendedKalmanFilter {
                 model = model.with_disturbances(law.into())?;
             }
             let model =
-                JerkDriven::new(model, noise.into(), damping)?.with_tolerances(told).with_late(&inside(late))?;
+                JerkDriven::new(model, noise.into(), damping)?.with_tolerances(tolerances).with_late(&inside(late))?;
             kalman::ExtendedKalmanFilter::new(model, FilterSettings { gate, iterations })
         };
         let filter = build().map_err(IntoPyErr::into_py_err)?;

@@ -1,4 +1,4 @@
-//! Particle filters on the acceleration-driven model.
+//! Particle filters on the jerk-driven model.
 
 use crate::array::{Signal, rows, shaped};
 use crate::error::{EstimatorError, IntoPyErr, outcome};

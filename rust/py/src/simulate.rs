@@ -83,7 +83,7 @@ pub(crate) enum Law<'py> {
     Callable(Bound<'py, PyAny>),
 }
 
-/// What the controller is told: the truth or what sensors read, or the estimate of a filter from some readings, or of an observer.
+/// What the controller knows: the truth or what sensors read, or the estimate of a filter from some readings, or of an observer.
 #[derive(FromPyObject)]
 pub(crate) enum FeedbackSource<'py> {
     #[pyo3(transparent)]

@@ -7,8 +7,9 @@ use pyo3::prelude::*;
 /// A parameter's kind, its joint or sensor, its axis, and its standard deviation.
 pub(crate) type ToleranceTuple = (String, usize, usize, f64);
 
-pub(crate) fn tolerances(told: &[ToleranceTuple]) -> PyResult<Vec<Tolerance>> {
-    told.iter()
+pub(crate) fn of_core(given: &[ToleranceTuple]) -> PyResult<Vec<Tolerance>> {
+    given
+        .iter()
         .map(|(kind, i, axis, std)| Ok(Tolerance { parameter: uncertain(kind, *i, *axis)?, std: *std }))
         .collect()
 }

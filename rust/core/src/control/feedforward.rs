@@ -214,8 +214,8 @@ impl<'a, const P: usize> FeedforwardPass<'a, P> {
         }
     }
 
-    #[inline(always)]
     /// δ with its derivatives, of a joint whose load is known: algebraic without damping, else integrated over `dt`.
+    #[inline(always)]
     fn torsion(&mut self, joint: usize, dt: f64) -> Series<P> {
         let (drive, load) = (&self.robot.drives[joint], self.load[joint]);
         if !drive.elastic {
@@ -232,8 +232,8 @@ impl<'a, const P: usize> FeedforwardPass<'a, P> {
         damped(drive, load, torsion)
     }
 
-    #[inline(always)]
     /// τ = B θ̈ + Sᵀ q̈ + r + motor friction.
+    #[inline(always)]
     fn torque(&self, joint: usize) -> f64 {
         let (n, drive) = (self.robot.len(), &self.robot.drives[joint]);
         let coupled: f64 = (0..joint).map(|i| self.robot.coupling[i * n + joint] * self.link[2][i].value()).sum();

@@ -4,6 +4,8 @@ use crate::check::expect_finite;
 use crate::error::DesignError;
 
 /// A path in time: straight between knots, at rest before the first and after the last.
+///
+/// Knots are looked for from the one that was used last: a controller asks in the order of time.
 #[derive(Clone, Debug)]
 pub struct Reference {
     /// Of the knots, rising [s].

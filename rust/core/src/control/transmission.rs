@@ -106,8 +106,8 @@ fn hermite<const P: usize>(start: Series<P>, end: Series<P>, dt: f64, known: usi
     polynomial
 }
 
-#[inline(always)]
 /// n over k.
+#[inline(always)]
 fn binomial(n: usize, k: usize) -> f64 {
     (0..k).fold(1.0, |product, i| product * (n - i) as f64 / (i + 1) as f64)
 }
@@ -119,8 +119,8 @@ struct ExponentialMoments {
     powers: Polynomial,
 }
 
-#[inline(always)]
 /// By the recurrence z I_m = 1 − m I_(m−1), in the direction in which it does not cancel.
+#[inline(always)]
 fn moments(z: f64) -> ExponentialMoments {
     let decay = Scalar::exp(-z);
     let mut powers = [0.0; DEGREE + 1];

@@ -144,8 +144,8 @@ impl<T: Scalar> Kinematics<T> {
         }
     }
 
-    #[inline(always)]
     /// a_λ; of the base −g, so that gravity needs no text of its own (Luh, Walker and Paul 1980).
+    #[inline(always)]
     fn carrier_acceleration(&self, tree: &Tree, parent: Option<usize>) -> Motion<T> {
         match parent {
             Some(p) => self.bodies[p].acceleration,

@@ -149,8 +149,8 @@ impl<T: Scalar> Moving<T> {
         }
     }
 
-    #[inline(always)]
     /// A revolute joint turns by q about z: ω += q̇ z, ω̇ += q̈ z + ω × q̇ z.
+    #[inline(always)]
     fn revolve(&mut self, carried: &Carried<T>, q: T, dq: T, ddq: T) {
         let (sin, cos) = q.sin_cos();
         // Into the turned axes; z stays.
@@ -164,8 +164,8 @@ impl<T: Scalar> Moving<T> {
         self.set_gradient();
     }
 
-    #[inline(always)]
     /// A prismatic joint moves the origin by q along z: a += Γ q z + 2 ω × q̇ z + q̈ z.
+    #[inline(always)]
     fn slide(&mut self, carried: Carried<T>, q: T, dq: T, ddq: T) {
         self.turn = (q, T::constant(1.0));
         self.angular_velocity = carried.angular_velocity;
@@ -177,8 +177,8 @@ impl<T: Scalar> Moving<T> {
         self.acceleration = carried.acceleration + self.gradient.0[2].scale(q) + sliding;
     }
 
-    #[inline(always)]
     /// Γ from ω and ω̇.
+    #[inline(always)]
     fn set_gradient(&mut self) {
         let ([x, y, z], [a, b, c]) = (self.angular_velocity.0, self.angular_acceleration.0);
         let (xx, yy, zz) = (x * x, y * y, z * z);

@@ -16,8 +16,8 @@ pub(crate) struct Placed<T> {
 }
 
 impl<T: Scalar> Kinematics<T> {
-    #[inline(always)]
     /// A frame where its body now is.
+    #[inline(always)]
     pub(crate) fn place(&self, frame: &Frame) -> Placed<T> {
         let body = &self.bodies[frame.body];
         Placed {

@@ -18,8 +18,8 @@ use core::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 pub struct Lanes<const L: usize>(pub [f64; L]);
 
 impl<const L: usize> Lanes<L> {
-    #[inline(always)]
     /// `f` of both, lane by lane.
+    #[inline(always)]
     fn zip(mut self, other: Self, f: impl Fn(f64, f64) -> f64) -> Self {
         // A loop: `from_fn` and `map` are calls that do not always dissolve.
         for i in 0..L {
@@ -28,8 +28,8 @@ impl<const L: usize> Lanes<L> {
         self
     }
 
-    #[inline(always)]
     /// `f` of each lane.
+    #[inline(always)]
     fn each(mut self, f: impl Fn(f64) -> f64) -> Self {
         for i in 0..L {
             self.0[i] = f(self.0[i]);

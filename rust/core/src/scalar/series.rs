@@ -44,12 +44,16 @@ impl<const P: usize> Series<P> {
     }
 
     /// Coefficient k of the product of `self` and `other`.
+    ///
+    /// Leibniz's rule without its binomials, as coefficients are derivatives over factorials.
     #[inline(always)]
     fn convolution(&self, other: &Self, k: usize) -> f64 {
         (0..=k).map(|j| self.0[j] * other.0[k - j]).sum()
     }
 
     /// Coefficient k ≥ 1 of the integral of `self`' · `factor`.
+    ///
+    /// From (f∘g)' = f'(g) g': every elementary function here is one such line, with f' in terms of f.
     #[inline(always)]
     fn chain(&self, factor: &Self, k: usize) -> f64 {
         let sum: f64 = (1..=k).map(|j| j as f64 * self.0[j] * factor.0[k - j]).sum();

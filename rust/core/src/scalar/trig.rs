@@ -53,8 +53,8 @@ pub(super) fn reduced(x: f64) -> (f64, f64) {
     (with_sign(a, quadrant & 2), with_sign(b, quadrant.wrapping_add(1) & 2))
 }
 
-#[inline(always)]
 /// Σ cₖ sᵏ.
+#[inline(always)]
 fn horner(c: &[f64; 6], s: f64) -> f64 {
     c[0] + s * (c[1] + s * (c[2] + s * (c[3] + s * (c[4] + s * c[5]))))
 }

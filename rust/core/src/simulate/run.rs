@@ -190,8 +190,8 @@ impl World {
         }
     }
 
-    #[inline(always)]
     /// The truth as feedback may look at it.
+    #[inline(always)]
     fn motion(&self) -> JointMotion<'_> {
         let n = self.theta.len();
         JointMotion { q: &self.x[..n], dq: &self.x[n..2 * n], theta: &self.theta, dtheta: &self.dtheta }

@@ -1,5 +1,10 @@
 //! How accelerations change with the state, with motor torques and with further torques.
 
+//!
+//! With r(x, τ, q̈, θ̈) = 0 for both rows of the model, ∂q̈/∂x = −(∂r/∂q̈)⁻¹ ∂r/∂x once θ̈ is eliminated: the matrix is
+//! the one that gave the accelerations, and its factors are still there. What depends on the posture inside M, C, g and
+//! S is differentiated in one call of the inverse dynamics' derivatives at the accelerations (Singh, Russell and
+//! Wensing 2022); springs, dampers and frictions add a few entries each.
 use super::{ElasticDynamics, ElasticLayout};
 use crate::linear;
 use crate::robot::Robot;
@@ -12,8 +17,8 @@ impl<T: Scalar> ElasticDynamics<T> {
         simd::phase(Differentiate { dynamics: self, robot, layout, x });
     }
 
-    #[inline(always)]
     /// ∂(right-hand side − left-hand side)/∂x with accelerations held, solved with the factors that `accelerate` left.
+    #[inline(always)]
     fn differentiate_here(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T]) {
         let (n, d) = (layout.joints, layout.dense);
         self.differentiate_loads(robot, layout, x);

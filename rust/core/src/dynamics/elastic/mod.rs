@@ -111,8 +111,8 @@ impl<T: Scalar> ElasticDynamics<T> {
         simd::phase(Accelerate { dynamics: self, robot, layout, x, tau });
     }
 
-    #[inline(always)]
     /// Right-hand side and inertia of the reduced equation, its solution q̈, and θ̈ from the motors' rows.
+    #[inline(always)]
     fn accelerate_here(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T], tau: &[T]) {
         let n = layout.joints;
         self.gather_loads(robot, layout, x);

@@ -11,6 +11,9 @@ use crate::linear;
 use crate::scalar::log;
 
 /// Scratch and outcome of a measurement update.
+///
+/// One channel after the other equals all at once where their noise is independent, and needs no inverse of S; a
+/// channel that is missing or shut out is a turn of the loop that does nothing.
 #[derive(Clone, Debug)]
 pub(super) struct Correction {
     /// Where the channels are linearised.

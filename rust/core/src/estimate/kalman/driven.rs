@@ -1,4 +1,4 @@
-//! The acceleration-driven model as a filter runs it: its channels, and what they say of the motors.
+//! The jerk-driven model as a filter runs it: its channels, and what they say of the motors.
 
 use super::jerk::{JerkModel, JerkNoise};
 use super::jerk_process::JerkProcess;
@@ -11,7 +11,7 @@ use crate::error::DesignError;
 use crate::estimate::measurement::{Channel, Evaluation};
 use crate::scalar::Dual;
 
-/// The acceleration-driven model with its noise, as a filter runs it.
+/// The jerk-driven model with its noise, as a filter runs it.
 ///
 /// It needs the links' masses and the springs, and no motor torques: what moves the links is taken to be random, beside
 /// the jerk that was commanded. Motors are measurements of the links, θ = q + φ⁻¹(M q̈ + C q̇ + g + friction), so that
@@ -57,7 +57,7 @@ impl JerkDriven {
     }
 }
 
-/// The channels of the acceleration-driven model.
+/// The channels of the jerk-driven model.
 #[derive(Clone, Debug)]
 pub struct JerkMeasurement {
     /// Channels and biases.
@@ -272,6 +272,9 @@ impl Report for JerkMeasurement {
 }
 
 /// Motor positions with their rates: numbers that carry the derivative along time.
+///
+/// θ̇ = H ẋ: what a motor velocity measures is the rate of what its position does, so that one text serves both, over
+/// numbers that carry a derivative along time.
 #[derive(Clone, Debug)]
 struct Motors {
     /// One motor position a joint.

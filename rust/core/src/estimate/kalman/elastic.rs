@@ -255,8 +255,8 @@ impl ElasticProcess {
         }
     }
 
-    #[inline(always)]
     /// Whether a disturbance is again what it was before its torque's outage.
+    #[inline(always)]
     fn is_replaced(&self, state: usize) -> bool {
         self.transition.replaced.iter().any(|(replaced, _)| *replaced == state)
     }

@@ -43,6 +43,9 @@ impl ElasticSensitivity {
     }
 
     /// At state `x` under motor torques `tau`, where `dynamics` has been differentiated.
+    ///
+    /// Torques of a unit error of each parameter first, as three right-hand sides for links, motors and transmissions;
+    /// then all of them through the factors of the inertia at once.
     #[inline(always)]
     pub(super) fn set(
         &mut self,

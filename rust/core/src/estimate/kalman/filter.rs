@@ -248,8 +248,8 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         Ok(())
     }
 
-    #[inline(always)]
     /// Whether the sample left an estimate. The covariance is not looked at: what spoils it spoils the next mean.
+    #[inline(always)]
     fn is_finite(&self) -> bool {
         self.correction.log_likelihood.is_finite() && self.belief.mean.iter().all(|x| x.is_finite())
     }

@@ -1,4 +1,4 @@
-//! The acceleration-driven model: links moved by jerk, motor and sensors as measurements, readings with slow biases.
+//! The jerk-driven model: links moved by jerk, motor and sensors as measurements, readings with slow biases.
 
 use super::disturbance::{Disturbances, LinkDisturbance};
 use super::drift::Biases;
@@ -170,8 +170,8 @@ impl JerkModel {
         self.disturbances.drift().predict(belief, dt);
     }
 
-    #[inline(always)]
     /// Q of white jerk over the step, joint by joint, and what positions and velocities wander beside.
+    #[inline(always)]
     fn add_process_noise(&self, p: &mut Symmetric, noise: &JerkNoise, dt: f64) {
         let (n, stride, white_jerk) = (self.joints(), p.stride, jerk_noise::covariance(dt));
         for j in 0..n {

@@ -1,4 +1,4 @@
-//! The process of the acceleration-driven model: links moved by commanded and random jerk, biases that wander.
+//! The process of the jerk-driven model: links moved by commanded and random jerk, biases that wander.
 
 use super::disturbance::hold;
 use super::gaussian::{Gaussian, Symmetric};

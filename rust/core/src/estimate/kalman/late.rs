@@ -59,6 +59,9 @@ pub(crate) struct LateChannel<'a> {
 }
 
 /// The late channels of a model, and their past.
+///
+/// A filter costs two states a channel, a delay as many as the samples that it spans and two. Channels that are not late
+/// cost nothing.
 #[derive(Clone, Debug)]
 pub(super) struct Late {
     /// One a late channel.

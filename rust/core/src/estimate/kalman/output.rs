@@ -19,6 +19,9 @@ pub struct Keep {
 }
 
 /// Estimates of a recording, row-major, one row a sample.
+///
+/// What was not asked for, or does not exist, is empty: the tool of a robot that has none, innovations without
+/// [`Keep::innovations`].
 #[derive(Clone, Debug, Default)]
 pub struct FilterOutput {
     /// Link positions (n).

@@ -72,8 +72,8 @@ impl<'a> KalmanRecording<'a> {
         }
     }
 
-    #[inline(always)]
     /// Row `i`.
+    #[inline(always)]
     pub(crate) fn sample(&self, i: usize, model: &impl Model) -> KalmanSample<'a> {
         let m = model.channels();
         KalmanSample {

@@ -71,8 +71,8 @@ impl Signal {
         longest: 0,
     };
 
-    #[inline(always)]
     /// Takes a reading and its prediction. Equal to the last bit is the same reading: noise would not do that.
+    #[inline(always)]
     pub(super) fn take(&mut self, reading: f64, predicted: f64) {
         if reading == self.last {
             self.run += 1;

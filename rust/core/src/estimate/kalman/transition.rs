@@ -16,6 +16,9 @@ const TERMS: usize = 6;
 const MOST: u32 = 12;
 
 /// Scratch of a step of time.
+///
+/// The mean goes by the nonlinear equations in substeps that the fastest mode allows; Φ and Q by a series over one
+/// substep, then by doubling.
 #[derive(Clone, Debug)]
 pub(super) struct Transition {
     /// Where in the state each joint's numbers are.

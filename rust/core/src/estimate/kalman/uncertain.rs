@@ -10,7 +10,7 @@ use crate::spatial::Vec3;
 /// Three tolerances of a logarithm count for no more than this.
 const MOST: f64 = 20.0;
 
-/// A number of the robot that is not known exactly. Positive ones are told by their logarithm: 0.2 is 20 %.
+/// A number of the robot that is not known exactly. Positive ones are taken by their logarithm: 0.2 is 20 %.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Uncertain {
     /// ln K of an elastic joint, the whole spring with it.
@@ -25,7 +25,7 @@ pub enum Uncertain {
     Mass(usize),
     /// Logarithm of a link's friction.
     LinkFriction(usize),
-    /// Logarithm of the torque constant of a joint's motor; not seen by the acceleration-driven model.
+    /// Logarithm of the torque constant of a joint's motor; not seen by the jerk-driven model.
     TorqueConstant(usize),
     /// Logarithm of a motor's friction; likewise.
     MotorFriction(usize),
@@ -118,8 +118,11 @@ impl<T: Scalar> LinkMotion<T> {
         (torsion, T::constant(1.0) / drive.tangent_stiffness(torsion))
     }
 
-    #[inline(always)]
     /// A number of a drive shows between motor and link, or on a joint torque sensor.
+    ///
+    /// With r the torque that the spring holds, φ(δ) = r: dδ/d ln K = −φ/φ′, dδ/dk₃ = −δ³/φ′, dδ/d ln D = −D δ̇/φ′ and
+    /// for the link's friction +d/φ′. What a joint taken as rigid yields is r over the inertia that turns on it.
+    #[inline(always)]
     fn drive_signature(
         &self,
         robot: &Robot,
@@ -263,8 +266,8 @@ fn unit<T: Scalar>(axis: usize) -> Vec3<T> {
     out
 }
 
-#[inline(always)]
 /// The row of a channel, where it is measured.
+#[inline(always)]
 fn position(channels: &[Channel], wanted: Channel) -> Option<usize> {
     channels.iter().position(|c| *c == wanted)
 }

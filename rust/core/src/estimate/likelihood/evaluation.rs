@@ -144,8 +144,8 @@ impl<T: Scalar> ParametricMeasurement<T> {
         read(robot, channels[channel], channel, &view, &mut wanted);
     }
 
-    #[inline(always)]
     /// A motor position; its noise grows with the torsion, as of a stiffness that is not quite constant.
+    #[inline(always)]
     fn motor(&mut self, log: &LikelihoodRecording, instant: Instant, channel: usize, j: usize, state: &[T]) -> usize {
         let theta = log.theta[instant.row * self.robot.len() + j];
         if theta.is_nan() {
@@ -194,8 +194,8 @@ impl<T: Scalar> ParametricMeasurement<T> {
         1
     }
 
-    #[inline(always)]
     /// All axes of an accelerometer, at its own instant where it is late.
+    #[inline(always)]
     fn acceleration(
         &mut self,
         log: &LikelihoodRecording,

@@ -164,8 +164,8 @@ impl<T: Scalar> Filter<T> {
         self.add_noise(dt);
     }
 
-    #[inline(always)]
     /// P ← P + Q: white jerk over the step, walks beside, and biases that forget and wander.
+    #[inline(always)]
     fn add_noise(&mut self, dt: T) {
         let (n, states) = (self.reference.len() / 3, self.mean.len());
         let white_jerk = jerk_noise::covariance(dt);
@@ -210,8 +210,8 @@ impl<T: Scalar> Filter<T> {
         }
     }
 
-    #[inline(always)]
     /// Kalman's update by one reading: innovation, its variance, and the state by both.
+    #[inline(always)]
     fn use_reading(&mut self, i: usize, row: usize) {
         let reading = self.evaluation.readings[i];
         let predicted = self.project(&reading);

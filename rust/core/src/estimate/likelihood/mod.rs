@@ -2,7 +2,7 @@
 //!
 //! The density of a recording is the product of its readings' densities, each given those before it, and those are what a
 //! Kalman filter computes (F. C. Schweppe, IEEE Trans. Information Theory 11, 1965). The filter is the one of
-//! [`kalman`](super::kalman) on the acceleration-driven model, written once more over a [`Scalar`](crate::scalar::Scalar),
+//! [`kalman`](super::kalman) on the jerk-driven model, written once more over a [`Scalar`](crate::scalar::Scalar),
 //! so that derivative numbers go through it; with `f64` both give the same likelihood.
 //!
 //! Missing readings, sensors that are late and biases are in it as they are in the filter; outliers count linearly

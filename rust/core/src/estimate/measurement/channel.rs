@@ -36,6 +36,14 @@ pub enum Channel {
 }
 
 /// What a sensor measures: all channels of a kind come together, joint by joint or axis by axis.
+///
+/// ```
+/// use linkside_core::estimate::measurement::{Channel, Kind};
+/// let robot = linkside_core::demo::arm()?;
+/// let channels = Kind::all_channels(&[Kind::Link, Kind::Motor], &robot);
+/// assert_eq!(channels, [Channel::Motor(0), Channel::Link(0)]); // always in the order of `ALL`
+/// # Ok::<(), linkside_core::error::RobotError>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Kind {
     /// θ (n) [rad].

@@ -1,4 +1,4 @@
-//! All channels of the acceleration-driven model in one state, with their Jacobian.
+//! All channels of the jerk-driven model in one state, with their Jacobian.
 
 use super::motion::PlainMotion;
 use super::view::OfDrives;

@@ -126,8 +126,8 @@ pub(crate) struct Elastic<'a> {
 }
 
 impl Elastic<'_> {
-    #[inline(always)]
     /// A channel that reads one entry of the state.
+    #[inline(always)]
     fn entry(&self, index: usize, row: usize, wanted: &mut impl Wanted<f64>) {
         wanted.value(row, self.state[index]);
         wanted.entry(row, index, 1.0);

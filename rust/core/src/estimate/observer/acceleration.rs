@@ -218,8 +218,8 @@ impl AccelerationMap {
         squared * self.threshold * self.threshold <= 1.0
     }
 
-    #[inline(always)]
     /// R⁻¹ Qᵀ b, with the inverse that proved that nothing is damped.
+    #[inline(always)]
     fn back_substitute(&mut self) {
         let (m, rhs) = (self.unknowns, self.unknowns * self.stride);
         for i in 0..m {

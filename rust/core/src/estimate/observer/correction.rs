@@ -79,8 +79,8 @@ impl JointCorrection {
         self.since = 0;
     }
 
-    #[cold]
     /// The gain for a position after a gap; computed once for each length.
+    #[cold]
     fn gain_after_gap(&mut self, joint: &Sampled) -> &JointState {
         let gap = self.since.min(self.gains.len() + 1);
         let kept = &mut self.gains[gap - 2];
@@ -90,8 +90,8 @@ impl JointCorrection {
         kept
     }
 
-    #[cold]
     /// As [`apply`](Self::apply), by the gains of a start.
+    #[cold]
     fn apply_at_start(&mut self, joint: &Sampled, x: &mut JointState, innovation: f64) {
         let (samples, readings) = self.begun.unwrap_or_default();
         let reads = !innovation.is_nan();

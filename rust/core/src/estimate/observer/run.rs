@@ -216,8 +216,8 @@ impl AccelerationObserver {
         simd::phase(ObserverStep { observer: self, sample })
     }
 
-    #[inline(always)]
     /// One period: predict, read accelerations, correct, hold.
+    #[inline(always)]
     fn take_here(&mut self, sample: ObserverSample<'_>) -> Result<(), DesignError> {
         self.status = 0;
         if self.started {
@@ -296,8 +296,8 @@ impl AccelerationObserver {
         }
     }
 
-    #[inline(always)]
     /// Link accelerations by least squares from the accelerometers, at the predicted posture and velocity (eq. (12)).
+    #[inline(always)]
     fn read_sensors(&mut self, reading: &[f64]) {
         // A prior of zero where the sensors cannot see; of what it last was where they are silent for a moment.
         let silent = self.status & Status::BRIDGED != 0;
@@ -378,8 +378,8 @@ impl AccelerationObserver {
         }
     }
 
-    #[inline(always)]
     /// What the getters give: the corrected or the predicted state, and the tool.
+    #[inline(always)]
     fn report(&mut self) {
         for j in 0..self.joints.len() {
             let x = self.reported(j);
@@ -394,8 +394,8 @@ impl AccelerationObserver {
         }
     }
 
-    #[inline(always)]
     /// The state of a joint that the [`Form`] of the observer reports.
+    #[inline(always)]
     fn reported(&self, joint: usize) -> JointState {
         match self.settings.form {
             Form::Current => self.state[joint],

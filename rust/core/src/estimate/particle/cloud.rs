@@ -36,8 +36,8 @@ impl ParticleRow {
         self.0.as_flattened()
     }
 
-    #[inline(always)]
     /// The numbers one after the other, for writing.
+    #[inline(always)]
     pub(super) fn each_mut(&mut self) -> &mut [f64] {
         self.0.as_flattened_mut()
     }

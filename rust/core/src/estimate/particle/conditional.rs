@@ -10,6 +10,8 @@ use super::process_noise::ProcessNoise;
 use crate::scalar::Scalar;
 
 /// The covariance of l, and how l and n change with the numbers ζ (2n) by which n is drawn.
+///
+/// All of it for the particles of a group side by side, one a lane: nothing branches on a particle's numbers.
 #[derive(Clone, Debug)]
 pub(super) struct Conditional<T> {
     /// n, and the number of entries of l.
@@ -50,8 +52,8 @@ impl<T: Scalar> Conditional<T> {
         }
     }
 
-    #[inline(always)]
     /// Takes over another one of the same size, but for its gain.
+    #[inline(always)]
     pub(super) fn copy_from(&mut self, other: &Self) {
         self.covariance.copy_from_slice(&other.covariance);
         self.slope.copy_from_slice(&other.slope);
@@ -186,21 +188,21 @@ impl<T: Scalar> Conditional<T> {
         }
     }
 
-    #[inline(always)]
     /// Independent noise of one entry.
+    #[inline(always)]
     fn add_variance(&mut self, entry: usize, variance: f64) {
         let diagonal = packed(entry, entry, self.size);
         self.covariance[diagonal] += T::constant(variance);
     }
 
-    #[inline(always)]
     /// Entry (r, c) of P, whichever triangle it is in.
+    #[inline(always)]
     fn at(&self, r: usize, c: usize) -> T {
         self.covariance[packed(r.min(c), r.max(c), self.size)]
     }
 
-    #[inline(always)]
     /// The gain times a number of each particle.
+    #[inline(always)]
     fn scale_gain(&mut self, factor: T) {
         for gain in &mut self.gain {
             *gain = *gain * factor;

@@ -84,8 +84,8 @@ pub(super) struct NoiseDensity {
 }
 
 impl NoiseDensity {
-    #[inline(always)]
     /// log p(error).
+    #[inline(always)]
     pub(super) fn log_density(&self, error: Wide) -> Wide {
         let square = error * error * (1.0 / self.variance);
         match self.density {

@@ -25,7 +25,7 @@ use crate::simd;
 /// Fewer particles than this are not worth a second thread.
 const PARALLEL: usize = 2048;
 
-/// Particle filter on the acceleration-driven model; a step on one thread allocates nothing.
+/// Particle filter on the jerk-driven model; a step on one thread allocates nothing.
 ///
 /// Plain, or with a part of the state [marginalised](Marginalised).
 ///
@@ -206,7 +206,7 @@ impl ParticleFilter {
         &self.summary
     }
 
-    /// Takes one sample: moves the particles, weighs them by its readings, and chooses anew where few carry all weight.
+    /// Takes one sample: moves the particles, weighs them by its readings, and resamples where few carry all weight.
     ///
     /// # Errors
     /// A sample that cannot be used, or a first one from which the model cannot start: the state stays as it was. No particle
@@ -247,7 +247,7 @@ impl ParticleFilter {
         // 3. What is the same for all particles: factors of the process noise, readings and their densities, biases.
         self.prepare(&sample);
         if !self.started {
-            self.scatter();
+            self.initialise();
         }
         // 4. Move and weigh: each particle draws its increment from the proposal, and its weight changes by
         //    p(y | x) p(x | x⁻) / q(x | x⁻, y) (Doucet, Godsill and Andrieu 2000).
@@ -285,11 +285,11 @@ impl ParticleFilter {
     }
 
     /// The first particles.
-    fn scatter(&mut self) {
+    fn initialise(&mut self) {
         let Self { model, settings, belief, sample, cloud, .. } = self;
         let n = model.jerk_model().joints();
         if self.motion.is_some() {
-            InitialCloud::blind(belief, 0).scatter(cloud, &settings.initial, n, settings.seed);
+            InitialCloud::blind(belief, 0).draw_into(cloud, &settings.initial, n, settings.seed);
             rao_blackwell::start(cloud, belief, n);
             return;
         }
@@ -299,7 +299,7 @@ impl ParticleFilter {
         } else {
             InitialCloud::informed(belief, sample, model.linearised(), 3 * n)
         };
-        start.scatter(cloud, &settings.initial, n, settings.seed);
+        start.draw_into(cloud, &settings.initial, n, settings.seed);
     }
 
     /// What all particles share at this sample; the belief's mean is where they are expected.

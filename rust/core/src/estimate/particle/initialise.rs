@@ -56,7 +56,7 @@ impl<'a> InitialCloud<'a> {
 
     /// Draws the cloud, with weights as if it came from the belief; the mean of its positions is `origins`' where there
     /// are any (rows of `joints`, one particle after the other), and entries of the state beyond are the belief's mean.
-    pub(super) fn scatter(&self, cloud: &mut Cloud, origins: &[f64], joints: usize, seed: u64) {
+    pub(super) fn draw_into(&self, cloud: &mut Cloud, origins: &[f64], joints: usize, seed: u64) {
         let stream = Stream::new(seed, 0, Purpose::Initialise);
         let n = self.mode.len();
         let even = -ln(cloud.blocks.iter().map(|b| b.count).sum::<usize>() as f64);

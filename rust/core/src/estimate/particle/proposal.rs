@@ -73,6 +73,9 @@ pub(super) struct Walk {
 }
 
 /// Moves a block by one sample.
+///
+/// With a linearisation of its own each particle evaluates all channels and their Jacobian, factorises a 3n × 3n matrix
+/// and evaluates the channels again at what it drew; with a shared one it does the last alone.
 pub(super) struct Propagate<'a> {
     pub(super) model: &'a JerkModel,
     pub(super) sample: &'a ParticleSample,
@@ -104,16 +107,16 @@ impl Kernel for Propagate<'_> {
     }
 }
 
-#[inline(always)]
 /// The states of a group's particles into the scratch.
+#[inline(always)]
 pub(super) fn load(block: &mut Block, group: usize) {
     for (entry, row) in block.scratch.before.iter_mut().zip(&block.state) {
         *entry = Lanes(row.0[group]);
     }
 }
 
-#[inline(always)]
 /// And back, weights with them: they go on from those before, in multiples of their total.
+#[inline(always)]
 pub(super) fn store(block: &mut Block, group: usize, increment: Wide, offset: f64) {
     for (entry, row) in block.scratch.after.iter().zip(&mut block.state) {
         row.0[group] = entry.0;
@@ -371,8 +374,8 @@ fn unwind(zeta: &mut [Wide], factor: &[Wide]) {
     }
 }
 
-#[inline(always)]
 /// |x|².
+#[inline(always)]
 fn square(x: &[Wide]) -> Wide {
     x.iter().fold(Wide::default(), |sum, &x| sum + x * x)
 }

@@ -15,6 +15,10 @@ use crate::simd::Kernel;
 use core::f64::consts::TAU;
 
 /// Room for the densities of [`WIDE`] particles.
+///
+/// Of both, the density of accelerations and biases is the Kalman filter's of linear measurements, given the path of
+/// positions and velocities that the particle has taken: what is drawn is two numbers a joint, not three, and what is
+/// not drawn cannot be missed by chance.
 #[derive(Clone, Debug)]
 pub(super) struct Densities {
     /// For the particle's path.
@@ -79,6 +83,9 @@ pub(super) fn condition(cloud: &mut Cloud, factor: &mut [f64], d: usize, first: 
 }
 
 /// Moves a block by one sample.
+///
+/// Predict the density, draw positions and velocities (by the linearised readings if wanted), let the path teach it,
+/// then weigh by the readings and let them teach it as well. About the cost of a Kalman filter's step a particle.
 pub(super) struct PropagateMarginalised<'a> {
     /// Channels and biases.
     pub(super) model: &'a JerkModel,
@@ -115,16 +122,16 @@ impl Kernel for PropagateMarginalised<'_> {
 }
 
 impl Densities {
-    #[inline(always)]
     /// The covariances of a group's particles, out of the block's rows.
+    #[inline(always)]
     fn load(&mut self, rows: &[ParticleRow], group: usize) {
         for (entry, row) in self.path.covariance.iter_mut().zip(rows) {
             *entry = Lanes(row.0[group]);
         }
     }
 
-    #[inline(always)]
     /// And back into them.
+    #[inline(always)]
     fn store(&self, rows: &mut [ParticleRow], group: usize) {
         for (entry, row) in self.path.covariance.iter().zip(rows) {
             row.0[group] = entry.0;
@@ -273,8 +280,8 @@ fn slope<'a>(
     ReadingSlope { links, bias: reading.bias.map(|b| b - 2 * n), biases }
 }
 
-#[inline(always)]
 /// m ← m + K ε.
+#[inline(always)]
 fn learn(mean: &mut [Wide], gain: &[Wide], error: Wide) {
     for (mean, gain) in mean.iter_mut().zip(gain) {
         *mean += *gain * error;

@@ -12,6 +12,8 @@ use crate::simd::Kernel;
 const SLACK: f64 = 0.1;
 
 /// The linearised proposal N(ŵ, Λ⁻¹) of the links' noise (w, 3n numbers) as a function of the particle's state x: ŵ = ŵ₀ − M (x − x₀).
+///
+/// Set once a sample, at the cost of one particle; then a particle's own share is a product with M.
 #[derive(Clone, Debug)]
 pub(super) struct Shared {
     /// x₀, where the cloud is expected (states).

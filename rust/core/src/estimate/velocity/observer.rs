@@ -36,7 +36,7 @@ use std::sync::Arc;
 ///     start: Start::Rest,
 ///     wrap: vec![std::f64::consts::TAU],
 /// })?;
-/// // From rest it is told of 0.5 rad/s by positions alone, and is there to e⁻²⁰ after 0.2 s.
+/// // From rest to 0.5 rad/s by positions alone: what is left of the error after 0.2 s is e⁻²⁰ of it.
 /// for i in 0..=200 {
 ///     observer.step(&[0.5e-3 * f64::from(i)], &[0.0])?;
 /// }
@@ -201,8 +201,8 @@ impl VelocityObserver {
         simd::phase(VelocityStep { observer: self, q, torque })
     }
 
-    #[inline(always)]
     /// One period: predict and correct, let the gain jump, hold the torque, and the acceleration that it gives.
+    #[inline(always)]
     fn take_here(&mut self, q: &[f64], torque: &[f64]) -> Result<(), RunError> {
         self.status = 0;
         let regular = if self.samples == 0 { self.begin(q)? } else { self.advance(q) };
@@ -219,8 +219,8 @@ impl VelocityObserver {
         Ok(())
     }
 
-    #[cold]
     /// A first sample: no innovation yet; a spring is checked against the period at the posture where it is to work.
+    #[cold]
     fn begin(&mut self, q: &[f64]) -> Result<bool, DesignError> {
         if let Some(joint) = q.iter().position(|x| x.is_nan()) {
             return Err(DesignError::NoStart { joint });

@@ -9,6 +9,14 @@ use crate::scalar::{Scalar, log};
 ///
 /// Within the half gap a the joint yields 1/ρ times as far as beyond it; corners are round over ε. z rises everywhere, by
 /// ρ < z′ < 1, so that it has an inverse.
+///
+/// ```
+/// use linkside_core::robot::Backlash;
+/// // Two arc minutes either way, with a hundredth of the stiffness in between.
+/// let gap = Backlash { half_gap: 5.8e-4, slope: 0.01, rounding: 1e-5 };
+/// assert!(gap.engaged(5e-4_f64).abs() < 1e-5 && (gap.engaged(2e-3_f64) - 1.43e-3).abs() < 1e-5);
+/// assert!((gap.torsion(gap.engaged(1e-3)) - 1e-3).abs() < 1e-12);
+/// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Backlash {
     /// a [rad]; zero for a drive without play.

@@ -4,6 +4,15 @@ use crate::error::RobotError;
 use crate::scalar::Scalar;
 
 /// Torque over torsion through given points: straight lines, or a cubic spline that rises as they do; straight beyond them.
+///
+/// ```
+/// use linkside_core::robot::{Interpolation, SpringCurve};
+/// // One half of a harmonic drive's curve, soft at first: 10 N m at 1 mrad, 60 at 3.
+/// let curve = SpringCurve::new(&[[1e-3, 10.0], [3e-3, 60.0]], Interpolation::Monotone)?;
+/// assert!((curve.torque(-3e-3_f64) + 60.0).abs() < 1e-9); // odd
+/// assert!(curve.slope(5e-4_f64) < curve.slope(3e-3_f64));
+/// # Ok::<(), linkside_core::error::RobotError>(())
+/// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SpringCurve {
     /// In the order of torsion: the line before the first point, a piece from each point to the next, the line after the last.
@@ -15,9 +24,12 @@ pub struct SpringCurve {
 struct Piece {
     /// Below it begins the piece before.
     from: f64,
+    /// Where x is zero [rad], and the torque there [N m].
     start: f64,
     torque: f64,
+    /// c₀, c₁ and c₂.
     rates: [f64; 3],
+    /// Up to the start [J].
     energy: f64,
 }
 
@@ -65,6 +77,7 @@ impl SpringCurve {
         Ok(Self::through(&all, interpolation))
     }
 
+    /// The pieces between points that have been checked.
     fn through(points: &[[f64; 2]], interpolation: Interpolation) -> Self {
         let last = points.len() - 1;
         let chord = |i: usize| (points[i + 1][1] - points[i][1]) / (points[i + 1][0] - points[i][0]);
@@ -82,6 +95,7 @@ impl SpringCurve {
         let mut pieces = vec![line(f64::NEG_INFINITY, points[0], ends(0)[0])];
         for i in 0..last {
             let (width, chord, [a, b]) = (points[i + 1][0] - points[i][0], chord(i), ends(i));
+            // Hermite's cubic by its slopes a and b at the ends.
             let rates = [a, (3.0 * chord - 2.0 * a - b) / width, (a + b - 2.0 * chord) / (width * width)];
             let [start, torque] = points[i];
             pieces.push(Piece { from: start, start, torque, rates, energy: 0.0 });
@@ -108,6 +122,7 @@ impl SpringCurve {
         self.pieces.is_empty()
     }
 
+    /// The piece that a torsion is on.
     fn at(&self, torsion: f64) -> &Piece {
         let after = self.pieces.partition_point(|piece| piece.from <= torsion);
         &self.pieces[after.saturating_sub(1)]

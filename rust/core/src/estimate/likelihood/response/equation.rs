@@ -9,12 +9,16 @@ use crate::spatial::{Inertia, Sym3, Vec3};
 /// Motors at one moment, each (n): position, velocity and acceleration.
 #[derive(Clone, Debug)]
 pub(super) struct MotorSample {
+    /// [rad].
     pub(super) theta: Vec<f64>,
+    /// [rad/s].
     pub(super) dtheta: Vec<f64>,
+    /// [rad/s²].
     pub(super) ddtheta: Vec<f64>,
 }
 
 impl MotorSample {
+    /// At rest at zero.
     pub(super) fn new(n: usize) -> Self {
         Self { theta: vec![0.0; n], dtheta: vec![0.0; n], ddtheta: vec![0.0; n] }
     }
@@ -24,14 +28,18 @@ impl MotorSample {
 /// the parameters (n × p). Joints without a spring have rows of the identity: they move as their motors do.
 #[derive(Clone, Debug)]
 pub(super) struct Balance {
+    /// M q̈ + C q̇ + g + friction + S θ̈ − φ − D δ̇ [N m].
     pub(super) residual: Vec<f64>,
+    /// Row by row, a joint each; the last is M.
     pub(super) by_q: Vec<f64>,
     pub(super) by_dq: Vec<f64>,
     pub(super) by_ddq: Vec<f64>,
+    /// In the order of the free parameters.
     pub(super) by_parameter: Vec<f64>,
 }
 
 impl Balance {
+    /// Room for `n` joints and `p` parameters.
     pub(super) fn new(n: usize, p: usize) -> Self {
         let square = vec![0.0; n * n];
         Self {
@@ -47,12 +55,16 @@ impl Balance {
 /// The equation of motion of one robot under given parameters, and scratch.
 #[derive(Clone, Debug)]
 pub(super) struct Equation<'a> {
+    /// As robot.yaml has it; its springs' rates, masses and coupling are the parameters'.
     pub(super) robot: &'a Robot,
+    /// The robot's numbers now, and which of them are free.
     pub(super) parameters: Parameters<f64>,
     pub(super) free: &'a [Parameter],
     /// Derivatives of the bodies' masses in those free parameters that change them; empty for the others.
     masses: Vec<Vec<Inertia<f64>>>,
+    /// Motion and loads of the links, by the parameters' masses.
     pub(super) motion: LinkMotion<f64>,
+    /// Scratch: what masses that a parameter changes take (n).
     loads: Vec<f64>,
 }
 
@@ -101,12 +113,15 @@ impl<'a> Equation<'a> {
                 for matrix in [&mut out.by_q, &mut out.by_dq, &mut out.by_ddq] {
                     matrix[row.clone()].fill(0.0);
                 }
+                // The identity, with nothing left: whatever is solved with these rows leaves the joint where its motor
+                // put it.
                 out.by_ddq[j * n + j] = 1.0;
                 continue;
             }
             let [torque, stiffness, damping] = self.transmission(j, motors, state);
             let (friction, viscous) = drive.link_friction(state[n + j]);
             let coupled: f64 = self.parameters.coupling[row].iter().zip(&motors.ddtheta).map(|(s, a)| s * a).sum();
+            // The motor's part in the link's row is known: S θ̈ of the recorded motion.
             out.residual[j] = self.motion.tau[j] + friction + coupled - torque;
             out.by_q[j * n + j] += stiffness;
             out.by_dq[j * n + j] += damping + viscous;
@@ -123,6 +138,7 @@ impl<'a> Equation<'a> {
             } else if let Parameter::Coupling(i, j) = parameter {
                 out.by_parameter[i * p + k] = motors.ddtheta[j];
             } else if !self.masses[k].is_empty() {
+                // Loads are linear in the moments of mass: a derivative is the load of the derivative's masses.
                 self.motion.loads_of(robot, &mut self.masses[k], &mut self.loads);
                 for (j, load) in self.loads.iter().enumerate() {
                     out.by_parameter[j * p + k] = *load;
@@ -141,6 +157,7 @@ fn masses_by(robot: &Robot, parameters: &Parameters<f64>, parameter: Parameter) 
     if !matches!(parameter, P::MassScale(_) | P::PayloadMass | P::PayloadCentre(_)) {
         return Vec::new();
     }
+    // By derivative numbers once a run, so that the loop itself stays in `f64`.
     let mut varied: Parameters<Dual<1>> = Parameters::of(robot);
     for (varied, own) in varied.joints.iter_mut().zip(&parameters.joints) {
         varied.mass_scale = Dual::constant(own.mass_scale);

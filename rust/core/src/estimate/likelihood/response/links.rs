@@ -14,11 +14,13 @@ use std::sync::Arc;
 
 /// √3/6: Gauss's two nodes lie this far from the middle of a step.
 const SPREAD: f64 = 0.288_675_134_594_812_9;
+/// Shares of a step at which the equation of motion holds exactly.
 const NODES: [f64; 2] = [0.5 - SPREAD, 0.5 + SPREAD];
 /// Runge–Kutta's weights of the stages: q̇ at a node is q̇ + h Σ A q̈ (Hairer and Wanner 1996, table IV.5.1).
 const STAGES: [[f64; 2]; 2] = [[0.25, 0.25 - SPREAD], [0.25 + SPREAD, 0.25]];
 /// Newton's method is done when accelerations change by less than this share.
 const CONVERGED: f64 = 1e-9;
+/// It takes two or three; more than this, and the links fly away.
 const ITERATIONS: usize = 25;
 
 /// A², the weights of accelerations in positions at the nodes.
@@ -34,6 +36,7 @@ const fn squared() -> [[f64; 2]; 2] {
     out
 }
 
+/// Weights of accelerations in positions at the nodes: A twice, as positions are integrals of velocities.
 const POSITIONS: [[f64; 2]; 2] = squared();
 /// Weights of accelerations in the position at the end of a step.
 const LAST: [f64; 2] = [0.5 * (STAGES[0][0] + STAGES[1][0]), 0.5 * (STAGES[0][1] + STAGES[1][1])];
@@ -52,6 +55,8 @@ pub struct MotorMotion {
 }
 
 impl MotorMotion {
+    /// # Errors
+    /// Arrays that do not belong together, numbers that are not finite, times that do not rise.
     fn check(&self, n: usize) -> Result<(), DesignError> {
         for (what, values) in [("theta", &self.theta), ("dtheta", &self.dtheta), ("ddtheta", &self.ddtheta)] {
             expect_length(what, values.len(), self.t.len() * n)?;
@@ -95,11 +100,30 @@ pub struct Responded {
 }
 
 /// A robot whose motors moved as recorded.
+///
+/// ```
+/// use linkside_core::estimate::likelihood::{MotorMotion, Parameter, Response};
+/// use linkside_core::estimate::measurement::Kind;
+///
+/// // The motor turns at 0.2 rad/s without a jerk, and the link with it, whatever the spring between them.
+/// let robot = std::sync::Arc::new(linkside_core::demo::arm()?);
+/// let t: Vec<f64> = (0..50).map(|i| 1e-3 * f64::from(i)).collect();
+/// let theta: Vec<f64> = t.iter().map(|t| 0.2 * t).collect();
+/// let motion = MotorMotion { t, theta: theta.clone(), dtheta: vec![0.2; 50], ddtheta: vec![0.0; 50] };
+/// let response = Response::new(robot, &[Kind::Link], vec![], motion)?;
+/// let found = response.evaluate(&[Parameter::Stiffness(0)], &[1.2e4], &[0.0, 0.0])?;
+/// assert!(found.prediction.iter().zip(&theta).all(|(q, theta)| (q - theta).abs() < 1e-12));
+/// assert!(found.slopes[49 * 3].abs() < 1e-12); // by the stiffness
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Response {
+    /// Links, drives and sensors.
     robot: Arc<Robot>,
+    /// What the motors did, and what is read of the links.
     motion: MotorMotion,
     channels: Vec<Channel>,
+    /// Parameters that are not free, and not as the robot says.
     fixed: Vec<(Parameter, f64)>,
 }
 
@@ -159,10 +183,14 @@ impl Response {
         let watch = Watch::current();
         for (row, (prediction, slopes)) in rows.enumerate() {
             if row == 0 {
+                // The first sample: where the springs hold the links, found together with its derivatives.
                 links.start(&self.motion);
             } else {
+                // Gauss's two stages from the sample before; derivatives by the matrix that Newton's method has
+                // factorised last.
                 links.step(&self.motion, row - 1);
             }
+            // The sample's own accelerations, which accelerometers read: the stages' are those inside the step.
             links.accelerate(&self.motion, row);
             if !links.state.iter().all(|x| x.is_finite()) {
                 return Err(RunError::NotFinite { sample: row });
@@ -184,14 +212,19 @@ pub(super) struct Links<'a> {
     pub(super) state: Vec<f64>,
     pub(super) slopes: Vec<f64>,
     pub(super) motors: MotorSample,
+    /// Derivatives of each number: in p parameters, and in q and q̇ of the first sample (2n).
     width: usize,
     offset: &'a [f64],
+    /// Motors, (q, q̇, q̈) and what is left of the equation at both nodes of the step.
     at_nodes: [MotorSample; 2],
     states: [Vec<f64>; 2],
     balances: [Balance; 2],
+    /// Of M (n), and of both nodes' equations together (2n).
     one: Lu,
     both: Lu,
+    /// q̈ at the nodes, with which the next step's iteration begins.
     accelerations: [Vec<f64>; 2],
+    /// Scratch: a step of Newton's method, and the derivatives of the nodes' accelerations (2n × width).
     solution: Vec<f64>,
     columns: Vec<f64>,
 }
@@ -218,6 +251,7 @@ impl<'a> Links<'a> {
         }
     }
 
+    /// Joints with a spring.
     fn elastic(&self) -> impl Iterator<Item = usize> + use<'a> {
         let drives = &self.equation.robot.drives;
         (0..drives.len()).filter(move |&j| drives[j].elastic)
@@ -251,6 +285,7 @@ impl<'a> Links<'a> {
         for (row, by) in columns.chunks_exact_mut(width).zip(balance.by_parameter.chunks_exact(p.max(1))) {
             row[..p].iter_mut().zip(by).for_each(|(x, y)| *x = -y);
         }
+        // The implicit function theorem at the equilibrium: ∂q/∂p = −(∂r/∂q)⁻¹ ∂r/∂p.
         self.one.solve_rows(columns, width);
         self.state[..n].copy_from_slice(&at[..n]);
         self.state[n..2 * n].copy_from_slice(&self.motors.dtheta);
@@ -289,6 +324,7 @@ impl<'a> Links<'a> {
             }
             out.iter_mut().for_each(|x| *x = -*x);
         }
+        // ∂q̈/∂p = −M⁻¹ (∂r/∂p + ∂r/∂q ∂q/∂p + ∂r/∂q̇ ∂q̇/∂p), all columns at once.
         one.solve_rows(wanted, width);
     }
 
@@ -306,6 +342,8 @@ impl<'a> Links<'a> {
             for (i, balance) in self.balances.iter().enumerate() {
                 self.solution[i * n..][..n].copy_from_slice(&balance.residual);
             }
+            // Both nodes at once: Newton's method on the 2n accelerations, whose matrix holds h A and h² A² of the
+            // stages.
             self.both.solve(&mut self.solution);
             let size = accelerations.iter().flatten().fold(1.0, |most: f64, x| most.max(x.abs()));
             let change = self.solution.iter().fold(0.0, |most: f64, x| most.max(x.abs()));

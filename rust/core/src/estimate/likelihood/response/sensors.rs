@@ -11,11 +11,13 @@ use crate::spatial::{Mat3, Vec3};
 /// An accelerometer's own rotation, and its derivatives about each of its axes.
 #[derive(Clone, Debug)]
 struct Turn {
+    /// R of the rotation vector, and ∂R by its three components.
     own: Mat3<f64>,
     by: [Mat3<f64>; 3],
 }
 
 impl Turn {
+    /// By derivative numbers, once a run.
     fn of(sensor: &SensorParameters<f64>) -> Self {
         let zero = Dual::<3>::default();
         let vector = |v: &Vec3<f64>| Vec3::<Dual<3>>::constant(v);
@@ -41,14 +43,19 @@ impl Turn {
 /// All sensors of a robot.
 #[derive(Clone, Debug)]
 pub(super) struct Sensors<'a> {
+    /// What is read, in the order of the readings.
     channels: &'a [Channel],
+    /// What derivatives are taken in, before those in the initial state.
     free: &'a [Parameter],
+    /// Each accelerometer's mounting, scale and bias, and its rotation with derivatives.
     sensors: Vec<SensorParameters<f64>>,
     turns: Vec<Turn>,
+    /// Derivatives of each reading.
     width: usize,
 }
 
 impl<'a> Sensors<'a> {
+    /// All accelerometers as the parameters have them.
     pub(super) fn new(parameters: &Parameters<f64>, free: &'a [Parameter], channels: &'a [Channel]) -> Self {
         let sensors = parameters.sensors.clone();
         let width = free.len() + 2 * parameters.joints.len();
@@ -71,6 +78,7 @@ impl<'a> Sensors<'a> {
         }
     }
 
+    /// One axis of an accelerometer: scale · Rᵀ f + bias, f where the sensor is displaced to.
     fn specific_force(&self, links: &Links<'_>, s: usize, axis: usize, row: &mut [f64]) -> f64 {
         let Links { equation: Equation { robot, motion, .. }, .. } = links;
         let (kinematics, own, turn) = (&motion.kinematics, &self.sensors[s], &self.turns[s]);
@@ -99,6 +107,7 @@ impl<'a> Sensors<'a> {
         scale * force + own.bias.0[axis]
     }
 
+    /// One axis of a gyroscope, which is taken to be as the robot says.
     fn angular_rate(&self, links: &Links<'_>, s: usize, axis: usize, row: &mut [f64]) -> f64 {
         let Links { equation: Equation { robot, motion, .. }, .. } = links;
         let frame = &robot.gyroscopes[s].frame;
