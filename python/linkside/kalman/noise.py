@@ -209,7 +209,8 @@ def jerk_scale(log: Log | Readings) -> FloatArray:
 
     That of cubics through windows of `JERK_TIME`, of five readings at least; readings that are missing are left out.
     """
-    return np.array([_jerk_scale(log.t, theta) for theta in log.theta.T])
+    with np.errstate(over="ignore", invalid="ignore"):  # of absurd readings, which the filter then names
+        return np.array([_jerk_scale(log.t, theta) for theta in log.theta.T])
 
 
 def _jerk_scale(t: FloatArray, theta: FloatArray) -> float:
