@@ -71,7 +71,7 @@ impl Plan {
 /// };
 /// let suite = Suite::new(&robot, &[exact; 8], 1e-3, 0)?; // θ, three accelerations, θ̇, q, τ_J, q̇
 /// let plan = Plan { period: 1e-3, count: 1000, stepping: Stepping::Fixed(4), keep_every: 1 };
-/// let run = simulate(&robot, SimulationStart::default(), plan, suite, &mut TrueState, &mut law)?;
+/// let run = simulate(&robot, SimulationStart::default(), plan, None, suite, &mut TrueState, &mut law)?;
 /// assert!((run.q[999] - 0.1).abs() < 1e-3);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
