@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from linkside.arrays import FloatArray
 from linkside.recording.log import Log
 
 from .acceptance import Foretold, foretell
@@ -14,43 +13,31 @@ from .equations import better
 from .parameters import NOISE, Parameter
 from .problem import Problem
 from .result import Fit
+from .run import CalibrationRun, filters
 from .search import GAIN, ROUGH, Progress, Search
 from .starts import other_springs
-from .uncertainty import Uncertainty, uncertainty, unidentifiable
 
 ROUNDS = 3
 """How often parameters that turn out not to be identifiable are left out and the rest is estimated anew."""
 
 
-class FilterRun:
+class FilterRun(CalibrationRun[Problem]):
     """Search, leave out what the recordings do not tell, search again.
 
     Parameters
     ----------
-    problem
-        What is to be solved.
-    still
-        Joints that do not move.
+    problem, still, progress
+        As of `CalibrationRun`.
     start
         Where to begin, z by name; robot.yaml, or where the equations of motion fit better, where empty.
-    progress
-        Called with every better point.
     """
 
     def __init__(
         self, problem: Problem, still: Sequence[str], start: Mapping[str, float], progress: Progress | None
     ) -> None:
-        self.problem, self.still, self.progress = problem, still, progress
-        self.at = filters(problem) | dict(start) if start else better(problem, filters(problem))
-        self.refused: dict[str, str] = {}
-        self.evaluations = 0
-        self.notes: tuple[str, ...] = ()
+        at = filters(problem) | dict(start) if start else better(problem, filters(problem))
+        super().__init__(problem, still, at, progress)
         self.before = Fit.of(problem.evidence(np.zeros(len(problem.free)), detail=True))
-
-    @property
-    def z(self) -> FloatArray:
-        """The best point so far."""
-        return np.array([self.at.get(p.name, 0.0) for p in self.problem.free])
 
     def solve(self) -> None:
         """Noise levels first, then springs, then all: what is misjudged, the next would wander to make up for."""
@@ -65,11 +52,6 @@ class FilterRun:
             self._search(GAIN, self.problem.free)
             if not self._leave_out():
                 return
-
-    def after(self) -> tuple[Fit, Uncertainty]:
-        """How well the outcome explains the recordings, and how uncertain it is."""
-        evidence = self.problem.evidence(self.z, detail=True)
-        return Fit.of(evidence), uncertainty(evidence, min(log.period for log in self.problem.logs))
 
     def foretold(self) -> Foretold:
         """How well the outcome foretells readings, against robot.yaml with noise levels fitted."""
@@ -92,17 +74,3 @@ class FilterRun:
         found = search.maximise(np.array([self.at.get(p.name, 0.0) for p in free]))
         self.evaluations += search.evaluations
         self.at |= dict(zip([p.name for p in free], found.tolist(), strict=True))
-
-    def _leave_out(self) -> bool:
-        """Whether anything had to be left out."""
-        reasons = unidentifiable(self.problem, self.problem.evidence(self.z, detail=True), self.still)
-        if reasons:
-            self.refused |= reasons
-            self.problem = self.problem.restricted([p for p in self.problem.free if p.name not in reasons])
-        return bool(reasons)
-
-
-def filters(problem: Problem) -> dict[str, float]:
-    """Half a sample for a filter that robot.yaml does not have: at zero it could not be told from a delay."""
-    half = 0.5 * min(log.period for log in problem.logs)
-    return {p.name: p.z(half) for p in problem.free if p.kind == "time_constant" and p.start < half}

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from linkside.arrays import FloatArray
 from linkside.errors import NumericalError
 from linkside.recording.log import Log
 
@@ -15,8 +14,8 @@ from .parameters import NOISE
 from .problem import OF_SENSORS
 from .response import ResponseProblem, recordings
 from .result import Fit
+from .run import CalibrationRun, filters
 from .search import GAIN, ROUGH, Progress, Search
-from .uncertainty import Uncertainty, uncertainty, unidentifiable
 
 CORNERS = (5.0, 12.0, 50.0)
 """Bands that are looked at in turn [Hz], before all of it: the lower, the farther a search finds its way."""
@@ -40,41 +39,26 @@ APART = 1.0
 """Springs that differ by more than this, in tolerances, are another outcome."""
 
 
-class ResponseRun:
+class ResponseRun(CalibrationRun[ResponseProblem]):
     """Search in one band after the other, leave out what the recordings do not tell, search again.
 
     Parameters
     ----------
-    problem
-        What is to be solved.
-    still
-        Joints that do not move.
+    problem, still, progress
+        As of `CalibrationRun`.
     start
         Where to begin, z by name; robot.yaml, and springs far from it, where empty.
-    progress
-        Called with every better point.
     """
 
     def __init__(
         self, problem: ResponseProblem, still: Sequence[str], start: Mapping[str, float], progress: Progress | None
     ) -> None:
-        self.still, self.progress, self.resumed = still, progress, bool(start)
-        half = 0.5 * min(log.period for log in problem.logs)
-        filters = {p.name: p.z(half) for p in problem.free if p.kind == "time_constant" and p.start < half}
-        self.at = filters | dict(start)
+        told = problem.restricted([p for p in problem.free if p.kind not in NOISE])
+        super().__init__(told, still, filters(problem) | dict(start), progress)
+        self.resumed = bool(start)
         self.noise = [p for p in problem.free if p.kind in NOISE]
-        self.refused: dict[str, str] = {}
-        self.evaluations = 0
-        self.notes: tuple[str, ...] = ()
-        self.problem = problem.restricted([p for p in problem.free if p.kind not in NOISE])
-        nominal = self.problem.settled(np.zeros(len(self.problem.free)))
-        self._nominal = nominal.evidence(np.zeros(len(self.problem.free)), detail=True)
-        self.before = Fit.of(self._nominal)
-
-    @property
-    def z(self) -> FloatArray:
-        """The best point so far."""
-        return np.array([self.at.get(p.name, 0.0) for p in self.problem.free])
+        nominal = np.zeros(len(told.free))
+        self.before = Fit.of(told.settled(nominal).evidence(nominal, detail=True))
 
     def solve(self) -> None:
         """Find the way in low bands, from several starts; then take in all bands and leave out what is not told."""
@@ -93,11 +77,6 @@ class ResponseRun:
             if not self._leave_out():
                 break
         self._judge_noise()
-
-    def after(self) -> tuple[Fit, Uncertainty]:
-        """How well the outcome explains the recordings, and how uncertain it is."""
-        evidence = self.problem.evidence(self.z, detail=True)
-        return Fit.of(evidence), uncertainty(evidence, min(log.period for log in self.problem.logs))
 
     def foretold(self) -> Foretold:
         """How well the outcome foretells readings, against robot.yaml with what is of the sensors alone fitted."""
@@ -170,14 +149,6 @@ class ResponseRun:
         z = self.z
         tried = [self.problem.smoothed(wider).settled(z, np.inf) for wider in WIDER]
         self.problem = max(tried, key=lambda problem: problem.log_likelihood(z))
-
-    def _leave_out(self) -> bool:
-        """Whether anything had to be left out."""
-        reasons = unidentifiable(self.problem, self.problem.evidence(self.z, detail=True), self.still)
-        if reasons:
-            self.refused |= reasons
-            self.problem = self.problem.restricted([p for p in self.problem.free if p.name not in reasons])
-        return bool(reasons)
 
     def _judge_noise(self) -> None:
         """Take sensors' noise from what is left."""
