@@ -1,10 +1,15 @@
-"""Sequences that are correlated in time."""
+"""Sizes of errors, and sequences that are correlated in time."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from .arrays import FloatArray
+
+
+def rms(values: FloatArray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def autocovariance(values: FloatArray, lags: int) -> FloatArray:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside.arrays import FloatArray
+from linkside.statistics import rms
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class Measure:
         size, centred = np.linalg.norm(error, axis=1), np.linalg.norm(error - constant, axis=1)
         mean = float(constant[0]) if error.shape[1] == 1 else float(np.linalg.norm(constant))
         p50, p95 = np.percentile(size, (50, 95))
-        sizes = (_rms(size), float(size.max()), float(p50), float(p95), _rms(centred), float(centred.max()))
+        sizes = (rms(size), float(size.max()), float(p50), float(p95), rms(centred), float(centred.max()))
         return cls(*names, unit, len(error), mean, *sizes)
 
 
@@ -81,7 +82,3 @@ class Difference:
             known = known[np.isfinite(known).all(axis=1)]
             if len(known):
                 yield Measure.of((self.name, segment, signal), units[signal], known)
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -18,6 +18,7 @@ from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError, LogError
 from linkside.files.tables import numbers, open_table
 from linkside.findings import Fault
+from linkside.statistics import rms
 
 from .times import counterparts
 from .writer import EstimateWriter
@@ -266,13 +267,13 @@ class EstimateError:
         has_tool = tool is not None and len(tool) > 0
         if not errors and not has_tool:
             raise EstimatorError(f"{source} has no sample to compare the estimate with")
-        rms = {signal: _rms(error) for signal, error in errors.items()}
+        sizes = {signal: rms(error) for signal, error in errors.items()}
         largest = {signal: float(np.abs(error).max()) for signal, error in errors.items()}
         if tool is None or not has_tool:
-            return cls(rms, largest)
+            return cls(sizes, largest)
         distance = 1e3 * np.linalg.norm(tool, axis=1)
         centred = 1e3 * np.linalg.norm(tool - tool.mean(axis=0), axis=1)
-        return cls(rms, largest, _rms(distance), float(distance.max()), _rms(centred), float(centred.max()))
+        return cls(sizes, largest, rms(distance), float(distance.max()), rms(centred), float(centred.max()))
 
 
 def _groups(names: tuple[str, ...]) -> dict[str, list[str]]:
@@ -318,7 +319,3 @@ def _complete(arrays: dict[str, FloatArray], joints: int, source: str) -> dict[s
     if "nis" in arrays:
         flat["nis"] = arrays.pop("nis").reshape(-1)
     return arrays | missing | flat
-
-
-def _rms(error: FloatArray) -> float:
-    return float(np.sqrt(np.mean(error**2)))
