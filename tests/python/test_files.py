@@ -63,6 +63,7 @@ def test_spills_and_parts_lie_beside_the_output_and_are_gone_at_the_end(tmp_path
 def test_who_clears_a_folder_takes_nothing_from_who_just_began_to_write(tmp_path):
     def write(number):
         for _ in range(100):
+            check_writable(tmp_path / f"{number}.csv")
             write_text(tmp_path / f"{number}.txt", str(number))
             with spill_folder(tmp_path) as spill:
                 (spill / "rows").write_text("rows")

@@ -41,7 +41,7 @@ def check_writable(path: str | Path, suffixes: tuple[str, ...] = (".parquet", ".
             raise OutputError(f"{path}: there is no directory {folder}")
         part, file = open_part(path)  # only an attempt tells of full disks and read-only file systems
         file.close()
-        part.unlink()
+        part.unlink(missing_ok=True)  # without its lock it looks abandoned, and may have been cleared
 
 
 @contextmanager
