@@ -302,6 +302,16 @@ def test_estimates_made_from_the_same_are_left_alone(batch):
     refuse(*estimate("--skip-existing", out="out.csv"), words=["--skip-existing is for Parquet"])
 
 
+def test_an_estimate_that_is_left_alone_is_no_better_for_it(batch):
+    alter("acc_link4_z", lambda values: np.where(np.arange(len(values)) >= 900, -values, values), "b.parquet")
+    strict = (*batch, "--with", "ekf", "--no-check", "--skip-existing", "--strict")
+    assert linkside(*strict).exit_code == 3
+    again = linkside(*strict)
+    assert again.exit_code == 3
+    assert again.stdout.count(": up to date") == 3
+    assert "up to date, contradicted" in again.stdout
+
+
 def test_a_batch_speaks_json_or_not_at_all(batch):
     alter("tau_a2", put(7, np.inf), "b.parquet")
     told = {one["log"]: one for one in map(json.loads, linkside(*batch, "--json").stdout.splitlines())}

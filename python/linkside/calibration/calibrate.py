@@ -62,11 +62,12 @@ def calibrate(
 ) -> Calibration:
     """Find a robot's parameters from its own recordings, without any external measurement.
 
-    The posterior probability of the free parameters is maximised: the likelihood of what accelerometers (and motor
-    torques) read, given the motors' positions, which the innovations of the Kalman filter on the acceleration-driven
-    model give (Schweppe 1965), and a Gaussian prior around the values of robot.yaml whose widths are its
-    ``tolerances``. Gradients are exact. Innovations beyond four standard
-    deviations count linearly (Huber 1964), so that outliers have a bounded influence.
+    The posterior probability of the free parameters is maximised, with a Gaussian prior around the values of robot.yaml
+    whose widths are its ``tolerances``. Without ``torque`` the motors, as measured, drive the links through their
+    springs, and what accelerometers and other sensors of the links read is compared with that (output error; L. Ljung,
+    "System identification", 1999). With it, the likelihood is that of all other readings given the motors' positions,
+    by the innovations of a Kalman filter on the jerk-driven model (F. C. Schweppe 1965). Gradients are exact. What is
+    off by more than four standard deviations counts linearly (Huber 1964), so that outliers have a bounded influence.
 
     Parameters
     ----------

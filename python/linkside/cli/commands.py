@@ -27,7 +27,7 @@ from linkside.robot.config import RobotFile
 
 from . import reporting
 from .error_tables import tool_table
-from .estimate_logs import EstimateJob, estimate_all, naming, output_folder
+from .estimate_logs import EstimateJob, cores, estimate_all, naming, output_folder
 from .failures import Commands, complain
 from .methods import METHODS, Options
 from .provenance import digest
@@ -110,7 +110,7 @@ def estimate(
     Exit status: 0 done, 1 some of several logs could not be estimated, 2 wrong use, 3 not to be believed (--strict).
     """
     truths, manner, keep = options.pop("truths"), options.pop("manner"), options.pop("skip_existing")
-    workers = min(options.pop("workers") or len(os.sched_getaffinity(0)), len(logs))
+    workers = min(options.pop("workers") or cores(), len(logs))
     if truths and len(truths) != len(logs):
         raise click.UsageError(f"--truth is there {len(truths)} times, for {len(logs)} logs")
     _refuse_untaken(method)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import re
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -46,7 +47,7 @@ class EstimateJob:
 
 @dataclass
 class Outcome:
-    """What came of a log: its tally, tables for people, or an error; neither where its estimate was there already."""
+    """What came of a log: its tally, tables for people, or an error; ``kept`` where its estimate was there already."""
 
     job: EstimateJob
     tally: Tally = field(default_factory=Tally)
@@ -62,6 +63,13 @@ class Outcome:
 
 class Stopped(Exception):
     """The user wants no more of this."""
+
+
+def cores() -> int:
+    """How many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):  # not on macOS and Windows
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def estimate_all(
@@ -111,20 +119,23 @@ def _as_completed(waiting: set[Future[Outcome]]) -> Iterator[Outcome]:
 def _outcome(job: EstimateJob, progress: Callable[[EstimateJob, int], None], *, keep: bool) -> Outcome:
     outcome = Outcome(job)
     try:
-        digest = job.made_from()
-        if keep and is_up_to_date(job.output, digest):
+        metadata = {METADATA: job.made_from()} if job.output.suffix.lower() == ".parquet" else {}
+        if keep and is_up_to_date(job.output, metadata):
             outcome.kept = True
+            outcome.tally.add(Estimate.read(job.output))
         else:
-            _estimate(job, digest, outcome, progress)
+            _estimate(job, metadata, outcome, progress)
     except LinksideError as error:
         outcome.error = error
     return outcome
 
 
-def _estimate(job: EstimateJob, digest: str, outcome: Outcome, progress: Callable[[EstimateJob, int], None]) -> None:
+def _estimate(
+    job: EstimateJob, metadata: dict[str, str], outcome: Outcome, progress: Callable[[EstimateJob, int], None]
+) -> None:
     known = None if job.truth is None else Estimate.read(job.truth)
     kept = []
-    with EstimateWriter(job.output, {METADATA: digest}) as writer:
+    with EstimateWriter(job.output, metadata) as writer:
         for piece in _pieces(job, outcome.tally):
             writer.write(piece)
             outcome.tally.add(piece)

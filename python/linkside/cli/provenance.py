@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
 
@@ -35,10 +35,10 @@ def _of_file(path: str | Path) -> bytes:
     return own.digest()
 
 
-def is_up_to_date(output: Path, made_from: str) -> bool:
-    """Whether a Parquet file is there, whole, and was made from the same."""
+def is_up_to_date(output: Path, made_from: Mapping[str, str]) -> bool:
+    """Whether a Parquet file is there, whole, and carries the same."""
     try:
         metadata = pq.read_schema(output).metadata or {}
     except (OSError, pa.ArrowException):
         return False
-    return metadata.get(METADATA.encode()) == made_from.encode()
+    return all(metadata.get(key.encode()) == value.encode() for key, value in made_from.items())

@@ -53,7 +53,7 @@ def _verdict(outcome: Outcome) -> str:
     if outcome.error is not None:
         return "not estimated"
     if outcome.kept:
-        return "up to date"
+        return "up to date" if outcome.believable else "up to date, contradicted"
     if outcome.tally.findings:
         return f"{len(outcome.tally.findings)} contradictions"
     return "believable" if outcome.believable else "NIS outside its bounds"

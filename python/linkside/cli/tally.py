@@ -103,7 +103,7 @@ class Tally:
     @property
     def believable(self) -> bool:
         """Whether no reading contradicts the model, and the NIS is not above its bound."""
-        return not self.findings and self.nis <= largest_nis(self.used)
+        return not self.findings and not self.status["contradicted"] and self.nis <= largest_nis(self.used)
 
     def _status(self) -> str:
         if self.status["good"] == self.rows:
