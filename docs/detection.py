@@ -1,6 +1,6 @@
-"""Measures what filters say of themselves: false flags, faults found, errors of robots that are not quite robot.yaml.
+"""Measures what filters say of themselves: false flags, and faults that they find.
 
-Prints the tables of docs/trust.md. `--samples` and `--robots` say how long it may take.
+Prints what docs/trust.md has of these. `--samples` says how long it may take.
 """
 
 import argparse
@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 import linkside
-from linkside import ExtendedKalmanFilter, Log, RauchTungStriebelSmoother, Robot
+from linkside import ExtendedKalmanFilter, Log, Robot
 from linkside.recording.estimate import Status
 
 Array = npt.NDArray[np.float64]
@@ -30,20 +30,17 @@ LIMIT = 0.05
 def main() -> None:
     """Print the tables asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("tables", nargs="*", default=["flags", "faults", "robots"])
+    parser.add_argument("tables", nargs="*", default=["flags", "faults"])
     parser.add_argument("--samples", type=int, default=1_000_000, help="without a fault")
-    parser.add_argument("--robots", type=int, default=20, help="drawn from their tolerances")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     if "flags" in options.tables:
         flags(options.samples, options.seed)
     if "faults" in options.tables:
         faults()
-    if "robots" in options.tables:
-        robots(options.robots, options.seed)
 
 
-def chain(rng: np.random.Generator, joints: int, *, resolution: float, noise_std: float) -> tuple[Robot, str]:
+def chain(rng: np.random.Generator, joints: int, *, resolution: float, noise_std: float) -> Robot:
     """A robot of links in a row, one accelerometer on the last and one half way, as heavy and stiff as robots are."""
     heavy = 30.0 * 0.55 ** np.arange(joints) * rng.uniform(0.6, 1.6, joints)
     lengths = rng.uniform(0.15, 0.6, joints)
@@ -81,8 +78,7 @@ def chain(rng: np.random.Generator, joints: int, *, resolution: float, noise_std
     ]
     tool = {"link": f"l{joints}", "xyz": [0.1, 0.0, 0.2]}
     encoder = {"resolution": resolution}
-    robot = Robot.from_urdf(text, drives, accelerometers=sensors, encoder=encoder, tool=tool, torque={"noise_std": 1.0})
-    return robot, text
+    return Robot.from_urdf(text, drives, accelerometers=sensors, encoder=encoder, tool=tool, torque={"noise_std": 1.0})
 
 
 def motion(rng: np.random.Generator, joints: int, t: Array, kind: str) -> tuple[Array, Array, Array]:
@@ -157,7 +153,7 @@ def correct(seed: int) -> Iterator[tuple[str, Robot, Log, Array]]:
         kind = str(rng.choice(["slow", "smooth", "fast", "rest"]))
         rate = float(rng.choice([100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]))
         missing = float(rng.choice([0.0, 0.0, 0.1]))
-        robot, _ = chain(rng, joints, resolution=resolution, noise_std=noise)
+        robot = chain(rng, joints, resolution=resolution, noise_std=noise)
         log, q = recording(robot, rng, kind, rate, 10_000, missing)
         name = f"{joints} joints, {kind}, {rate:.0f} Hz, step {resolution:.1e}, noise {noise}, {missing:.0%} missing"
         yield name, robot, log, q
@@ -240,57 +236,6 @@ def one(
         return name, moved, f"moved {moved:.1f}: {said}", None
     delay = float(log.t[np.flatnonzero(estimate.status & Status.FAULTY)[0]] - log.t[row])
     return name, moved, f"moved {moved:.1f}: {said} after {1e3 * delay:.1f} ms", delay
-
-
-def robots(count: int, seed: int) -> None:
-    """Robots off by their tolerances: errors in standard deviations, and rows off by three while good."""
-    rng = np.random.default_rng(seed)
-    methods = {"ekf": ExtendedKalmanFilter, "smoother": RauchTungStriebelSmoother}
-    ratios: dict[str, list[float]] = {name: [] for name in methods}
-    off: dict[str, list[float]] = {name: [] for name in methods}
-    for _ in range(count):
-        joints = int(rng.choice([1, 2, 3, 6]))
-        resolution, kind = float(10 ** rng.uniform(-6, -5)), str(rng.choice(["slow", "smooth", "fast", "rest"]))
-        robot, urdf = chain(rng, joints, resolution=resolution, noise_std=0.05)
-        log, q = recording(specimen(robot, urdf, rng), rng, kind, 1000.0, 3000, 0.0)
-        for name, method in methods.items():
-            estimate = method(robot).run(log)
-            ratio = np.abs(estimate.q - q) / estimate.q_std
-            ratios[name].append(float(np.median(ratio)))
-            silent = (ratio > 3).any(axis=1) & (estimate.status == Status.GOOD)
-            off[name].append(float(silent.mean()))
-            good = (estimate.status == Status.GOOD).mean()
-            said = [f"{f.channel} {f.kind}" for f in estimate.findings]
-            print(
-                f"  {joints} {kind:7} {name:9} median {ratios[name][-1]:.2f}, "
-                f"off and good {silent.mean():.1%}, good {good:.0%}",
-                *said[:3],
-                flush=True,
-            )
-    for name in methods:
-        print(
-            f"{count} robots, {name}: median of median error / q_std {np.median(ratios[name]):.2f}, "
-            f"{np.min(ratios[name]):.2f} to {np.max(ratios[name]):.2f}; rows off and good {np.mean(off[name]):.2%}"
-        )
-
-
-def specimen(robot: Robot, urdf: str, rng: np.random.Generator) -> Robot:
-    """A robot whose parameters are drawn from the tolerances of robot.yaml."""
-    told = robot.config.model_dump()
-    wide = robot.config.tolerances
-
-    def share(std: float) -> float:
-        return float(np.exp(std * rng.standard_normal()))
-
-    for joint in told["joints"]:
-        joint["stiffness"] *= share(wide.stiffness)
-        joint["damping"] *= share(wide.damping)
-        joint["mass_scale"] *= share(wide.mass_scale)
-    for sensor in told["accelerometers"]:
-        sensor["xyz"] = (np.array(sensor["xyz"]) + wide.translation * rng.standard_normal(3)).tolist()
-        sensor["rpy"] = (np.array(sensor["rpy"]) + wide.rotation * rng.standard_normal(3)).tolist()
-    settings = {key: told[key] for key in ("accelerometers", "encoder", "tool", "torque")}
-    return Robot.from_urdf(urdf, told["joints"], **settings)
 
 
 if __name__ == "__main__":
