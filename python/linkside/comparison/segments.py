@@ -37,10 +37,6 @@ class Segment:
     start: float
     end: float
 
-    def __contains__(self, t: float) -> bool:
-        """Whether a time is in it."""
-        return self.start <= t <= self.end
-
 
 def read_segments(path: str | Path) -> tuple[Segment, ...]:
     """Read a CSV file with columns ``start``, ``end`` [s] and, if they have names, ``name``.
