@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -19,6 +20,8 @@ from click.testing import CliRunner
 
 from linkside import AccelerationObserver, Estimate, Log, Noise, Robot, cli, demo, poles
 from linkside.cli import commands, methods, terminal
+from linkside.files import parts
+from linkside.recording import writer
 
 DATA = Path(__file__).parents[1] / "data"
 ACCURACY = {  # RMS of the tool error, offset out [mm]
@@ -554,6 +557,33 @@ def test_an_interrupt_leaves_nothing(folder, monkeypatch, out):
     result = linkside(*estimate(out=out), *(["second.parquet"] if out == "new" else []))
     assert result.exit_code == 130
     assert result.stderr.strip() == "linkside: interrupted"
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_a_batch_is_not_stopped_between_a_file_and_its_cleanup(folder, monkeypatch):
+    """The first log is interrupted while the second has made its file and not yet taken note of it."""
+    opened, second = threading.Event(), threading.Event()
+
+    def open_slowly(path):
+        part = parts.open_part(path)
+        if "second" in path.name:
+            second.set()
+            for _ in range(200):  # many places where an exception from outside would be raised
+                time.sleep(0.001)
+            opened.set()
+        return part
+
+    def interrupt():
+        second.wait(10)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(writer, "open_part", open_slowly)
+    monkeypatch.setitem(commands.METHODS, "observer", interrupting(interrupt))
+    monkeypatch.setattr(commands, "ROWS", 500)
+    shutil.copy("log.parquet", "second.parquet")
+    before = sorted(folder.rglob("*"))
+    assert linkside(*estimate("-j", "2", out="new"), "second.parquet").exit_code == 130
+    assert opened.is_set()
     assert sorted(folder.rglob("*")) == before
 
 

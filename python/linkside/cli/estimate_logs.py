@@ -65,6 +65,48 @@ class Stopped(Exception):
     """The user wants no more of this."""
 
 
+class Interruption:
+    """Stops the threads that estimate.
+
+    A kernel looks for an exception of its thread as it does for Ctrl-C in the main thread. A thread is sent one only
+    while it estimates: between a file's making and the line that knows of it, it would leave the file behind.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._stopped = False
+        self._estimating: set[int] = set()
+
+    def stop(self) -> None:
+        """Raise `Stopped` in each thread, at once or when it goes on to estimate."""
+        with self._lock:
+            self._stopped = True
+            for thread in self._estimating:
+                _raise_in(thread, ctypes.py_object(Stopped))
+
+    @contextmanager
+    def estimating(self) -> Iterator[None]:
+        """Let what is done here be stopped."""
+        thread = get_ident()
+        with self._lock:
+            if self._stopped:
+                raise Stopped
+            self._estimating.add(thread)
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._estimating.discard(thread)
+                if self._stopped:
+                    _raise_in(thread, None)  # takes back what has not been raised yet
+        if self._stopped:
+            raise Stopped
+
+
+def _raise_in(thread: int, error: ctypes.py_object[type[Stopped]] | None) -> None:
+    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), error)
+
+
 def cores() -> int:
     """How many cores this process may use."""
     if hasattr(os, "sched_getaffinity"):  # not on macOS and Windows
@@ -82,17 +124,15 @@ def estimate_all(
     """
     counts = [log_rows(job.log) for job in jobs]
     total = None if None in counts else sum(count for count in counts if count is not None)
-    stop, threads = threading.Event(), list[int]()
+    interruption = Interruption()
     outcomes: list[Outcome] = []
-    with bar(total) as advance, ThreadPoolExecutor(workers, initializer=lambda: threads.append(get_ident())) as pool:
+    with bar(total) as advance, ThreadPoolExecutor(workers) as pool:
 
         def progress(job: EstimateJob, rows: int) -> None:
-            if stop.is_set():
-                raise Stopped
             done = f"{len(outcomes)}/{len(jobs)} " if len(jobs) > 1 else ""
             advance(f"{done}{job.log}", rows)
 
-        waiting = {pool.submit(_outcome, job, progress, keep=keep) for job in jobs}
+        waiting = {pool.submit(_outcome, job, progress, interruption, keep=keep) for job in jobs}
         try:
             for outcome in _as_completed(waiting):
                 if outcome.error is not None and len(jobs) == 1:
@@ -100,10 +140,8 @@ def estimate_all(
                 outcomes.append(outcome)
                 tell(outcome)
         except BaseException:  # an interruption, above all
-            stop.set()
             pool.shutdown(wait=False, cancel_futures=True)
-            for thread in threads:  # kernels look for this, as for Ctrl-C in the main thread
-                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(Stopped))
+            interruption.stop()
             raise
     return outcomes
 
@@ -116,7 +154,9 @@ def _as_completed(waiting: set[Future[Outcome]]) -> Iterator[Outcome]:
             yield future.result()
 
 
-def _outcome(job: EstimateJob, progress: Callable[[EstimateJob, int], None], *, keep: bool) -> Outcome:
+def _outcome(
+    job: EstimateJob, progress: Callable[[EstimateJob, int], None], interruption: Interruption, *, keep: bool
+) -> Outcome:
     outcome = Outcome(job)
     try:
         metadata = {METADATA: job.made_from()} if job.output.suffix.lower() == ".parquet" else {}
@@ -124,19 +164,23 @@ def _outcome(job: EstimateJob, progress: Callable[[EstimateJob, int], None], *, 
             outcome.kept = True
             outcome.tally.add(Estimate.read(job.output))
         else:
-            _estimate(job, metadata, outcome, progress)
+            _estimate(job, metadata, outcome, progress, interruption)
     except LinksideError as error:
         outcome.error = error
     return outcome
 
 
 def _estimate(
-    job: EstimateJob, metadata: dict[str, str], outcome: Outcome, progress: Callable[[EstimateJob, int], None]
+    job: EstimateJob,
+    metadata: dict[str, str],
+    outcome: Outcome,
+    progress: Callable[[EstimateJob, int], None],
+    interruption: Interruption,
 ) -> None:
     known = None if job.truth is None else Estimate.read(job.truth)
     kept = []
     with EstimateWriter(job.output, metadata) as writer:
-        for piece in _pieces(job, outcome.tally):
+        for piece in _pieces(job, outcome.tally, interruption):
             writer.write(piece)
             outcome.tally.add(piece)
             progress(job, len(piece))
@@ -148,13 +192,13 @@ def _estimate(
         outcome.tables += error_tables(error, job.robot, str(job.truth))
 
 
-def _pieces(job: EstimateJob, tally: Tally) -> Iterator[Estimate]:
+def _pieces(job: EstimateJob, tally: Tally, interruption: Interruption) -> Iterator[Estimate]:
     with naming(job.log):
         run = job.make()
     pieces = tally.timed(Log.stream(job.log, job.robot, job.rows, check=job.check), sign=-1)
     estimates = tally.timed(run(pieces))
     while True:
-        with naming(job.log):
+        with naming(job.log), interruption.estimating():
             piece = next(estimates, None)
         if piece is None:
             return
