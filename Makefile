@@ -4,6 +4,9 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
+# Units stand in brackets, as links do.
+RUSTDOC := RUSTDOCFLAGS="-D warnings -A rustdoc::broken-intra-doc-links" cargo doc --locked --no-deps -p linkside-core --target-dir target
+
 .PHONY: demo test lint bench docs lock clean
 
 demo: $(VENV) ## build, install, run the main job on the recording inside the package
@@ -21,6 +24,7 @@ lint: $(VENV)
 	$(PIP) ".[test,lint]"
 	cargo fmt --all --check
 	cargo clippy --locked --workspace --all-targets -- -D warnings
+	$(RUSTDOC)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
@@ -29,9 +33,9 @@ bench: $(VENV) ## beside what one would use instead
 	$(PIP) ".[test,bench]"
 	$(BIN)/python benches/python/run.py
 
-docs: $(VENV) ## API reference of both languages, into docs/api (units stand in brackets, as links do)
+docs: $(VENV) ## API reference of both languages, into docs/api
 	$(PIP) ".[docs]"
-	RUSTDOCFLAGS="-D warnings -A rustdoc::broken-intra-doc-links" cargo doc --locked --no-deps -p linkside-core --target-dir target
+	$(RUSTDOC)
 	rm -rf docs/api && mkdir -p docs/api && cp -r target/doc docs/api/rust
 	$(BIN)/pdoc --docformat numpy --math -o docs/api/python linkside
 

@@ -146,7 +146,7 @@ fn motions_that_cannot_be_followed_are_refused() {
     endless[7] = f64::NAN;
     assert!(matches!(refuse(&t, &endless), DesignError::Range { what: "a derivative of the motion", .. }));
     let back = [0.0, 0.1, 0.1, 0.2];
-    assert!(matches!(refuse(&back, &sines(&back, 4)), DesignError::Range { what: "a step of time", .. }));
+    assert!(matches!(refuse(&back, &sines(&back, 4)), DesignError::Range { what: "t", .. }));
 }
 
 #[test]

@@ -38,10 +38,14 @@ class Observability:
     def of(cls, robot: Robot, q: FloatArray) -> Observability:
         """Look at postures q (T, n), all at once."""
         noise = np.array([sensor.noise_std for sensor in robot.accelerometers for _ in sensor.axes])
-        matrix = robot.acceleration_map(q, np.zeros_like(q))[0][:, :, robot.elastic] / noise[:, None]
-        rows, columns = matrix.shape[1:]
+        return cls.of_maps(robot.acceleration_map(q, np.zeros_like(q))[0][:, :, robot.elastic] / noise[:, None])
+
+    @classmethod
+    def of_maps(cls, whitened: FloatArray) -> Observability:
+        """Look at maps (T, M, e) from accelerations to M readings, each row over its noise."""
+        rows, columns = whitened.shape[1:]
         # Rows of zeros make up for axes that are not there, so that there is a direction for every joint.
-        padded = np.pad(matrix, ((0, 0), (0, max(columns - rows, 0)), (0, 0)))
+        padded = np.pad(whitened, ((0, 0), (0, max(columns - rows, 0)), (0, 0)))
         _, values, directions = np.linalg.svd(padded, full_matrices=False)
         rounding = max(rows, columns) * np.finfo(float).eps * values[:, :1]
         return cls(np.where(values > rounding, values, 0.0), directions)
@@ -62,7 +66,9 @@ class Observability:
 
     @cached_property
     def condition(self) -> FloatArray:
-        """Largest over smallest singular value, (T,)."""
+        """Largest over smallest singular value, (T,); 1 of no joints, inf where a combination leaves no trace."""
+        if not self.values.shape[1]:
+            return np.ones(len(self.values))
         largest = self.values.max(axis=1, initial=0.0)
         return np.where(np.isinf(self.worst), np.inf, largest * np.where(np.isinf(self.worst), 0.0, self.worst))
 

@@ -23,6 +23,8 @@ from linkside.robot import Robot
 from linkside.robot import compile as tree
 from linkside.robot.config import AccelerometerConfig
 
+from .result import Observability
+
 
 @dataclass(frozen=True, eq=False)
 class AccelerationMap:
@@ -57,46 +59,31 @@ class AccelerationMap:
         return self.matrix[:, self.elastic] / self.noise_std[:, None]
 
     @cached_property
-    def _svd(self) -> tuple[FloatArray, FloatArray]:
-        """All n_elastic singular values, falling, those below rounding as 0, and their directions as rows."""
-        _, values, directions = np.linalg.svd(self.whitened, full_matrices=True)
-        padded = np.zeros(directions.shape[0])
-        padded[: values.size] = values
-        rounding = max(self.whitened.shape) * np.finfo(float).eps * padded.max(initial=0.0)
-        return np.where(padded > rounding, padded, 0.0), directions
+    def _seen(self) -> Observability:
+        return Observability.of_maps(self.whitened[None])
 
     @property
     def singular_values(self) -> FloatArray:
-        """Singular values of `whitened`, falling, (n_elastic,) [1/(rad/s²)].
+        """Singular values of `whitened`, falling, 0 where nothing is seen, (n_elastic,) [1/(rad/s²)].
 
         One over the least is the standard deviation of the worst combination of link accelerations.
         """
-        return self._svd[0]
+        return np.asarray(self._seen.values[0])
 
     @property
     def condition(self) -> float:
         """Largest over least singular value; inf where some combination of accelerations leaves no trace."""
-        values = self.singular_values
-        if values.size == 0:
-            return 1.0
-        return float(values[0] / values[-1]) if values[-1] > 0 else np.inf
+        return float(self._seen.condition[0])
 
     @property
     def worst_direction(self) -> FloatArray:
         """The combination of elastic joints' accelerations that is seen worst, a unit vector (n_elastic,)."""
-        return self._svd[1][-1] if self.singular_values.size else np.zeros(0)
+        return np.asarray(self._seen.directions[0, -1]) if self.elastic.any() else np.zeros(0)
 
-    @cached_property
+    @property
     def acceleration_std(self) -> FloatArray:
-        """Standard deviation of each elastic joint's acceleration, (n_elastic,) [rad/s²]; inf where not seen.
-
-        Square root of the diagonal of (T_Aᵀ R⁻¹ T_A)⁻¹, by way of singular values and never of that product.
-        """
-        values, directions = self._svd
-        seen = values > 0
-        variance = np.sum((directions[seen] / values[seen, None]) ** 2, axis=0)
-        hidden = np.sum(directions[~seen] ** 2, axis=0) > np.finfo(float).eps
-        return np.where(hidden, np.inf, np.sqrt(variance))
+        """Standard deviation of each elastic joint's acceleration, (n_elastic,) [rad/s²]; inf where not seen."""
+        return np.asarray(self._seen.joints[0])
 
 
 def acceleration_map(robot: Robot, q: ArrayLike, dq: ArrayLike | None = None) -> AccelerationMap:

@@ -8,6 +8,12 @@ pub(crate) fn expect_length(what: &'static str, found: usize, expected: usize) -
     if found == expected { Ok(()) } else { Err(DesignError::Length { what, found, expected }) }
 }
 
+/// # Errors
+/// Fewer entries than `least`.
+pub(crate) fn expect_at_least(what: &'static str, found: usize, least: usize) -> Result<(), DesignError> {
+    expect_length(what, found, found.max(least))
+}
+
 /// Refuses `value` unless `ok`.
 pub(crate) fn expect(ok: bool, what: &'static str, value: f64, expected: &'static str) -> Result<(), DesignError> {
     if ok { Ok(()) } else { Err(DesignError::Range { what, value, expected }) }
@@ -51,6 +57,12 @@ pub(crate) fn check_deviations(what: &'static str, values: &[f64], expected: usi
 pub(crate) fn check_times(values: &[f64], expected: usize) -> Result<(), DesignError> {
     expect_length("bias_time", values.len(), expected)?;
     expect_each("bias_time", values, |v| v > 0.0, "a time greater than 0")
+}
+
+/// # Errors
+/// A step between `times` that is not greater than 0.
+pub(crate) fn expect_rising(what: &'static str, times: &[f64]) -> Result<(), DesignError> {
+    times.windows(2).try_for_each(|w| expect(w[1] > w[0], what, w[1] - w[0], "a step of time greater than 0"))
 }
 
 /// # Errors

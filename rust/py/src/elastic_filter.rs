@@ -1,17 +1,16 @@
 //! Kalman filter and smoother on the elastic-joint model.
 
-use crate::array::{Signal, rows, shaped};
+use crate::array::{Signal, rows};
 use crate::disturbance::LinkDisturbance;
-use crate::error::{EstimatorError, IntoPyErr, outcome};
-use crate::gil::Release;
-use crate::kalman::{Inside, Matrix, check_step, inside, into_dict, named};
+use crate::error::{EstimatorError, IntoPyErr};
+use crate::filtering::{self, Inside, Matrix, inside, named};
+use crate::live::check_step;
 use crate::robot::Robot;
 use crate::state::State;
 use crate::tolerance::{ToleranceTuple, of_core};
-use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
     Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterOutput, FilterSettings,
-    Gaussian, Inputs, KalmanRecording, KalmanSample, Keep, Model,
+    Inputs, KalmanRecording, KalmanSample, Keep, Model,
 };
 use numpy::{PyReadonlyArray1, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -56,7 +55,6 @@ impl From<ElasticNoiseFields> for ElasticNoise {
 #[derive(Clone)]
 pub(crate) struct ElasticJointFilter {
     pub(crate) filter: ExtendedKalmanFilter<ElasticModel>,
-    tool: bool,
     /// Time since the first sample of `step` [s], and the estimate at the last one.
     t: f64,
     row: FilterOutput,
@@ -101,7 +99,7 @@ impl ElasticJointFilter {
         };
         let filter = build().map_err(IntoPyErr::into_py_err)?;
         let row = FilterOutput::zeros(1, filter.model(), Keep::default()).map_err(IntoPyErr::into_py_err)?;
-        Ok(Self { filter, tool: robot.0.tool.is_some(), t: 0.0, row })
+        Ok(Self { filter, t: 0.0, row })
     }
 
     /// Number of states.
@@ -135,9 +133,8 @@ impl ElasticJointFilter {
     /// From now on a first sample finds this mean and covariance of the state; nothing: the robot at rest.
     #[pyo3(signature = (mean, covariance))]
     fn set_start(&mut self, mean: Signal<'_>, covariance: Matrix<'_>) -> PyResult<()> {
-        let states = self.filter.model().own_states();
-        let start = Gaussian::new(mean.sized("mean", states)?, rows("covariance", &covariance, states)?);
-        start.and_then(|start| self.filter.set_start(Some(start))).map_err(IntoPyErr::into_py_err)
+        let start = filtering::belief(&mean, &covariance, self.filter.model().own_states())?;
+        self.filter.set_start(Some(start)).map_err(IntoPyErr::into_py_err)
     }
 
     /// Takes one sample: one reading a channel, NaN where missing, and the motor torques.
@@ -150,27 +147,19 @@ impl ElasticJointFilter {
             return Err(EstimatorError::new_err(format!("tau of joint {joint} is {}, expected a number", tau[joint])));
         }
         let inputs = Inputs { tau, ..Inputs::default() };
-        let t = if self.filter.is_started() { self.t + dt } else { 0.0 };
-        self.filter.step(KalmanSample { dt, readings, inputs }).map_err(IntoPyErr::into_py_err)?;
-        self.t = t;
-        self.filter.report_into(&mut self.row);
-        let state = State::of_row(t, self.filter.model().robot().len(), &self.row, 0);
-        Ok(state.with_belief(&self.filter.belief().mean, &self.filter.covariance()))
+        filtering::step(&mut self.filter, KalmanSample { dt, readings, inputs }, &mut self.t, &mut self.row)
     }
 
     /// Covariance of the state after the last sample.
     #[getter]
     fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, numpy::PyArrayDyn<f64>>> {
-        let states = self.filter.model().states();
-        shaped(py, self.filter.covariance().dense().collect(), vec![states, states])
+        filtering::covariance(py, &self.filter)
     }
 
     /// Goes on from the live state with the rows of a log, or of a piece of one.
     fn run<'py>(&mut self, py: Python<'py>, arrays: Arrays<'py>) -> PyResult<Bound<'py, PyDict>> {
         let recording = recording(self.filter.model(), &arrays)?;
-        let filter = &mut self.filter;
-        let out = py.release(|| filter.run(recording, Keep::default()))?;
-        into_dict(py, out, self.filter.model(), self.tool)
+        filtering::run(py, &mut self.filter, recording, Keep::default())
     }
 
     /// Each log from a fresh start with the filter beside it, on all cores, through the smoother where asked: its arrays, or the
@@ -183,14 +172,11 @@ impl ElasticJointFilter {
         covariance: bool,
         innovations: bool,
     ) -> PyResult<Vec<Bound<'py, PyAny>>> {
-        let recordings = jobs
+        let jobs = jobs
             .iter()
             .map(|(own, arrays)| Ok((&own.filter, recording(own.filter.model(), arrays)?)))
             .collect::<PyResult<Vec<_>>>()?;
-        let keep = Keep { covariance, innovations };
-        let results = py.release(|| Ok::<_, RunError>(ExtendedKalmanFilter::run_each(&recordings, smooth, keep)))?;
-        let convert = |own: &Self, out| into_dict(py, out, own.filter.model(), own.tool);
-        jobs.iter().zip(results).map(|((own, _), result)| outcome(py, result, |out| convert(own, out))).collect()
+        filtering::run_all(py, &jobs, smooth, Keep { covariance, innovations })
     }
 }
 

@@ -1,15 +1,15 @@
 //! Particle filters on the jerk-driven model.
 
-use crate::array::{Signal, rows, shaped};
+use crate::array::{Signal, shaped};
 use crate::error::{EstimatorError, IntoPyErr, outcome};
+use crate::filtering::{self, Inside, Matrix, inside, into_dict, named};
 use crate::gil::Release;
-use crate::kalman::{
-    Arrays, Inside, Live, Matrix, NoiseFields, Signals, check_step, inside, into_dict, named, recording,
-};
+use crate::kalman::{Arrays, NoiseFields, recording};
+use crate::live::{Live, Signals, check_step};
 use crate::robot::Robot;
 use crate::state::State;
 use linkside_core::error::{DesignError, RunError};
-use linkside_core::estimate::kalman::{Gaussian, JerkDriven, JerkModel, KalmanSample, Keep, Model};
+use linkside_core::estimate::kalman::{JerkDriven, JerkModel, Keep, Model};
 use linkside_core::estimate::particle::{
     self, Collapse, Density, Marginalised, ParticleOutput, ParticleSettings, Proposal, Resampling,
 };
@@ -99,7 +99,6 @@ impl ParticleFields {
 #[derive(Clone)]
 pub(crate) struct ParticleFilter {
     filter: particle::ParticleFilter,
-    tool: bool,
     levels: usize,
     live: Live,
 }
@@ -133,7 +132,7 @@ impl ParticleFilter {
         };
         let filter = build().map_err(IntoPyErr::into_py_err)?;
         let live = Live::new(filter.model())?;
-        Ok(Self { filter, tool: robot.0.tool.is_some(), levels, live })
+        Ok(Self { filter, levels, live })
     }
 
     /// Number of states.
@@ -155,9 +154,8 @@ impl ParticleFilter {
 
     /// From now on a first sample finds this belief.
     fn set_start(&mut self, mean: Signal<'_>, covariance: Matrix<'_>) -> PyResult<()> {
-        let states = self.states();
-        let start = Gaussian::new(mean.sized("mean", states)?, rows("covariance", &covariance, states)?);
-        start.and_then(|start| self.filter.set_start(Some(start))).map_err(IntoPyErr::into_py_err)
+        let start = filtering::belief(&mean, &covariance, self.states())?;
+        self.filter.set_start(Some(start)).map_err(IntoPyErr::into_py_err)
     }
 
     fn reset(&mut self) {
@@ -181,13 +179,13 @@ impl ParticleFilter {
         let Self { filter, live, .. } = self;
         let sensors = filter.model().acceleration_channels();
         live.set(dt, sensors, &Signals { theta, acceleration, dtheta, ddqref, further })?;
-        let sample = KalmanSample { dt, readings: &live.readings, inputs: live.inputs() };
-        let t = if filter.is_started() { live.t + dt } else { 0.0 };
+        let (sample, t, row) = live.parts(dt);
+        let now = if filter.is_started() { *t + dt } else { 0.0 };
         py.release_briefly(|| filter.step(sample))?;
-        live.t = t;
-        filter.report_into(&mut live.row);
+        *t = now;
+        filter.report_into(row);
         let summary = filter.summary();
-        let state = State::of_row(t, filter.model().robot().len(), &live.row, 0);
+        let state = State::of_row(now, filter.model().robot().len(), row, 0);
         Ok(state.with_particles(&summary.mean, summary.effective))
     }
 
@@ -236,7 +234,7 @@ impl ParticleFilter {
     fn convert<'py>(&self, py: Python<'py>, o: ParticleOutput) -> PyResult<Bound<'py, PyDict>> {
         let ParticleOutput { links, effective, reseeded, best, quantiles } = o;
         let (count, n) = (effective.len(), self.filter.model().robot().len());
-        let out = into_dict(py, links, self.filter.model(), self.tool)?;
+        let out = into_dict(py, links, self.filter.model())?;
         out.del_item("nis")?;
         out.set_item("effective", shaped(py, effective, vec![count])?)?;
         out.set_item("reseeded", PyArray1::from_vec(py, reseeded))?;

@@ -7,6 +7,7 @@
 //! Schröder and Thümmel (2007).
 
 use super::transmission::{LoadedTransmission, SMOOTHEST, advance, damped, undamped};
+use crate::check::{expect, expect_finite, expect_length, expect_rising};
 use crate::dynamics::NewtonEuler;
 use crate::error::DesignError;
 use crate::interrupt::Watch;
@@ -93,28 +94,17 @@ pub fn inverse_dynamics(robot: &Robot, path: Path<'_>) -> Result<Desired, Design
 /// Checks everything; how many derivatives beyond those needed are given and of use.
 fn check(robot: &Robot, path: Path<'_>) -> Result<usize, DesignError> {
     let needed = derivative_order(robot);
-    if needed > HIGHEST {
-        let (what, expected) = ("the order of derivatives that this robot needs", "at most 17");
-        return Err(DesignError::Range { what, value: needed as f64, expected });
-    }
+    expect(needed <= HIGHEST, "the order of derivatives that this robot needs", needed as f64, "at most 17")?;
     let width = path.t.len() * robot.len();
     let given = path.derivatives.len().checked_div(width).unwrap_or(needed + 1);
-    if given * width != path.derivatives.len() || given == 0 {
-        let expected = given.max(needed + 1) * width;
-        return Err(DesignError::Length { what: "derivatives", found: path.derivatives.len(), expected });
-    }
+    let whole = if given == 0 { needed + 1 } else { given };
+    expect_length("derivatives", path.derivatives.len(), whole * width)?;
     if given <= needed {
         return Err(DesignError::Derivatives { found: given - 1, needed });
     }
-    let range = |what, value, expected| Err(DesignError::Range { what, value, expected });
-    if let Some(&value) = path.derivatives.iter().find(|v| !v.is_finite()) {
-        return range("a derivative of the motion", value, "a finite number");
-    }
-    let steps = path.t.windows(2).map(|w| w[1] - w[0]);
-    match steps.into_iter().find(|&dt| dt.is_nan() || dt <= 0.0) {
-        Some(dt) => range("a step of time", dt, "greater than 0"),
-        None => Ok(of_use(robot).min(given - 1 - needed).min(HIGHEST - needed)),
-    }
+    expect_finite("a derivative of the motion", path.derivatives)?;
+    expect_rising("t", path.t)?;
+    Ok(of_use(robot).min(given - 1 - needed).min(HIGHEST - needed))
 }
 
 /// How many derivatives beyond those needed make a torsion more exact.

@@ -1,6 +1,6 @@
 //! Where a controller is to go.
 
-use crate::check::expect_finite;
+use crate::check::{expect_at_least, expect_finite, expect_length, expect_rising};
 use crate::error::DesignError;
 
 /// A path in time: straight between knots, at rest before the first and after the last.
@@ -23,15 +23,12 @@ impl Reference {
     /// # Errors
     /// No knot, times that do not rise, numbers that are not finite, not as many values as knots.
     pub fn new(times: Vec<f64>, values: Vec<f64>, width: usize) -> Result<Self, DesignError> {
-        let (what, found, expected) = ("reference", values.len(), times.len() * width);
-        if found != expected || times.is_empty() {
-            return Err(DesignError::Length { what, found, expected: expected.max(width) });
-        }
+        let what = "reference";
+        expect_at_least(what, times.len(), 1)?;
+        expect_length(what, values.len(), times.len() * width)?;
         expect_finite(what, &times)?;
         expect_finite(what, &values)?;
-        if let Some(pair) = times.windows(2).find(|pair| pair[0] >= pair[1]) {
-            return Err(DesignError::Range { what: "time of a knot", value: pair[1], expected: "more than before" });
-        }
+        expect_rising("time of a knot", &times)?;
         Ok(Self { times, values, width, knot: 0 })
     }
 

@@ -1,4 +1,8 @@
 //! Direct adaptive control of the tool by the transposed Jacobian.
+//!
+//! Each controlled axis of the tool follows a reference model ẍ_m + 2ζω ẋ_m + ω² x_m = ω² x_ref. Gains need no model of the robot: they
+//! rise with the squared error, and leak, so that noise does not make them grow for ever. Damping between motor and link, which
+//! the transposed Jacobian alone lacks, is a gain of its own.
 
 use super::{Controller, Reference, Refused, RobotState};
 use crate::check::{expect, expect_each, expect_length};

@@ -1,4 +1,7 @@
 //! Torsion that makes a spring and a damper transmit a given torque: D δ̇ + φ(δ) = r.
+//!
+//! Without damper r gives δ and all its derivatives at one moment, by Newton's method on power series. With one, δ obeys a
+//! differential equation of time constant D/K, often far shorter than a sample: it is solved exactly for its linear part.
 
 use crate::robot::Drive;
 use crate::scalar::{Scalar, Series};

@@ -1,4 +1,8 @@
 //! The loop: sense, tell, control, move.
+//!
+//! A sample: sensors read the true motion; the feedback makes of the readings what the controller may know; the controller
+//! gives torques, which amplifiers hold until the next sample; the plant is integrated to there. What is kept is the truth
+//! at the moment of reading, beside the readings. Noise depends on the seed, the sensor and the sample alone.
 
 use super::adaptive::{Adaptive, StepTolerance};
 use super::feedback::{Feedback, Known};
@@ -47,11 +51,7 @@ impl Plan {
         for (what, value) in [("samples", self.count), ("substeps", substeps), ("keep_every", self.keep_every)] {
             expect(value > 0, what, 0.0, "at least 1")?;
         }
-        if substeps > MOST_SUBSTEPS {
-            let (what, expected) = ("substeps", "at most 1000000");
-            return Err(DesignError::Range { what, value: substeps as f64, expected });
-        }
-        Ok(())
+        expect(substeps <= MOST_SUBSTEPS, "substeps", substeps as f64, "at most 1000000")
     }
 }
 

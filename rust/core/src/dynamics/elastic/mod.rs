@@ -1,4 +1,13 @@
 //! Forward dynamics of a robot with elastic and rigid joints, and their derivatives.
+//!
+//! | part | where |
+//! | --- | --- |
+//! | which state is where: q, q̇, θ and θ̇ of the elastic joints, disturbance torques | [`ElasticLayout`] |
+//! | S and the tree with rotors as bodies | `coupling` |
+//! | q̈ and θ̈ | [`ElasticDynamics::accelerate`] |
+//! | their derivatives by state and torque, by solving with the factors of the inertia | `derivatives` |
+//!
+//! Simulator, elastic-joint filter and smoother, and arrays from Python all read it.
 
 mod coupling;
 mod derivatives;

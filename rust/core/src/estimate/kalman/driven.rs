@@ -1,4 +1,10 @@
 //! The jerk-driven model as a filter runs it: its channels, and what they say of the motors.
+//!
+//! Given the links' state, the motor follows from the load: θ = q + φ⁻¹(M q̈ + C q̇ + g + friction − D(θ̇ − q̇)). So the position
+//! of a motor is one more sensor of the links, with the noise of its encoder and a relative error of the torsion, and the
+//! damping torque is taken from motor velocities: measured where the log has them, else from the slope of the last positions
+//! (`motor_velocity`), whose variance is added. Where motor velocities are channels, they are the derivative of the same
+//! function along the motion, with the commanded jerk.
 
 use super::jerk::{JerkModel, JerkNoise};
 use super::jerk_process::JerkProcess;

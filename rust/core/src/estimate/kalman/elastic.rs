@@ -1,4 +1,13 @@
 //! The elastic-joint model's process: links and motors moved by motor torques.
+//!
+//! Each joint has two equations (De Luca, Schröder and Thümmel 2007; Ulrich and Sasiadek 2011),
+//!
+//! M q̈ + C q̇ + g + friction = φ(θ − q) + D(θ̇ − q̇) + d + w_link,  B θ̈ + friction = τ + e − φ − D(θ̇ − q̇) + w_motor,
+//!
+//! with white accelerations w and, where they are asked for, disturbance torques e of motors and d of links that wander. Their
+//! accelerations and derivatives are those of [`ElasticDynamics`](crate::dynamics::ElasticDynamics); a step of time is
+//! `transition`, what sensors read is `elastic_measurement`, and what parameters do is `elastic_sensitivity`. A torque that
+//! is missing wanders from its last reading until the next, as a disturbance of its own.
 
 use super::disturbance::{LinkDisturbance, hold};
 use super::drift::Biases;

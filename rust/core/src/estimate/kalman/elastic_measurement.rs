@@ -15,7 +15,7 @@ use std::sync::Arc;
 /// See the module.
 ///
 /// h(x) reads links, motors and accelerations off the forward dynamics under the sample's torques. Its Jacobian follows
-/// by ∂h/∂x = ∂h/∂(q, q̇) + ∂h/∂q̈ ∂q̈/∂x ([`Chained`]).
+/// by ∂h/∂x = ∂h/∂(q, q̇) + ∂h/∂q̈ ∂q̈/∂x (`Chained`).
 #[derive(Clone, Debug)]
 pub struct ElasticMeasurement {
     /// Links, drives and sensors.

@@ -1,4 +1,8 @@
 //! What errors of a robot's numbers do to its accelerations, and by them to a step of time and to readings.
+//!
+//! The equations of motion are linear in nearly all parameters, F(x, ẍ) = Y p, so that at a given state ∂ẍ/∂p = −(∂F/∂ẍ)⁻¹ Y: one
+//! right-hand side a parameter through factors that the step of time has anyway. Columns then ride along with the covariance:
+//! Σ ← Φ Σ + ∫ e^(A s) ∂ẋ/∂p ds over a step, and ∂h/∂p + H Σ at a reading.
 
 use super::uncertain::{Tolerance, Uncertain, of_sensor, shares_of_link};
 use crate::dynamics::{ElasticDynamics, ElasticLayout};

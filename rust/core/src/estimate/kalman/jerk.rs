@@ -1,4 +1,11 @@
 //! The jerk-driven model: links moved by jerk, motor and sensors as measurements, readings with slow biases.
+//!
+//! Between samples each joint's q is integrated from white jerk about the commanded one, j:
+//!
+//! q ← q + q̇ h + q̈ h²/2 + j h³/6,  q̇ ← q̇ + q̈ h + j h²/2,  q̈ ← q̈ + j h,
+//!
+//! with the exact integral of the white noise over h for Q: σ² times h⁵/20, h⁴/8, h³/6; h³/3, h²/2; h. A density found at one rate
+//! so holds at any other. Biases are Gauss–Markov processes, random walks where their time is infinite.
 
 use super::disturbance::{Disturbances, LinkDisturbance};
 use super::drift::Biases;

@@ -1,4 +1,14 @@
 //! What a Kalman filter asks of a model: a process, and the channels that measure it, each a part of its own.
+//!
+//! | who | asks for |
+//! | --- | --- |
+//! | the filter | [`start`](Process::start), [`predict`](Process::predict), [`linearise`](Measurement::linearise), [`variance`](Measurement::variance), [`report`](Report::report) |
+//! | the smoother | [`remember`](Process::remember) on the way out; [`retreat`](Process::retreat) and [`noise_rows`](Process::noise_rows) on the way back |
+//! | parameters known to a tolerance | [`signatures`](Measurement::signatures), and their columns through [`carry`](Process::carry) and [`drive`](Process::drive) |
+//! | a filter that needs h alone | [`evaluate`](Measurement::evaluate) |
+//!
+//! [`Paired`] joins a process and a measurement to a [`Model`], and puts the states of late sensors behind them. A process of
+//! another kind, or another set of channels, is one file that implements its trait.
 
 use super::gaussian::{Gaussian, Symmetric};
 use super::late::{Late, LateChannel, Lateness};

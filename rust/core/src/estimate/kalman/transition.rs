@@ -1,4 +1,18 @@
 //! A step of time of the elastic-joint model: the mean by Runge and Kutta, the covariance by a matrix exponential.
+//!
+//! A step from t to t + h, torques τ changing linearly in it, with x = (q, q̇, θ, θ̇, disturbances) and ẋ = a(x, τ):
+//!
+//! | part | how |
+//! | --- | --- |
+//! | x(t + h) | the classical rule of fourth order in 2ᵏ substeps, so many that the fastest mode turns by no more than half a radian in one |
+//! | A | ∂a/∂x at the middle of the step, so that Φ is of second order in what A changes by; at its beginning for [`Discretization::FirstOrder`] |
+//! | Φ = e^(A h) | six terms over a substep, doubled k times (N. J. Higham, SIAM J. Matrix Anal. Appl. 26, 2005) |
+//! | Q = ∫ e^(A s) G Gᵀ e^(Aᵀ s) ds | from the same terms, doubled beside Φ: Q₂ = Q + Φ Q Φᵀ |
+//! | ∂x/∂τ, ∂x/∂p | integrals of e^(A s) over the step, likewise doubled |
+//!
+//! A has the structure of a second-order system (rows of q and θ are unit vectors), so that a product with it costs 2n rows of
+//! n columns and not all of it. C. Van Loan's (1978) block exponential gives the same Q, and loses it where A h is large: it
+//! multiplies e^(−A h) by e^(A h).
 
 use super::elastic::Discretization;
 use super::elastic_sensitivity::ElasticSensitivity;

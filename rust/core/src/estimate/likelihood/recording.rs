@@ -1,6 +1,6 @@
 //! What is given: a recording with all signals that bear on a robot's parameters.
 
-use crate::check::{expect, expect_length};
+use crate::check::{expect, expect_at_least, expect_length, expect_rising};
 use crate::error::DesignError;
 use crate::robot::Robot;
 
@@ -52,12 +52,9 @@ impl LikelihoodRecording {
         for (what, values, width) in lengths {
             expect_length(what, values.len(), count * width)?;
         }
-        if count < 2 {
-            return Err(DesignError::Length { what: "t", found: count, expected: 2 });
-        }
-        for step in self.t.windows(2).map(|w| w[1] - w[0]).chain([self.period]) {
-            expect(step > 0.0, "t", step, "a step of time greater than 0")?;
-        }
+        expect_at_least("t", count, 2)?;
+        expect_rising("t", &self.t)?;
+        expect(self.period > 0.0, "period", self.period, "a time greater than 0")?;
         match self.theta[..n].iter().position(|x| x.is_nan()) {
             Some(joint) => Err(DesignError::NoStart { joint }),
             None => Ok(()),

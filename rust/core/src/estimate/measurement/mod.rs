@@ -1,8 +1,8 @@
 //! What sensors read in a state, and how that changes with it: h(x) and its derivatives, written once.
 //!
 //! A channel's row is the text of `read`. It is generic three times over: over the scalar (`f64`, derivative numbers,
-//! lanes), over what a model knows of its motors ([`view`]: a load behind a spring, or states of their own), and over
-//! what is wanted ([`wanted`]: values, the whole Jacobian, or a Jacobian in which q̈ is itself a function of the state).
+//! lanes), over what a model knows of its motors (`view`: a load behind a spring, or states of their own), and over
+//! what is wanted (`wanted`: values, the whole Jacobian, or a Jacobian in which q̈ is itself a function of the state).
 //! Filters, smoothers, particles, likelihood and simulator read it.
 //!
 //! To add a kind of sensor: a variant of [`Kind`] and of [`Channel`], and its row, all in one file.

@@ -1,4 +1,7 @@
 //! How the links move: what sensors on them see, and the torques that it takes.
+//!
+//! Filters that need derivatives read them off a [`Kinematics`]; particles and simulator, which need values alone, take a
+//! [`NewtonEuler`] at half the work. Both answer the same two questions, so that a channel's row is written once.
 
 use super::view::OfDrives;
 use super::{Channel, Driven, Values, Wanted, read_all};

@@ -1,4 +1,8 @@
 //! From accelerometer readings to joint accelerations: least squares, weighted by the sensors' noise.
+//!
+//! Readings are a = T_A(q) q̈ + W_A(q, q̇). Householder reflections bring the whitened T_A to a triangle R; where the smallest singular value of
+//! R is large enough, which its inverse tells without computing it, q̈ is solved from R, else singular vectors say which
+//! combinations are to be damped.
 
 use crate::dynamics::Kinematics;
 use crate::linear::{LANES, add_scaled, dot};

@@ -1,4 +1,13 @@
 //! The observer itself: one step, and whole recordings.
+//!
+//! A step at sample k, for each joint on its own but for q̈, which all share:
+//!
+//! 1. predict (θ, q, θ̇, q̇) over the period by the exact map of the linear model, with the torque and the acceleration of the sample
+//!    before ([`Sampled`]);
+//! 2. correct them by the innovation θ_k − θ̂: with the gain of the poles where the last sample was there too, with gains that vary
+//!    in time at the start and after a gap (`late`, `correction`);
+//! 3. q̈ from the accelerometers at the corrected posture, by weighted least squares ([`AccelerationMap`]);
+//! 4. what the linear model lacks (nonlinear springs, friction, inertial coupling) as a torque for the next period, at the estimate.
 
 use super::acceleration::{AccelerationMap, Observability};
 use super::correction::{JointCorrection, LONGEST};

@@ -1,6 +1,6 @@
 //! The gain that jumps with the estimated speed.
 
-use crate::check::expect;
+use crate::check::{expect, expect_at_least};
 use crate::error::DesignError;
 
 /// When the gain jumps.
@@ -58,9 +58,7 @@ impl Schedule {
             expect(value > 0.0 && value.is_finite(), what, value, "a positive number")?;
         }
         expect(hysteresis > 0.0 && hysteresis < bound, "the hysteresis", hysteresis, "between 0 and the bound")?;
-        if self.gains.is_empty() {
-            return Err(DesignError::Length { what: "gains", found: 0, expected: 1 });
-        }
+        expect_at_least("gains", self.gains.len(), 1)?;
         let first = start as f64;
         expect((1..=self.gains.len()).contains(&start), "the start level", first, "from 1 to the number of gains")?;
         expect(first * bound > margin, "the start level", first, "one whose bound is above the margin")

@@ -1,5 +1,6 @@
 //! Springs as a data sheet or a test bench has them.
 
+use crate::check::expect_of;
 use crate::error::RobotError;
 use crate::scalar::Scalar;
 
@@ -55,9 +56,9 @@ impl SpringCurve {
     /// # Errors
     /// Less than two points, numbers that are not finite, torsions or torques that do not rise, a curve that misses (0, 0).
     pub fn new(points: &[[f64; 2]], interpolation: Interpolation) -> Result<Self, RobotError> {
-        let refused = |value, expected| {
-            let owner = "the points of a spring".to_string();
-            Err(RobotError::Range { what: "torque over torsion", owner, value, expected })
+        let check = |bad: Option<f64>, expected| {
+            let owner = || "the points of a spring".to_string();
+            expect_of(bad.is_none(), "torque over torsion", owner, bad.unwrap_or_default(), expected)
         };
         let mut all: Vec<[f64; 2]> = points.to_vec();
         if points.iter().all(|p| p[0] >= 0.0) {
@@ -65,15 +66,11 @@ impl SpringCurve {
             let mirrored: Vec<_> = all.iter().rev().map(|p| [-p[0], -p[1]]).collect();
             all = [mirrored, vec![[0.0, 0.0]], all].concat();
         }
-        if let Some(bad) = all.iter().flatten().find(|x| !x.is_finite()) {
-            return refused(*bad, "finite numbers");
-        }
-        if all.len() < 3 || !all.contains(&[0.0, 0.0]) {
-            return refused(all.len() as f64, "two points or more, torque 0 at torsion 0");
-        }
-        if let Some(pair) = all.windows(2).find(|p| p[1][0] <= p[0][0] || p[1][1] <= p[0][1]) {
-            return refused(pair[1][1], "rising in both");
-        }
+        check(all.iter().flatten().copied().find(|x| !x.is_finite()), "finite numbers")?;
+        let few = all.len() < 3 || !all.contains(&[0.0, 0.0]);
+        check(few.then_some(all.len() as f64), "two points or more, torque 0 at torsion 0")?;
+        let falling = all.windows(2).find(|p| p[1][0] <= p[0][0] || p[1][1] <= p[0][1]);
+        check(falling.map(|p| p[1][1]), "rising in both")?;
         Ok(Self::through(&all, interpolation))
     }
 

@@ -3,7 +3,7 @@
 use super::super::parameters::{Parameter, Parameters};
 use super::equation::{Balance, Equation, MotorSample};
 use super::sensors::Sensors;
-use crate::check::{expect, expect_finite, expect_length};
+use crate::check::{expect_at_least, expect_finite, expect_length, expect_rising};
 use crate::error::{DesignError, RunError};
 use crate::estimate::measurement::{Channel, Kind};
 use crate::interrupt::Watch;
@@ -62,10 +62,8 @@ impl MotorMotion {
             expect_length(what, values.len(), self.t.len() * n)?;
             expect_finite(what, values)?;
         }
-        if self.t.len() < 2 {
-            return Err(DesignError::Length { what: "t", found: self.t.len(), expected: 2 });
-        }
-        self.t.windows(2).try_for_each(|w| expect(w[1] > w[0], "t", w[1] - w[0], "a step of time greater than 0"))
+        expect_at_least("t", self.t.len(), 2)?;
+        expect_rising("t", &self.t)
     }
 
     /// Motors at the share `c` of the step after `row`, by Hermite's cubics.
