@@ -67,6 +67,13 @@ def finite_or_missing(name: str, values: FloatArray) -> FloatArray:
     return values
 
 
+def positive(name: str, value: Any) -> float:
+    """Give a finite number greater than 0."""
+    if not isinstance(value, int | float | np.number) or not 0 < value < np.inf:
+        raise EstimatorError(f"{name} is {value!r}, expected a finite number greater than 0")
+    return float(value)
+
+
 def time_step(dt: float) -> float:
     """Give a step of time back, which must be one that a clock makes."""
     if not 0 < dt < np.inf:

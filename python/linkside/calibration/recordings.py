@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside.errors import EstimatorError, LogError
+from linkside.recording.continuity import refuse_uneven
 from linkside.recording.log import Log
 from linkside.recording.motion import LEAST_MOTION, moving
 from linkside.robot import Robot
@@ -62,6 +63,7 @@ def refuse(robot: Robot, logs: Sequence[Log]) -> None:
         if robot.acceleration_channels:
             log.require("acceleration", purpose="calibration")
         log.require_start("calibration")
+        refuse_uneven(log, purpose="calibration", instead="", share=0.5)
         if not (moving(log) & robot.elastic).any():
             raise LogError(
                 f"{log.source}: no elastic joint's motor moves by more than {LEAST_MOTION} rad: "

@@ -1,4 +1,4 @@
-"""The command line: ``linkside estimate``, ``tune``, ``check``, ``place`` and ``demo``.
+"""The command line: ``linkside estimate``, ``merge``, ``tune``, ``check``, ``place`` and ``demo``.
 
 Whatever a user can get wrong is one line on standard error and exit status 2, and leaves no file behind.
 """
@@ -94,6 +94,7 @@ def main(ctx: click.Context, debug: bool) -> None:
 @click.option("--particles", type=int, default=1000, show_default=True, help="How many a particle filter has.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of a particle filter's random numbers.")
 @click.option("--gain", type=float, default=100, show_default=True, help="Gain of a velocity observer [1/s].")
+@click.option("--rate", type=float, help="Resample logs to this rate [Hz], whole in memory, as observers need it.")
 @click.option("--strict", is_flag=True, help="Exit with status 3 where readings contradict the model.")
 @_no_check
 @click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this file; one for each log.")
@@ -110,6 +111,7 @@ def estimate(
     Exit status: 0 done, 1 some of several logs could not be estimated, 2 wrong use, 3 not to be believed (--strict).
     """
     truths, manner, keep = options.pop("truths"), options.pop("manner"), options.pop("skip_existing")
+    rate = options.pop("rate")
     workers = min(options.pop("workers") or cores(), len(logs))
     if truths and len(truths) != len(logs):
         raise click.UsageError(f"--truth is there {len(truths)} times, for {len(logs)} logs")
@@ -118,7 +120,7 @@ def estimate(
     sources = [robot, _urdf(robot, loaded), *([options["tuning"]] if options["tuning"] else [])]
     if options["tuning"] is not None:
         options["tuning"] = METHODS[method].read_tuning(options["tuning"])
-    settings = method, {name: options[name] for name in METHODS[method].takes}
+    settings = method, rate, {name: options[name] for name in METHODS[method].takes}
     spill = Path(os.path.realpath(out))
     make = partial(METHODS[method].build, loaded, Options(**options, spill=spill if spill.is_dir() else spill.parent))
     with naming(robot):
@@ -132,7 +134,16 @@ def estimate(
                 raise click.UsageError(f"--skip-existing is for Parquet estimates, not for {output}")
         jobs = [
             EstimateJob(
-                loaded, make, rows, not no_check, log, output, truth, partial(digest, [*sources, log], settings)
+                loaded,
+                make,
+                rows,
+                METHODS[method].uneven,
+                rate,
+                not no_check,
+                log,
+                output,
+                truth,
+                partial(digest, [*sources, log], settings),
             )
             for log, output, truth in zip(logs, outputs, truths or [None] * len(logs), strict=True)
         ]
@@ -158,6 +169,41 @@ def _refuse_untaken(method: str) -> None:
         given = context.get_parameter_source(option) == click.core.ParameterSource.COMMANDLINE
         if given and option not in METHODS[method].takes:
             raise click.UsageError(f"--{option.replace('_', '-')} is not for --with {method}")
+
+
+@main.command()
+@click.argument("robot", type=click.Path())
+@click.argument("files", metavar="FILE...", type=click.Path(), nargs=-1, required=True)
+@click.option("--out", required=True, type=click.Path(), help="The log, a file that ends in .parquet or .csv.")
+@click.option("--shift", "shifts", multiple=True, metavar="FILE=SECONDS", help="By how much a FILE's clock is ahead.")
+@click.option("--rate", type=float, help="Resample to this rate [Hz], as observers need it.")
+@_no_check
+def merge(robot: str, files: tuple[str, ...], out: str, shifts: tuple[str, ...], **options: Any) -> None:
+    """Merge FILEs of sensors that were recorded apart into one log, by time.
+
+    Each has a column of time and some of ROBOT's other columns. The log has a row for each time, NaN where a sensor has
+    no reading.
+    """
+    check_writable(out)
+    _refuse_clashes([Path(out)], [robot, *files])
+    ahead = dict(map(_shift, shifts))
+    if unknown := set(ahead) - set(files):
+        raise click.UsageError(f"--shift {min(unknown)}: this is none of the files {', '.join(files)}")
+    loaded = Robot.load(robot)
+    each = [ahead.get(file, 0.0) for file in files]
+    log = Log.merge(files, loaded, shifts=each, rate=options["rate"], check=not options["no_check"])
+    log.write(out)
+    click.echo(f"{out}: {log!r}")
+    for column, hertz, share in log.rates():
+        click.echo(f"  {column:<22}{hertz:10.6g} Hz, in {100 * share:5.1f} % of the rows")
+
+
+def _shift(text: str) -> tuple[str, float]:
+    file, _, seconds = text.rpartition("=")
+    try:
+        return file, float(seconds)
+    except ValueError:
+        raise click.UsageError(f"--shift {text}: expected FILE=SECONDS") from None
 
 
 @main.command()

@@ -6,6 +6,7 @@ import ctypes
 import os
 import re
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
@@ -13,9 +14,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from threading import get_ident
 
+import numpy as np
 from rich.console import RenderableType
 
-from linkside.errors import EstimatorError, LinksideError, NumericalError, OutputError
+from linkside.errors import EstimatorError, LinksideError, NumericalError, OutputError, RecordingWarning
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log, log_rows
 from linkside.recording.writer import EstimateWriter
@@ -32,12 +34,15 @@ from .terminal import bar
 class EstimateJob:
     """A log to estimate, how, and where the estimate and the truth are.
 
-    ``make`` builds the method, one for each log; ``made_from`` says what the estimate depends on.
+    ``make`` builds the method, one for each log; ``uneven`` says whether it takes steps of time of any length; at
+    ``rate`` [Hz] the log is resampled; ``made_from`` says what the estimate depends on.
     """
 
     robot: Robot
     make: Callable[[], Run]
     rows: int
+    uneven: bool
+    rate: float | None
     check: bool
     log: str
     output: Path
@@ -195,7 +200,7 @@ def _estimate(
 def _pieces(job: EstimateJob, tally: Tally, interruption: Interruption) -> Iterator[Estimate]:
     with naming(job.log):
         run = job.make()
-    pieces = tally.timed(Log.stream(job.log, job.robot, job.rows, check=job.check), sign=-1)
+    pieces = tally.timed(_read(job), sign=-1)
     estimates = tally.timed(run(pieces))
     while True:
         with naming(job.log), interruption.estimating():
@@ -203,6 +208,24 @@ def _pieces(job: EstimateJob, tally: Tally, interruption: Interruption) -> Itera
         if piece is None:
             return
         yield piece
+
+
+def _read(job: EstimateJob) -> Iterator[Log]:
+    """The pieces of a log."""
+    if job.rate is not None:
+        even = Log.read(job.log, job.robot, allow_gaps=True, check=job.check).resample(job.rate)
+        yield from (even[first : first + job.rows] for first in range(0, len(even), job.rows))
+        return
+    pieces = Log.stream(job.log, job.robot, job.rows, allow_gaps=job.uneven, check=job.check)
+    longest, count, last = 0.0, 0, np.inf
+    for piece in pieces:
+        steps = np.diff(piece.t, prepend=min(last, piece.t[0]))
+        count += int(np.count_nonzero(steps > pieces.longest_step))
+        longest, last = max(longest, float(steps.max())), float(piece.t[-1])
+        yield piece
+    if count:
+        text = f"{job.log}: {count} gaps, the longest of {longest:.6g} s, which the model alone bridges"
+        warnings.warn(text, RecordingWarning, stacklevel=2)
 
 
 @contextmanager

@@ -58,6 +58,8 @@ class Method:
         The options that it looks at.
     build
         Makes it for a robot.
+    uneven
+        Whether steps of time may be of any length.
     whole
         Whether it takes a log as one piece, for a robot.
     read_tuning
@@ -67,6 +69,7 @@ class Method:
     help: str
     takes: tuple[str, ...]
     build: Callable[[Robot, Options], Run]
+    uneven: bool = True
     whole: Callable[[Robot], bool] = lambda _: False
     read_tuning: Callable[[str], Any] = Noise.read
 
@@ -107,6 +110,7 @@ METHODS = {
         "driven by accelerometers; nothing of the links' dynamics is needed",
         ("poles", "bias", "form", "tuning"),
         _observer,
+        uneven=False,
         read_tuning=ObserverTuning.read,
     ),
     "ekf": Method(
@@ -123,8 +127,8 @@ METHODS = {
         "the same by all samples, later ones too",
         ("tuning", "gate", "link_disturbance"),
         _elastic_smoother,
-        lambda _: True,
-        ElasticNoise.read,
+        whole=lambda _: True,
+        read_tuning=ElasticNoise.read,
     ),
     "particle": Method(
         "weighted samples of the state", ("tuning", "particles", "seed"), partial(_particle, ParticleFilter)
@@ -138,8 +142,12 @@ METHODS = {
         "velocities from motor positions and torques, joints taken as rigid",
         ("gain",),
         partial(_velocity, ReducedOrderObserver),
+        uneven=False,
     ),
     "nicosia-tomei": Method(
-        "the same, with a spring on the position error", ("gain",), partial(_velocity, NicosiaTomeiObserver)
+        "the same, with a spring on the position error",
+        ("gain",),
+        partial(_velocity, NicosiaTomeiObserver),
+        uneven=False,
     ),
 }

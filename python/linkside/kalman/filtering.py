@@ -16,7 +16,7 @@ from linkside.channels import BIASED, CHANNELS
 from linkside.errors import EstimatorError, NumericalError
 from linkside.findings import named
 from linkside.recording.batch import Copies, Job, run_each
-from linkside.recording.estimate import Estimate
+from linkside.recording.estimate import Estimate, without_waits
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
@@ -300,4 +300,6 @@ class KalmanMethod(ABC):
     def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> KalmanEstimate:
         columns = self.columns(log, kinds)
         found = named(result.pop("findings", ()), columns)
-        return KalmanEstimate(t=log.t, names=self.robot.names, channels=columns, findings=found, **result)
+        return KalmanEstimate(
+            t=log.t, names=self.robot.names, channels=columns, findings=found, **without_waits(log, result)
+        )

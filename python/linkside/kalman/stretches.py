@@ -24,6 +24,7 @@ from linkside.errors import EstimatorError, NumericalError, OutputError
 from linkside.files.parts import spill_folder
 from linkside.files.writing import check_writable
 from linkside.findings import named
+from linkside.recording.estimate import where_due
 from linkside.recording.log import Log
 from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
@@ -40,6 +41,9 @@ STRETCH = 8192
 
 READ = ("dt", "readings", "dtheta", "jerk")
 """What the filter reads."""
+
+KEPT = (*READ, "t", "waiting")
+"""What is kept of a recording for the way back."""
 
 
 def smooth_file(
@@ -147,7 +151,8 @@ def _forward(
             law = smoother.law(piece)
             core = smoother.started_core(kinds, smoother.noise_for(piece, law), first, piece.period, law)
         starts.append(core.copy())
-        _save(spill / f"{index}.log", dict(zip((*READ, "t"), (*arrays, piece.t), strict=True)))
+        waiting = piece.pace.waiting(piece)
+        _save(spill / f"{index}.log", dict(zip(KEPT, (*arrays, piece.t, waiting), strict=True)))
         with _in_rows(rows, len(piece)):
             core.run(arrays, False, False)
         before, rows = piece[-1:], rows + len(piece)
@@ -163,7 +168,9 @@ def _backward(starts: Sequence[_core.ExtendedKalmanFilter], spill: Path) -> None
         read = _load(spill / f"{index}.log")
         (spill / f"{index}.log").unlink()
         arrays = tuple(read[name] for name in READ)
-        _save(spill / f"{index}.estimate", {"t": read["t"], **_smooth(smoother, starts[index], arrays)})
+        found = _smooth(smoother, starts[index], arrays)
+        found["status"] = where_due(found["status"], read["waiting"])
+        _save(spill / f"{index}.estimate", {"t": read["t"], **found})
 
 
 def _smooth(

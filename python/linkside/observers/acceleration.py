@@ -15,7 +15,7 @@ from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError
 from linkside.recording.batch import run_each
 from linkside.recording.continuity import refuse_dropouts, refuse_uneven
-from linkside.recording.estimate import Estimate
+from linkside.recording.estimate import Estimate, without_waits
 from linkside.recording.log import Log
 from linkside.recording.periodic import PeriodicObserver
 from linkside.robot import Robot
@@ -155,7 +155,7 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         return run_each(log, self._job, _core.AccelerationObserver.run_all)
 
     def _estimate(self, log: Log, result: dict[str, Any]) -> Estimate:
-        return Estimate(t=log.t, names=self.robot.names, **result)
+        return Estimate(t=log.t, names=self.robot.names, **without_waits(log, result))
 
     def gains(self) -> dict[str, FloatArray]:
         """Continuous-time gains L of each joint in closed form (Remark 3), by the order of its states."""

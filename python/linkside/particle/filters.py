@@ -21,7 +21,7 @@ from linkside.kalman.noise import Noise
 from linkside.kalman.start import Readings, Start
 from linkside.kalman.starting import DecidingFilter, first_readings, in_pieces
 from linkside.recording.batch import Job, run_each
-from linkside.recording.estimate import Estimate
+from linkside.recording.estimate import Estimate, without_waits
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
@@ -297,7 +297,9 @@ class ParticleFilter(DecidingFilter[_core.ParticleFilter], JerkDrivenFilter[_cor
     def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> ParticleEstimate:
         channels = self._front.columns(log, kinds)
         found = named(result.pop("findings"), channels)
-        return ParticleEstimate(t=log.t, names=self.robot.names, channels=channels, findings=found, **result)
+        return ParticleEstimate(
+            t=log.t, names=self.robot.names, channels=channels, findings=found, **without_waits(log, result)
+        )
 
 
 class MarginalizedParticleFilter(ParticleFilter):

@@ -8,10 +8,7 @@ import numpy.typing as npt
 from linkside.errors import LogError
 
 from .log import Log
-
-LONGEST_DROPOUT = 0.05
-"""An observer bridges readings that are missing for up to this long [s]."""
-
+from .pace import LONGEST_DROPOUT
 
 UNEVEN = 0.2
 """A step of time may differ from the period by this share of it."""
@@ -22,15 +19,24 @@ def longest_dropout(log: Log) -> int:
     return max(1, round(LONGEST_DROPOUT / log.period))
 
 
-def refuse_uneven(log: Log, before: Log | None = None, first: int = 0) -> None:
-    """Raise `LogError` at the first step of time that is not the period, for methods that need an even rate."""
+def refuse_uneven(
+    log: Log,
+    before: Log | None = None,
+    first: int = 0,
+    *,
+    purpose: str = "this estimator",
+    instead: str = ", or take a Kalman filter",
+    share: float = UNEVEN,
+) -> None:
+    """Raise `LogError` at the first step of time that is off the period by a ``share`` of it."""
     steps = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before.t[-1])
-    off = np.abs(steps - log.period) > UNEVEN * log.period
+    off = np.abs(steps - log.period) > share * log.period
     if off.any():
-        row = int(np.argmax(off))
+        row, rate = int(np.argmax(off)), float(f"{1 / min(log.pace.fastest, log.period * 1e3):.4g}")
         raise LogError(
             f"{log.source}: row {first + row} (t = {log.t[row]:.6g}): {steps[row]:.6g} s after the row before, where "
-            f"the period is {log.period:.6g} s; this estimator needs an even rate, so resample the log"
+            f"the period is {log.period:.6g} s; {purpose} needs an even rate: resample the log, with "
+            f"--rate {rate:g} (of `linkside merge` or `estimate`) or Log.resample({rate:g}){instead}"
         )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from enum import IntFlag
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -20,8 +20,11 @@ from linkside.files.tables import numbers, open_table
 from linkside.findings import Fault
 from linkside.statistics import rms
 
+from .log import Log
 from .times import counterparts
 from .writer import EstimateWriter
+
+Statuses: TypeAlias = npt.NDArray[np.uint8]
 
 if TYPE_CHECKING:
     import pandas  # type: ignore[import-untyped]
@@ -36,7 +39,7 @@ class Status(IntFlag):
     DAMPED = 1
     """The accelerometers' map is near a singular posture: acceleration is damped in what they hardly see."""
     BRIDGED = 2
-    """A sample was missing, and was bridged by the model."""
+    """A reading was missing when it was due, and was bridged by the model; a slow sensor's are due at its own rate."""
     UNSEEN = 4
     """A direction of joint acceleration is not seen by the sensors at all."""
     GATED = 8
@@ -232,6 +235,20 @@ class Estimate:
         arrays = (f.name for f in fields(self) if f.name not in ("names", "channels", "findings"))
         there = [name for name in arrays if getattr(self, name) is not None]
         return self.names, there
+
+
+def without_waits(log: Log, result: dict[str, Any]) -> dict[str, Any]:
+    """What the core found in a recording, BRIDGED only where a reading was due."""
+    status: Statuses = result["status"]
+    return result | {"status": where_due(status, log.pace.waiting(log))} if (status & Status.BRIDGED).any() else result
+
+
+def where_due(status: Statuses, waiting: npt.NDArray[np.bool_]) -> Statuses:
+    """The core's status, not BRIDGED in rows that only wait for a slow sensor.
+
+    The core sees that a reading is missing; how often its sensor is read is for the recording to say.
+    """
+    return np.where(waiting, status & np.uint8(0xFF & ~Status.BRIDGED), status)
 
 
 def result_of(source: str, outcome: dict[str, Any] | Exception) -> dict[str, Any]:

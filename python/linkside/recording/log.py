@@ -7,76 +7,31 @@ work. A NaN is a sample that is missing, and is legal everywhere but in ``t``.
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.csv
 
+from linkside.arguments import positive
 from linkside.arrays import FloatArray
-from linkside.channels import CHANNELS, joint_columns
 from linkside.errors import EstimatorError, LogError
 from linkside.files.tables import column_names, failure, numbers, open_table, reading, to_arrow
 from linkside.recording.checks.finding import Finding
 from linkside.recording.checks.inspector import Inspector, able
 
-UNMEASURED = ("tau", "ddq", "qref", "dqref", "ddqref")
-"""Signals with one column a joint, ``<signal>_<joint>``, beside the channels that filters correct with."""
-
-LARGEST_STEP = 1.5
-"""A step of time longer than this many periods is a gap: at least one sample is not there."""
+from .layout import COMMANDS, Layout, RobotColumns
+from .merging import merge
+from .pace import Pace
+from .resampling import at, even_times
+from .writer import EstimateWriter
 
 # The period comes from the head of a log only, so that a streamed log and a whole one agree on it exactly.
 _HEAD = 10_001
-
-
-class ColumnNames(Protocol):
-    """How a log's columns differ from ours: on the motor shaft, or by name."""
-
-    @property
-    def motor_side(self) -> bool:
-        """Whether theta, dtheta and tau are those of the motor shaft, before the gear."""
-
-    @property
-    def names(self) -> Mapping[str, str]:
-        """Our name of a column to the log's."""
-
-
-class RobotColumns(Protocol):
-    """What a log needs to know of a robot."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Joints in log order."""
-
-    @property
-    def elastic(self) -> npt.NDArray[np.bool_]:
-        """Joints with a spring between motor and link, (n,)."""
-
-    @property
-    def acceleration_channels(self) -> tuple[str, ...]:
-        """Accelerometer columns, such as ``tool_acc_x``."""
-
-    @property
-    def acceleration_errors(self) -> tuple[FloatArray, FloatArray]:
-        """Bias [m/s²] and scale of each accelerometer column."""
-
-    @property
-    def gyroscope_channels(self) -> tuple[str, ...]:
-        """Gyroscope columns, such as ``gyro_wx``."""
-
-    @property
-    def gear_ratio(self) -> FloatArray:
-        """Turns of the motor for one of the link, (n,)."""
-
-    @property
-    def columns(self) -> ColumnNames:
-        """How the log's columns differ from ours."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -108,6 +63,8 @@ class Log:
         Where it came from, for messages.
     period : float
         Median step of ``t`` at the beginning of the recording [s].
+    pace : Pace
+        How often each channel is read, by the beginning of the recording.
     findings : tuple of Finding
         What the checks found suspicious, or put right, while it was read.
     """
@@ -127,7 +84,8 @@ class Log:
     ddqref: FloatArray | None
     source: str
     period: float
-    _layout: _Layout
+    pace: Pace
+    _layout: Layout
     findings: tuple[Finding, ...] = ()
 
     @classmethod
@@ -141,7 +99,8 @@ class Log:
         robot
             Whose columns to look for.
         allow_gaps
-            Keep steps of time longer than 1.5 periods instead of refusing them.
+            Keep steps of time longer than 1.5 times the spacing of the fastest channel's readings, or of rows if that
+            is more, instead of refusing them.
         check
             Look at the readings before they are believed: units, signs, jumps, stuck channels and more, as
             `linkside.recording.checks.CHECKS` lists them. What is impossible is refused, what is certain put right, and
@@ -153,7 +112,7 @@ class Log:
             When it cannot be used: one line with the file, the column and the row.
         """
         file = open_table(path)
-        layout = _Layout.of(robot, file.names, file.source)
+        layout = Layout.of(robot, file.names, file.source)
         return _whole(file.read(layout.present), layout, file.source, allow_gaps, _inspector(robot, file.source, check))
 
     @classmethod
@@ -166,9 +125,48 @@ class Log:
         `LogError` as `read` does.
         """
         with reading(source):
-            layout = _Layout.of(robot, column_names(table, source), source)
+            layout = Layout.of(robot, column_names(table, source), source)
             selected = to_arrow(table, layout.present, source)
         return _whole(selected, layout, source, allow_gaps, _inspector(robot, source, check))
+
+    @classmethod
+    def merge(
+        cls,
+        sources: Sequence[Any],
+        robot: RobotColumns,
+        *,
+        shifts: Sequence[float] | None = None,
+        rate: float | None = None,
+        check: bool = True,
+    ) -> Log:
+        """Merge sensors that were recorded apart, at rates and with clocks of their own, by time.
+
+        A row for each time; NaN where a sensor has no reading, as Kalman filters take it, and commands on straight
+        lines between their own. Stamps closer than 1 % of the shortest period are of one row. The recording begins
+        where all motor positions are there.
+
+        Parameters
+        ----------
+        sources
+            Files and tables, each with a column of time and any of the robot's other columns.
+        robot
+            Whose columns to look for.
+        shifts
+            By how much each one's clock is ahead [s]; 0 by default.
+        rate
+            Resample to an even rate [Hz], as observers need it; see `resample`.
+        check
+            As of `read`; a time in milliseconds, microseconds or nanoseconds is recognised in each of them.
+
+        Raises
+        ------
+        LogError
+            When it cannot be used: one line with the file, the column and the row.
+        """
+        table, source = merge(sources, robot, [0.0] * len(sources) if shifts is None else shifts, check=check)
+        layout = Layout.of(robot, table.column_names, source)
+        log = _whole(table, layout, source, True, _inspector(robot, source, check))
+        return log if rate is None else log.resample(rate)
 
     @staticmethod
     def stream(
@@ -180,6 +178,50 @@ class Log:
         the borders of pieces. Together the pieces equal ``Log.read`` bit for bit.
         """
         return LogStream(path, robot, rows, allow_gaps=allow_gaps, check=check)
+
+    def resample(self, rate: float) -> Log:
+        """The recording at an even rate [Hz]: each channel on straight lines between its readings.
+
+        Readings further apart than 0.05 s have NaN in between. Nothing is filtered: a rate below that of the fastest
+        sensor folds faster vibrations down.
+
+        Raises
+        ------
+        EstimatorError
+            The rate is not positive, or leaves fewer than two rows.
+        """
+        rate = positive("rate", rate)
+        arrays = {s: getattr(self, s) for s in self._layout.wanted if s != "t"}
+        signals = {signal: array for signal, array in arrays.items() if array is not None}
+        t = even_times(self.t, signals.values(), rate)
+        if len(t) < 2:
+            raise EstimatorError(f"{self.source}: a rate of {rate:g} Hz leaves {len(t)} rows, at least two are needed")
+        even = {signal: _frozen(at(t, self.t, array)) for signal, array in signals.items()}
+        log = replace(self, t=_frozen(t), period=1 / rate, **even)  # type: ignore[arg-type]
+        return replace(log, pace=_pace(log[:_HEAD], self._layout))
+
+    def to_arrow(self) -> pa.Table:
+        """Convert to an Arrow table, in the columns of the recording, those that the robot has."""
+        arrays = self._layout.as_recorded({signal: getattr(self, signal) for signal in self._layout.wanted})
+        columns = {
+            column: values
+            for signal, names in self._layout.wanted.items()
+            if arrays[signal] is not None
+            for column, values in zip(names, np.atleast_2d(arrays[signal].T), strict=True)
+            if column in self._layout.found
+        }
+        return pa.table({name: pa.array(np.ascontiguousarray(values)) for name, values in columns.items()})
+
+    def write(self, path: str | Path) -> None:
+        """Write a Parquet or CSV file (by suffix), whole or not at all, which `read` takes for the same robot.
+
+        Raises
+        ------
+        OutputError
+            When that cannot be.
+        """
+        with EstimateWriter(path) as writer:
+            writer.write(self)
 
     def require(self, *signals: str, purpose: str = "this estimator") -> None:
         """Insist on the columns of some signals: ``log.require("tau", "acceleration")``.
@@ -214,6 +256,17 @@ class Log:
         """Names of a signal's columns, as the recording has them."""
         return self._layout.wanted[signal]
 
+    def rates(self) -> list[tuple[str, float, float]]:
+        """Each column that was read, how often a second, and in which part of the rows."""
+        found = []
+        for signal, names in self._layout.wanted.items():
+            array = None if signal == "t" else getattr(self, signal)
+            for column, values in () if array is None else zip(names, array.T, strict=True):
+                read = self.t[~np.isnan(values)]
+                if len(read) > 1:
+                    found.append((column, 1 / float(np.median(np.diff(read))), len(read) / len(self)))
+        return found
+
     def __len__(self) -> int:
         """Rows."""
         return len(self.t)
@@ -226,7 +279,9 @@ class Log:
         cut = {name: a[rows] for name, a in cut.items() if isinstance(a, np.ndarray)}
         if (rows.step or 1) > 1:
             cut = {name: _frozen(np.ascontiguousarray(a)) for name, a in cut.items()}
-        return replace(self, period=self.period * (rows.step or 1), **cut)
+        first, period = rows.indices(len(self))[0], self.period * (rows.step or 1)
+        pace = self.pace.until(self, first) if 0 < first < len(self) else self.pace
+        return replace(self, period=period, pace=pace if period == self.period else pace.thinned(period), **cut)
 
     def __repr__(self) -> str:
         """Source, size and the signals that are there, in one line."""
@@ -257,7 +312,7 @@ class LogStream:
         self._file = open_table(path)
         self._rows, self._allow_gaps, self._robot, self._checked = rows, allow_gaps, robot, check
         self.source, self.count = self._file.source, self._file.count
-        self._layout = _Layout.of(robot, self._file.names, self.source)
+        self._layout = Layout.of(robot, self._file.names, self.source)
         (time,) = self._layout.wanted["t"]
         head = next(self._file.batches([time], _HEAD), pa.table({time: pa.array([], pa.float64())}))
         period = _period(numbers(head, time, self.source), self.source)
@@ -266,13 +321,30 @@ class LogStream:
 
     def __iter__(self) -> Iterator[Log]:
         """Read from the beginning, each piece checked before it is handed out."""
-        check = _Check(self.source, self._layout, self.period, self._allow_gaps)
         inspector = _inspector(self._robot, self.source, self._checked)
+        check: _Check | None = None
+        pace = self.pace
         for piece in self._file.batches(self._layout.present, self._rows):
-            log = _assemble(piece, self._layout, self.source, self.period, self._seconds)
+            log = _assemble(piece, self._layout, self.source, self.period, self._seconds, pace)
+            check = check or _Check(
+                self.source, self._layout, np.inf if self._allow_gaps else self.longest_step, self.period
+            )
             check(log)
             yield log if inspector is None else inspector(log)
-        check.finish()
+            pace = pace.until(log, len(log))
+        if check is not None:
+            check.finish()
+
+    @cached_property
+    def pace(self) -> Pace:
+        """How often each channel is read, by the first rows."""
+        head = next(self._file.batches(self._layout.present, _HEAD))
+        return _assemble(head, self._layout, self.source, self.period, self._seconds).pace
+
+    @property
+    def longest_step(self) -> float:
+        """A longer step of time is a gap [s]."""
+        return self.pace.longest_step(self.period)
 
 
 def log_rows(path: str | Path) -> int | None:
@@ -280,71 +352,11 @@ def log_rows(path: str | Path) -> int | None:
     return open_table(path).count
 
 
-@dataclass(frozen=True)
-class _Layout:
-    """Which columns of a log hold which signal of a robot."""
-
-    wanted: dict[str, tuple[str, ...]]
-    found: tuple[str, ...]
-    elastic: tuple[bool, ...]
-    shaft_ratio: FloatArray | None
-    acceleration_errors: tuple[FloatArray, FloatArray] | None
-
-    @classmethod
-    def of(cls, robot: RobotColumns, found: list[str], source: str) -> _Layout:
-        """Find a robot's signals among a log's columns; time and motor positions must be there."""
-        measured = {channel.signal: channel.columns(robot) for channel in CHANNELS.values()}
-        others = {signal: joint_columns(signal, robot.names) for signal in UNMEASURED}
-        inertial = {signal: measured.pop(signal) for signal in ("acceleration", "rate")}
-        ours = {"t": ("t",)} | measured | others | inertial
-        renamed = robot.columns.names
-        wanted = {signal: tuple(renamed.get(c, c) for c in columns) for signal, columns in ours.items()}
-        ratio = np.asarray(robot.gear_ratio, float) if robot.columns.motor_side else None
-        bias, scale = robot.acceleration_errors
-        errors = (bias, scale) if np.any(bias) or np.any(scale != 1) else None
-        layout = cls(wanted, tuple(found), tuple(map(bool, robot.elastic)), ratio, errors)
-        layout._check(source)
-        return layout
-
-    @property
-    def present(self) -> list[str]:
-        """The columns to read: wanted and found, each once."""
-        wanted = (column for columns in self.wanted.values() for column in columns)
-        return [column for column in dict.fromkeys(wanted) if column in self.found]
-
-    def needed(self, signal: str, source: str, purpose: str) -> list[str]:
-        """Columns without which a signal is of no use."""
-        if signal not in self.wanted:
-            raise EstimatorError(f"{signal!r} is no signal of a log; there are {', '.join(self.wanted)}")
-        columns = self.wanted[signal]
-        if signal in ("acceleration", "rate") and not columns:
-            sensor = "accelerometer" if signal == "acceleration" else "gyroscope"
-            raise failure(source, f"the robot has no {sensor} to read a column of (needed for {purpose})")
-        if signal in ("tau", "ddq"):
-            return [column for column, elastic in zip(columns, self.elastic, strict=True) if elastic]
-        return list(columns)
-
-    def missing(self, column: str, source: str, why: str = "") -> LogError:
-        """Say that a column is missing, and what it might be called instead."""
-        close = difflib.get_close_matches(column, set(self.found) - set(self.present), n=1, cutoff=0.75)
-        hint = f"; did you mean {close[0]!r}?" if close else ""
-        return failure(source, f"column {column!r} is missing{why}{hint}")
-
-    def _check(self, source: str) -> None:
-        for column in self.wanted["t"] + self.wanted["theta"]:
-            if column not in self.found:
-                raise self.missing(column, source)
-        for column in self.present:
-            if self.found.count(column) > 1:
-                raise failure(source, f"column {column!r} is there {self.found.count(column)} times")
-
-
 class _Check:
     """Checks of the samples, carried from one piece of a log to the next."""
 
-    def __init__(self, source: str, layout: _Layout, period: float, allow_gaps: bool) -> None:
-        self._source, self._layout, self._period = source, layout, period
-        self._longest = np.inf if allow_gaps else LARGEST_STEP * period
+    def __init__(self, source: str, layout: Layout, longest: float, period: float) -> None:
+        self._source, self._layout, self._longest, self._period = source, layout, longest, period
         self._rows = 0
         self._last: FloatArray = np.empty(0)
         self._seen = {s: np.zeros(len(columns), bool) for s, columns in layout.wanted.items()}
@@ -401,12 +413,12 @@ class _Check:
         return failure(self._source, f"column {column!r} {what} at row {self._rows + row}{when}")
 
 
-def _whole(table: pa.Table, layout: _Layout, source: str, allow_gaps: bool, inspector: Inspector | None) -> Log:
+def _whole(table: pa.Table, layout: Layout, source: str, allow_gaps: bool, inspector: Inspector | None) -> Log:
     (time,) = layout.wanted["t"]
     period = _period(numbers(table, time, source)[:_HEAD], source)
     seconds = 1.0 if inspector is None else inspector.seconds(period, time)
     log = _assemble(table, layout, source, seconds * period, seconds)
-    check = _Check(source, layout, seconds * period, allow_gaps)
+    check = _Check(source, layout, np.inf if allow_gaps else log.pace.longest_step(log.period), log.period)
     check(log)
     check.finish()
     return log if inspector is None else inspector(log)
@@ -425,19 +437,24 @@ def _period(head: FloatArray, source: str) -> float:
         return float(np.median(np.diff(head)))
 
 
-def _assemble(table: pa.Table, layout: _Layout, source: str, period: float, seconds: float = 1.0) -> Log:
-    """Arrange columns as arrays of time × channel, on the link side."""
+def _pace(head: Log, layout: Layout) -> Pace:
+    """How often channels are read, by the first rows."""
+    with np.errstate(invalid="ignore"):  # an infinite time is refused later, with its row
+        there = {signal: [c in layout.found for c in columns] for signal, columns in layout.wanted.items()}
+        signals = {signal: getattr(head, signal) for signal in layout.wanted if signal not in ("t", *COMMANDS)}
+        return Pace.of(head.t, signals, there)
+
+
+def _assemble(
+    table: pa.Table, layout: Layout, source: str, period: float, seconds: float = 1.0, pace: Pace | None = None
+) -> Log:
+    """Arrange columns as arrays of time × channel, on the link side; ``pace`` is found if these are the first rows."""
     arrays: dict[str, Any] = {s: _gather(table, columns, source) for s, columns in layout.wanted.items()}
     arrays["t"] = arrays["t"].reshape(-1) if seconds == 1 else seconds * arrays["t"].reshape(-1)
-    if layout.shaft_ratio is not None:
-        for signal, reflect in (("theta", np.divide), ("dtheta", np.divide), ("tau", np.multiply)):
-            if arrays[signal] is not None:
-                arrays[signal] = reflect(arrays[signal], layout.shaft_ratio)
-    if layout.acceleration_errors is not None and arrays["acceleration"] is not None:
-        bias, scale = layout.acceleration_errors
-        arrays["acceleration"] = (arrays["acceleration"] - bias) / scale
+    arrays = layout.on_link_side(arrays)
     frozen = {signal: None if array is None else _frozen(array) for signal, array in arrays.items()}
-    return Log(**frozen, source=source, period=period, _layout=layout)  # type: ignore[arg-type]
+    log = Log(**frozen, source=source, period=period, pace=pace or Pace(), _layout=layout)  # type: ignore[arg-type]
+    return log if pace is not None else replace(log, pace=_pace(log[:_HEAD], layout))
 
 
 def _gather(table: pa.Table, columns: tuple[str, ...], source: str) -> FloatArray | None:

@@ -15,7 +15,7 @@ from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError
 from linkside.recording.batch import run_each
 from linkside.recording.continuity import refuse_dropouts, refuse_uneven
-from linkside.recording.estimate import Estimate
+from linkside.recording.estimate import Estimate, without_waits
 from linkside.recording.log import Log
 from linkside.recording.periodic import PeriodicObserver
 from linkside.robot import Robot
@@ -196,7 +196,7 @@ class ReducedOrderObserver(PeriodicObserver[_core.VelocityObserver, VelocityEsti
         unknown = np.full(result["q"].shape, np.nan)
         if self.side == "links":
             motor = {"theta": unknown, "dtheta": unknown}
-        return VelocityEstimate(t=log.t, names=self.robot.names, **motor, **result)
+        return VelocityEstimate(t=log.t, names=self.robot.names, **motor, **without_waits(log, result))
 
     def _design(self, period: float) -> _core.VelocityObserver:
         core = _core.VelocityObserver(

@@ -37,13 +37,19 @@ def rate(view: View) -> Iterator[Finding]:
     """Compare the recording's rate with ``rate_hz``."""
     period, stated = view.log.period, view.robot.config.rate_hz
     (column,) = view.log.columns("t")
-    if stated is not None and abs(period * stated - 1) > RATE_TOLERANCE:
+    if stated is not None and not _agrees(view, stated):
         what = f"has steps of {period:.6g} s, {1 / period:.6g} Hz, where robot.yaml says {stated:g} Hz"
         remedy = "correct rate_hz, or the unit of time if it is not seconds"
         yield view.finding("rate", "suspicious", column, what, remedy, size=period)
     elif stated is None and period > SLOW:
         what, remedy = f"has steps of {period:.6g} s", "if that is not seconds, convert it; else state rate_hz"
         yield view.finding("rate", "suspicious", column, what, remedy, size=period)
+
+
+def _agrees(view: View, stated: float) -> bool:
+    """Whether rows come at the rate stated, or where sensors have rates of their own, readings of a motor do."""
+    periods = np.append(view.log.pace.usual.get("theta", []), view.log.period)
+    return bool((np.abs(periods * stated - 1) <= RATE_TOLERANCE).any())
 
 
 def resolution(view: View) -> Iterator[Finding]:

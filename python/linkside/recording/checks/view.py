@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside.arrays import FloatArray
+from linkside.recording.pace import Pace
 from linkside.robot import Robot
 
 from .finding import Finding, Verdict
@@ -55,6 +56,10 @@ class Recording(Protocol):
     @property
     def period(self) -> float:
         """Median step of time [s]."""
+
+    @property
+    def pace(self) -> Pace:
+        """How often each channel is read."""
 
     @property
     def findings(self) -> tuple[Finding, ...]:
