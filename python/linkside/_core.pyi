@@ -279,6 +279,7 @@ class ParticleFilter:
         biased: Sequence[bool],
         noise: Mapping[str, Any],
         damping: bool,
+        tolerances: Sequence[tuple[str, int, int, float]],
         marginalised: Literal["nothing", "biases", "accelerations"],
         settings: Mapping[str, Any],
         late: Sequence[tuple[float, float, int] | None] | None = None,

@@ -62,9 +62,11 @@ METHODS = {
     "smoother": kalman(RauchTungStriebelSmoother, tolerances=False),
     "elastic-ekf": lambda robot, start: ElasticJointFilter(robot, tolerances=False, start=start),
     "elastic-smoother": lambda robot, start: ElasticJointSmoother(robot, tolerances=False, start=start),
-    "particle": kalman(ParticleFilter, particles=60),
-    "marginalized": kalman(MarginalizedParticleFilter, particles=60),
-    "accelerations": kalman(MarginalizedParticleFilter, particles=60, accelerations=True, walks=WANDERING),
+    "particle": kalman(ParticleFilter, particles=60, tolerances=False),
+    "marginalized": kalman(MarginalizedParticleFilter, particles=60, tolerances=False),
+    "accelerations": kalman(
+        MarginalizedParticleFilter, particles=60, tolerances=False, accelerations=True, walks=WANDERING
+    ),
     "reduced-order": velocity(ReducedOrderObserver),
     "nicosia-tomei": velocity(NicosiaTomeiObserver),
 }
@@ -165,8 +167,8 @@ def test_a_cloud_starts_with_the_correlations_it_is_given():
     root = 0.3 * np.random.default_rng(0).standard_normal(covariance.shape) + np.eye(len(mean))
     std = np.sqrt(np.diag(covariance))
     covariance = std[:, None] * (root @ root.T) * std
-    settings = {"start": (mean, covariance), "biases": ()}
-    exact = ExtendedKalmanFilter(robot, Noise(jerk=30.0), tolerances=False, **settings).run(log, covariance=True)
+    settings = {"start": (mean, covariance), "biases": (), "tolerances": False}
+    exact = ExtendedKalmanFilter(robot, Noise(jerk=30.0), **settings).run(log, covariance=True)
     cloud = ParticleFilter(robot, Noise(jerk=30.0), particles=4000, collapse="flag", **settings)
     ours = cloud.run(log[:2], covariance=True)
     deviations = np.sqrt(np.diag(exact.covariance[0]))

@@ -164,7 +164,7 @@ def errors(method, count, seeds, noise, biases, **settings):
     """Deviations from the Kalman filter, in its standard deviations: of the mean, the deviation, the likelihood."""
     robot = slide(INSIDE)
     log = recorded(robot, 1e-3 * np.arange(ROWS))
-    settings = {"collapse": "flag", "start": "rest", "biases": biases} | settings
+    settings = {"collapse": "flag", "start": "rest", "biases": biases, "tolerances": False} | settings
     exact = ExtendedKalmanFilter(robot, noise, tolerances=False, start="rest", biases=biases).run(log, covariance=True)
     own = 3 + (2 if biases else 0)
     std = np.sqrt(np.diagonal(exact.covariance, axis1=1, axis2=2))[:, :own]
@@ -194,7 +194,7 @@ def test_on_a_linear_model_particles_tend_to_the_kalman_filter(method, noise, mo
     few, many = (errors(method, count, 8, noise, biases, **more) for count in (200, 200 * 36))
     # A factor of 36 in N is one of 6; 8 seeds know a root mean square to within some 25 %.
     assert ((few / many)[:2] > 2.8).all(), (few, many)
-    assert (many < (0.3, 0.2, 0.6)).all(), (few, many)
+    assert (many < (0.3, 0.2, 1.0)).all(), (few, many)
 
 
 def arm(late):

@@ -57,7 +57,7 @@ def errors(method, count, seeds, run="run", noise=LINEAR, **settings):
 
     Of the cloud alone: nothing puts it back.
     """
-    settings = {"collapse": "flag"} | settings
+    settings = {"collapse": "flag", "tolerances": False} | settings
     robot, log = slide()
     reference = {"run": ExtendedKalmanFilter, "smooth": RauchTungStriebelSmoother}[run]
     exact = reference(robot, noise, tolerances=False).run(log, covariance=True)
@@ -95,7 +95,7 @@ def test_on_a_linear_model_smoothing_tends_to_rauch_tung_and_striebels(method):
 def test_smoothing_knows_more_than_filtering():
     robot, log = recording()
     # A cloud that is spread anew between the two passes would be another one.
-    settings = {"particles": 300, "quantiles": (0.5,), "collapse": "flag", "start": "rest"}
+    settings = {"particles": 300, "quantiles": (0.5,), "collapse": "flag", "start": "rest", "tolerances": False}
     method = MarginalizedParticleFilter(robot, **settings)
     truth = Estimate.read(DATA / "arm2_square/truth.parquet")
     log, truth = log[:2000], truth[:2000]
@@ -107,6 +107,49 @@ def test_smoothing_knows_more_than_filtering():
     assert np.allclose(smoothed.theta, filtered.theta, atol=1e-4)
     assert smoothed.best is None
     assert smoothed.quantiles is None
+
+
+@pytest.mark.parametrize(("run", "reference"), [("run", ExtendedKalmanFilter), ("smooth", RauchTungStriebelSmoother)])
+def test_tolerances_add_what_they_add_to_a_kalman_filter(run, reference):
+    robot, log = recording("arm2_square_mismatch")
+    log = log[:400]
+    ours, without = (
+        getattr(MarginalizedParticleFilter(robot, particles=200, tolerances=on), run)(log, covariance=True)
+        for on in (True, False)
+    )
+    kalman, plain = (reference(robot, tolerances=on).run(log, covariance=True) for on in (True, False))
+    assert (ours.q == without.q).all()
+    added, expected = (a.covariance - b.covariance for a, b in ((ours, without), (kalman, plain)))
+    scale = np.sqrt(np.einsum("tii->ti", kalman.covariance))
+    assert np.allclose(added / scale[:, :, None], expected / scale[:, :, None], atol=1e-6 * scale.max())
+    for name in ("q_std", "tool_std"):
+        added, expected = (getattr(a, name) ** 2 - getattr(b, name) ** 2 for a, b in ((ours, without), (kalman, plain)))
+        if name == "q_std":
+            assert np.allclose(added, expected, rtol=1e-6, atol=1e-14)
+        else:  # the tool moves with the links by the Jacobian at the estimate, which is another one
+            assert np.allclose(added, expected, rtol=1e-2, atol=1e-12)
+        assert (added > 0).any()
+
+
+@pytest.mark.parametrize("method", [ParticleFilter, MarginalizedParticleFilter])
+def test_a_wrong_model_is_within_its_standard_deviations(method):
+    """Springs, masses and payload are not robot.yaml's: what is off by more than three deviations is not good."""
+    robot, log = recording("arm2_square_mismatch")
+    truth = Estimate.read(DATA / "arm2_square_mismatch/truth.parquet")[:1500]
+    estimate = method(robot, particles=300).run(log[:1500])
+    off = (np.abs(estimate.q - truth.q) > 3 * estimate.q_std).any(axis=1)
+    assert (off & (estimate.status == Status.GOOD)).mean() < 0.02
+    assert estimate.reseeded.mean() < 0.1
+
+
+def test_with_outliers_few_particles_stay_beside_the_kalman_filter():
+    """500 of them; without leaning on it they were off by 5 to 16 mm by chance."""
+    robot, log = recording()
+    log, truth = log[:1500], Estimate.read(DATA / "arm2_square/truth.parquet")[:1500]
+    kalman = ExtendedKalmanFilter(robot).run(log).error_against(truth).tool_rms_centred
+    for seed in range(2):
+        method = ParticleFilter(robot, particles=500, seed=seed, outliers={"acceleration": 4.0})
+        assert method.run(log).error_against(truth).tool_rms_centred < 1.5 * kalman
 
 
 def test_marginalising_biases_makes_the_likelihood_less_random():
@@ -315,7 +358,7 @@ def test_a_cloud_that_has_collapsed_is_flagged_or_spread_anew(method):
     """Twenty particles without moves lose their spread in a second; the demo's robot has forty states."""
     robot, log = recording("arm2_square_mismatch")
     log = log[:1500]
-    settings = {"particles": 20, "kernel": None}
+    settings = {"particles": 20, "kernel": None, "tolerances": False}
     kalman = ExtendedKalmanFilter(robot, tolerances=False).run(log)
     alone = method(robot, collapse="flag", **settings).run(log)
     narrow = (alone.q_std < 0.05 * kalman.q_std).any(axis=1)

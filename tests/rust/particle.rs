@@ -181,7 +181,7 @@ fn wandering() -> JerkNoise {
 fn marginalised_accelerations_leave_a_weight_that_does_not_depend_on_the_draw() {
     let signals = signals(2);
     let uncertain = JerkNoise {
-        initial: [[1e-6; JOINTS], [1e-6; JOINTS], [1e-4; JOINTS]].concat(),
+        initial: [[5e-7; JOINTS], [5e-7; JOINTS], [5e-5; JOINTS]].concat(),
         initial_bias: vec![1e-5; CHANNELS],
         ..wandering()
     };

@@ -155,7 +155,6 @@ class JerkDriven(KalmanMethod):
             **self.settings(kinds, noise, period),
             gate=self._gate,
             iterations=self._iterations,
-            tolerances=[parameter.as_tuple for parameter in self._uncertain],
             link_disturbance=None if law is None else law.arrays,
         )
 
@@ -188,10 +187,11 @@ class JerkDriven(KalmanMethod):
         return mean, np.concatenate([moving.q_std, moving.dq_std, moving.ddq_std])
 
     def settings(self, kinds: tuple[str, ...], noise: Noise, period: float) -> dict[str, Any]:
-        """Settings of the model: its channels, which have a bias, which are late, noise, damping."""
+        """Settings of the model: its channels, which have a bias, which are late, noise, damping, tolerances."""
         return self._channels(kinds) | {
             "noise": noise.arrays(self.robot, kinds),
             "damping": self._damping,
+            "tolerances": [parameter.as_tuple for parameter in self._uncertain],
             "late": inside(self.robot, kinds, period),
         }
 

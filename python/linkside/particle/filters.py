@@ -121,12 +121,13 @@ class ParticleFilter(DecidingFilter[_core.ParticleFilter], JerkDrivenFilter[_cor
     collapse
         What to do with a cloud that does not explain the readings, as a Kalman filter that runs beside it does.
         ``"reseed"`` flags the row `Status.CONTRADICTED` and spreads the cloud anew from the Kalman filter's belief; a
-        cloud that has only lost spread is renewed before it comes to that. ``"flag"`` flags the row and leaves the
+        cloud that has only lost spread is renewed before it comes to that, and leans on that belief at each
+        resampling, as far as chance makes the difference. ``"flag"`` flags the row and leaves the
         cloud as it is. ``"raise"`` stops with the sample's number. A sample that is impossible to all particles
         counts as missing, and its row is flagged, unless it stops the run.
     quantiles
         Shares of probability, such as ``(0.05, 0.95)``, whose quantiles of position are kept.
-    biases, damping, rate, q, torque
+    biases, damping, rate, q, torque, tolerances
         As of `ExtendedKalmanFilter`.
 
     Raises
@@ -165,6 +166,7 @@ class ParticleFilter(DecidingFilter[_core.ParticleFilter], JerkDrivenFilter[_cor
         rate: bool | None = None,
         q: bool | None = None,
         torque: bool | None = None,
+        tolerances: bool = True,
     ) -> None:
         super().__init__()
         one_of("collapse", collapse, ("reseed", "flag", "raise"))
@@ -177,6 +179,7 @@ class ParticleFilter(DecidingFilter[_core.ParticleFilter], JerkDrivenFilter[_cor
             rate=rate,
             q=q,
             torque=torque,
+            tolerances=tolerances,
             start=start if initial is None else "rest",
         )
         self._at = start if initial is None else "rest"

@@ -8,6 +8,7 @@ use crate::kalman::{Arrays, NoiseFields, recording};
 use crate::live::{Live, Signals, check_step};
 use crate::robot::Robot;
 use crate::state::State;
+use crate::tolerance::{ToleranceTuple, of_core};
 use linkside_core::error::{DesignError, RunError};
 use linkside_core::estimate::kalman::{JerkDriven, JerkModel, Keep, Model};
 use linkside_core::estimate::particle::{
@@ -106,18 +107,21 @@ pub(crate) struct ParticleFilter {
 #[pymethods]
 impl ParticleFilter {
     #[new]
-    #[pyo3(signature = (robot, *, kinds, biased, noise, damping, marginalised, settings, late=None))]
+    #[pyo3(signature = (
+        robot, *, kinds, biased, noise, damping, tolerances, marginalised, settings, late=None
+    ))]
     fn new(
         robot: &Robot,
         kinds: Vec<String>,
         biased: Vec<bool>,
         noise: NoiseFields,
         damping: bool,
+        tolerances: Vec<ToleranceTuple>,
         marginalised: &str,
         settings: ParticleFields,
         late: Option<Vec<Inside>>,
     ) -> PyResult<Self> {
-        let settings = settings.into_core()?;
+        let (settings, tolerances) = (settings.into_core()?, of_core(&tolerances)?);
         let marginalised = match marginalised {
             "nothing" => Marginalised::Nothing,
             "biases" => Marginalised::Biases,
@@ -127,7 +131,8 @@ impl ParticleFilter {
         let (levels, kinds) = (settings.quantiles.len(), named(&kinds)?);
         let build = || -> Result<_, DesignError> {
             let model = JerkModel::new(Arc::clone(&robot.0), &kinds, &biased)?;
-            let model = JerkDriven::new(model, noise.into(), damping)?.with_late(&inside(late))?;
+            let model =
+                JerkDriven::new(model, noise.into(), damping)?.with_tolerances(tolerances).with_late(&inside(late))?;
             particle::ParticleFilter::new(model, settings, marginalised)
         };
         let filter = build().map_err(IntoPyErr::into_py_err)?;

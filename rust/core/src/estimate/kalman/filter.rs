@@ -110,6 +110,10 @@ impl ExtendedKalmanFilter<JerkDriven> {
         self.reset();
         self.belief.begin_with(belief);
         self.model.settle(&mut self.belief);
+        self.linearise();
+        if let Some(consider) = &mut self.consider {
+            consider.start(&mut self.model);
+        }
         self.started = true;
     }
 }
@@ -207,6 +211,19 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
             }
         }
         covariance
+    }
+
+    /// This filter without what tolerances add.
+    pub(crate) fn without_tolerances(&self) -> Self {
+        Self { consider: None, ..self.clone() }
+    }
+
+    /// What the parameters' tolerances add to the covariance of the first `rows` states after the last sample.
+    pub(crate) fn considered(&mut self, rows: usize) -> Option<&[f64]> {
+        self.consider.as_mut().map(|consider| {
+            consider.sum_up(rows);
+            &consider.total[..rows * rows]
+        })
     }
 
     /// What the readings so far say of the parameters: their errors, in the measure of their tolerances, and the

@@ -165,7 +165,7 @@ impl FilterOutput {
 
     /// Adds to the covariance of sample `i`.
     #[inline(always)]
-    pub(super) fn add_covariance(&mut self, i: usize, more: &[f64]) {
+    pub(crate) fn add_covariance(&mut self, i: usize, more: &[f64]) {
         crate::linear::add_scaled(&mut self.covariance[i * more.len()..][..more.len()], 1.0, more);
     }
 

@@ -19,6 +19,7 @@ use crate::estimate::kalman::{
     FilterOutput, Gaussian, JerkDriven, KalmanRecording, KalmanSample, Keep, Linearise, Model, Phases, Predict, Tool,
 };
 use crate::interrupt::Watch;
+use crate::linear;
 use crate::parallel;
 use crate::simd;
 
@@ -230,14 +231,14 @@ impl ParticleFilter {
 
     /// [`step`](Self::step) with a sample that has been checked.
     fn take(&mut self, sample: KalmanSample<'_>) -> Result<(), RunError> {
-        // Kalman filter beside the cloud first: its likelihood is what the cloud's is held against at the end.
+        // 1. Resample. At the start of a sample and not at its end, so that estimates come from the weighted cloud: a
+        // choice at random only adds variance to them (Liu and Chen 1998). The Kalman filter is still at the same sample.
+        self.resample_if_due();
+        // Then it goes ahead: its likelihood is what the cloud's is held against at the end.
         self.guard.step(sample, &mut self.sample.past)?;
         if !self.started {
             self.sample.past.clear(); // sensors have settled: what they see and what they hold is the same
         }
-        // 1. Resample. At the start of a sample and not at its end, so that estimates come from the weighted cloud: a
-        // choice at random only adds variance to them (Liu and Chen 1998).
-        self.resample_if_due();
         if self.started {
             // 2. Where the cloud is expected, which is where channels are linearised for all that particles share.
             JerkDriven::predict_phase(Predict { model: &mut self.model, sample: &sample, belief: &mut self.belief });
@@ -453,17 +454,24 @@ impl ParticleFilter {
         cloud.each(*threads, |block| simd::dispatch(level, Deviations { block, mean, entries }));
     }
 
-    /// Covariance of the state after the last sample (states × states).
+    /// Covariance of the state after the last sample (states × states), with what tolerances add to it.
     pub fn covariance(&mut self) -> Vec<f64> {
         self.take_covariance();
-        self.belief.covariance.dense().collect()
+        let mut covariance: Vec<f64> = self.belief.covariance.dense().collect();
+        if let Some(more) = self.guard.kalman.considered(self.belief.mean.len()) {
+            linear::add_scaled(&mut covariance, 1.0, more);
+        }
+        covariance
     }
 
     /// The whole state and its covariance into row `i`.
     pub(super) fn report_state(&mut self, i: usize, out: &mut FilterOutput) {
         self.take_covariance();
-        let Self { summary, belief, .. } = self;
+        let Self { summary, belief, guard, .. } = self;
         out.write_state(i, &summary.mean, &belief.covariance.data, belief.covariance.stride);
+        if let Some(more) = guard.kalman.considered(summary.mean.len()) {
+            out.add_covariance(i, more);
+        }
     }
 
     /// Covariance of the whole state into the belief: the cloud's own, and what each particle leaves open.

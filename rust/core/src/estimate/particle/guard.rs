@@ -23,9 +23,12 @@ const LOST: f64 = 30.0;
 const CHANCE: f64 = 0.25;
 /// More evidence than this is not remembered.
 const MOST: f64 = 50.0;
+/// Part of the evidence that is left a sample later. A sum that may not fall below zero and forgets nothing comes to any
+/// bound by chance.
+const FADING: f64 = 1.0 - 1.0 / 64.0;
 /// A cloud without evidence of its own should not be narrower than the first, nor further off than the second, both in
-/// the Kalman filter's standard deviations. Of a few hundred particles the mean is off by some 0.05 of them by chance.
-const WORN: [f64; 2] = [0.5, 0.1];
+/// the Kalman filter's standard deviations. By chance a few hundred particles come to 0.6 and 0.2 of them.
+const WORN: [f64; 2] = [0.3, 1.0];
 /// Further off than this it is lost.
 const ASTRAY: f64 = 5.0;
 /// Narrower than this it has collapsed, whatever its evidence: a few copies of one particle may well be ahead by chance, or
@@ -55,7 +58,9 @@ pub(super) struct Guard {
     ahead: f64,
     /// By how much it is behind, at least zero.
     behind: f64,
-    /// Whether both believe in the same model from the same start, so that they differ by chance and linearisation only.
+    /// Whether both know the same limits and starts.
+    pub(super) comparable: bool,
+    /// Whether their noise is the same as well, so that they differ by chance and linearisation only.
     alike: bool,
 }
 
@@ -63,12 +68,14 @@ impl Guard {
     pub(super) fn new(model: &JerkDriven, settings: &ParticleSettings) -> Result<Self, DesignError> {
         let normal = settings.densities.iter().all(super::Density::is_normal);
         let free = settings.limits.iter().all(|&(low, high)| low == f64::NEG_INFINITY && high == f64::INFINITY);
+        let comparable = free && settings.initial.is_empty();
         let own = FilterSettings { gate: (!normal).then_some(GATE), iterations: 1 };
         Ok(Self {
             kalman: ExtendedKalmanFilter::new(model.clone(), own)?,
             ahead: 0.0,
             behind: 0.0,
-            alike: normal && free && settings.initial.is_empty(),
+            comparable,
+            alike: normal && comparable,
         })
     }
 
@@ -85,9 +92,14 @@ impl Guard {
     }
 
     /// Whether there is a belief to start anew from.
-    fn is_finite(&self) -> bool {
+    pub(super) fn is_finite(&self) -> bool {
         let (fit, belief) = (self.kalman.fit(), self.kalman.belief());
         fit.log_likelihood.is_finite() && belief.mean.iter().chain(&belief.covariance.data).all(|x| x.is_finite())
+    }
+
+    /// Whether the cloud explains the readings better.
+    pub(super) fn cloud_leads(&self) -> bool {
+        self.ahead >= DECISIVE
     }
 
     /// Holds the cloud after a sample against the Kalman filter.
@@ -97,15 +109,15 @@ impl Guard {
             // CUSUM of the log Bayes factor both ways (Page 1954): a cloud that was good for long gets no credit for
             // it.
             let ahead = (ours - fit.log_likelihood).clamp(-MOST, MOST);
-            self.ahead = (self.ahead + ahead).clamp(0.0, MOST);
-            self.behind = (self.behind - ahead - CHANCE * f64::from(fit.used)).clamp(0.0, MOST);
+            self.ahead = (self.ahead * FADING + ahead).clamp(0.0, MOST);
+            self.behind = (self.behind * FADING - ahead - CHANCE * f64::from(fit.used)).clamp(0.0, MOST);
         }
         let (spread, distance) = self.compare(summary, joints);
         let [narrow, far] = WORN;
         match () {
             // By evidence first, then by place and spread; the latter only where both filters believe the same.
             () if self.behind > LOST || (self.alike && spread < COLLAPSED) => Verdict::Lost,
-            () if !self.alike || self.ahead >= DECISIVE => Verdict::Good,
+            () if !self.alike || self.cloud_leads() => Verdict::Good,
             () if distance > ASTRAY => Verdict::Lost,
             () if spread < narrow || distance > far => Verdict::Worn,
             () => Verdict::Good,
@@ -221,7 +233,7 @@ impl ParticleFilter {
                 summary.products[packed(b, b, d)] -= *variance;
             }
         }
-        wanted.factorise(&summary.products, 1.0);
+        wanted.factorise(&summary.products);
         if *marginalised == Marginalised::Accelerations {
             rao_blackwell::condition(cloud, &mut wanted.factor, d, 2 * model.jerk_model().joints());
         }

@@ -65,7 +65,7 @@ impl<'a> InitialCloud<'a> {
             for group in 0..block.groups() {
                 let items = block.items(group);
                 let normal = &mut block.scratch.normal[..n];
-                draw(&stream, items, 0, normal);
+                draw(&stream, items, normal);
                 let change = self.around_mode(normal) + (even - determinant);
                 block.log_weights.0[group] = change.0;
                 for (d, row) in block.state.iter_mut().take(self.belief.mean.len()).enumerate() {

@@ -196,12 +196,15 @@ impl FilterOutput {
     /// Writes links, motors and fit of the cloud after the last sample into row `i`.
     pub(super) fn write_cloud(&mut self, i: usize, filter: &mut ParticleFilter) {
         let n = filter.model.robot().len();
-        let ParticleFilter { model, summary, tool, memory, .. } = filter;
+        let ParticleFilter { model, summary, tool, memory, guard, .. } = filter;
         JerkDriven::linearise_phase(Linearise { model, reference: &summary.mean[..3 * n] });
         memory.clear();
         model.remember(memory);
         model.report(memory, &summary.mean, i, self);
-        let variance = |r: usize, c: usize| summary.products[packed(r.min(c), r.max(c), n)];
+        // A cloud knows nothing of tolerances; what they do to its error is what they do to the Kalman filter's.
+        let more = guard.kalman.considered(n);
+        let tolerated = |r: usize, c: usize| more.map_or(0.0, |more| more[r * n + c]);
+        let variance = |r: usize, c: usize| summary.products[packed(r.min(c), r.max(c), n)] + tolerated(r, c);
         self.write_links(i, model.robot(), &summary.mean, variance, tool);
         self.status[i] = summary.status;
         self.used[i] = summary.used;

@@ -93,8 +93,7 @@ impl Kernel for Propagate<'_> {
         for group in 0..block.groups() {
             let items = block.items(group);
             load(block, group);
-            // Eight particles at a time, one to a lane; their numbers depend on their place in the cloud, not on the
-            // lane.
+            // Eight particles at a time, one to a lane; their numbers depend on their place in the cloud.
             let increment = block.scratch.step(model, sample, shared, items);
             if !increment.0.iter().all(|x| x.is_finite()) {
                 block.scratch.bring_back();
@@ -140,7 +139,7 @@ impl Scratch {
         let n = model.joints();
         // Random numbers by counter: the same for a particle whatever thread or block works on it.
         let motion = Stream::new(sample.seed, sample.step, Purpose::Process);
-        draw(&motion, items, 0, &mut self.normal[..sample.draws]);
+        draw(&motion, items, &mut self.normal[..sample.draws]);
         // The mean of p(x | x⁻), then what is random in x.
         self.coast(n, sample);
         self.walk(sample);
@@ -380,16 +379,18 @@ fn square(x: &[Wide]) -> Wide {
     x.iter().fold(Wide::default(), |sum, &x| sum + x * x)
 }
 
-/// Standard normal numbers, two a draw.
-pub(super) fn draw(stream: &Stream, items: [u32; WIDE], from: u32, out: &mut [Wide]) {
-    simd::phase(Draw { stream, items, from, out });
+/// Standard normal numbers, four a draw: half of the group's particles have those of the other half with the sign turned.
+///
+/// In such antithetic pairs (Hammersley and Morton 1956) chance moves particles and not their mean, and half as many
+/// numbers are drawn.
+pub(super) fn draw(stream: &Stream, items: [u32; WIDE], out: &mut [Wide]) {
+    simd::phase(Draw { stream, items, out });
 }
 
 /// [`draw`], a phase of its own: two particle filters and the first cloud share it.
 struct Draw<'a> {
     stream: &'a Stream,
     items: [u32; WIDE],
-    from: u32,
     out: &'a mut [Wide],
 }
 
@@ -399,12 +400,13 @@ impl Kernel for Draw<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { stream, items, from, out } = self;
-        for (k, pair) in out.chunks_mut(2).enumerate() {
-            let [first, second] = stream.normals(items, from + k as u32);
-            pair[0] = first;
-            if let [_, last] = pair {
-                *last = second;
+        const HALF: usize = WIDE / 2;
+        let Self { stream, items, out } = self;
+        for (k, four) in out.chunks_mut(4).enumerate() {
+            let drawn = stream.normals(items, k as u32);
+            for (i, out) in four.iter_mut().enumerate() {
+                let half = &drawn[i / 2].0[i % 2 * HALF..][..HALF];
+                *out = Lanes(core::array::from_fn(|l| if l < HALF { half[l] } else { -half[l - HALF] }));
             }
         }
     }

@@ -163,7 +163,7 @@ impl Densities {
         items: [u32; WIDE],
     ) -> Wide {
         let stream = Stream::new(sample.seed, sample.step, Purpose::Process);
-        draw(&stream, items, 0, &mut scratch.normal[..sample.draws]);
+        draw(&stream, items, &mut scratch.normal[..sample.draws]);
         scratch.coast(model.joints(), sample);
         self.path.follow(motion);
         let (passes, tail) = match sample.proposal {

@@ -28,14 +28,14 @@ impl Moments {
         Self { mean: vec![0.0; entries], factor: vec![0.0; entries * entries] }
     }
 
-    /// L from the covariance's upper triangle by rows, times `scale`.
-    pub(super) fn factorise(&mut self, covariance: &[f64], scale: f64) {
+    /// L from the covariance's upper triangle by rows.
+    pub(super) fn factorise(&mut self, covariance: &[f64]) {
         let n = self.mean.len();
         let l = &mut self.factor;
         let mut packed = covariance.iter();
         for j in 0..n {
             for i in j..n {
-                l[i * n + j] = packed.next().map_or(0.0, |product| product * scale);
+                l[i * n + j] = packed.next().copied().unwrap_or(0.0);
             }
         }
         for j in 0..n {
@@ -56,6 +56,19 @@ impl Moments {
                 l[i * n + j] = if root > 0.0 { l[i * n + j] / root } else { 0.0 };
             }
         }
+    }
+
+    /// |L⁻¹ B|² and the number of columns of L, B in place.
+    pub(super) fn measure(&self, b: &mut [f64]) -> (f64, usize) {
+        let (n, l) = (b.len(), &self.factor);
+        let (mut square, mut rank) = (0.0, 0);
+        for i in 0..n {
+            let known: f64 = (0..i).map(|k| l[i * n + k] * b[k]).sum();
+            let root = l[i * n + i];
+            b[i] = if root > 0.0 { (b[i] - known) / root } else { 0.0 };
+            (square, rank) = (square + b[i] * b[i], rank + usize::from(root > 0.0));
+        }
+        (square, rank)
     }
 
     /// X of L Lᵀ X = B, in place; zero where L has no column.
@@ -97,7 +110,7 @@ impl Kernel for Regularise<'_> {
         let d = wanted.mean.len();
         for group in 0..block.groups() {
             let items = block.items(group);
-            draw(&stream, items, 0, &mut block.scratch.normal[..d]);
+            draw(&stream, items, &mut block.scratch.normal[..d]);
             // L₁⁻¹ (x − m₁) by forward substitution, shrunk and spread, then m + L of it.
             let (deviation, normal) = (&mut block.scratch.before, &block.scratch.normal);
             for (a, row) in block.state.iter().take(d).enumerate() {
@@ -131,7 +144,7 @@ mod tests {
     fn a_factor_solves_and_leaves_out_what_follows_from_others() {
         let mut moments = Moments::new(3);
         // The second entry is twice the first.
-        moments.factorise(&[2.0, 4.0, 1.0, 8.0, 2.0, 3.0], 0.5);
+        moments.factorise(&[1.0, 2.0, 0.5, 4.0, 1.0, 1.5]);
         assert_eq!(moments.factor[4], 0.0);
         let x = [0.7, 0.0, -0.4];
         let mut b = [x[0] + 0.5 * x[2], 2.0 * x[0] + x[2], 0.5 * x[0] + 1.5 * x[2]];

@@ -10,7 +10,9 @@ use super::output::{ParticleOutput, packed};
 use super::regularise::Moments;
 use crate::check::expect;
 use crate::error::{DesignError, RunError};
-use crate::estimate::kalman::{Gaussian, JerkModel, JerkNoise, KalmanRecording, Keep, Model, Symmetric};
+use crate::estimate::kalman::{
+    FilterOutput, Gaussian, JerkModel, JerkNoise, KalmanRecording, Keep, Model, Smoother, Symmetric,
+};
 use crate::interrupt::Watch;
 use crate::memory::room;
 
@@ -127,7 +129,7 @@ impl BackwardPass {
         let Self { filtered, predicted, factor, products, gain, left, column, unused, .. } = self;
         let d = column.len();
         pack(&[&predicted.covariance], products);
-        factor.factorise(products, 1.0);
+        factor.factorise(products);
         for k in 0..d {
             column.fill(0.0);
             column[k] = 1.0;
@@ -158,10 +160,10 @@ impl BackwardPass {
             }
         };
         pack(&[&filtered.covariance], products);
-        factor.factorise(products, 1.0);
+        factor.factorise(products);
         multiply(left, &factor.factor, 0);
         pack(&[&noise.covariance, &smoothed.covariance], products);
-        factor.factorise(products, 1.0);
+        factor.factorise(products);
         multiply(gain, &factor.factor, d);
     }
 }
@@ -211,15 +213,42 @@ impl ParticleFilter {
             history.read(i, &mut back.filtered);
             if i + 1 == count {
                 back.smoothed.copy_from(&back.filtered);
-                continue;
+            } else {
+                // Time and commanded jerk belong to the sample at which a step ends.
+                let next = recording.sample(i + 1, &self.model);
+                back.step(self.model.jerk_model(), self.model.noise(), next.dt, next.inputs.jerk);
             }
-            // Time and commanded jerk belong to the sample at which a step ends.
-            let next = recording.sample(i + 1, &self.model);
-            back.step(self.model.jerk_model(), self.model.noise(), next.dt, next.inputs.jerk);
             let motors = &history.motors[i * self.memory.len()..][..self.memory.len()];
             out.report_belief(i, self, motors, &back.smoothed, keep);
         }
+        self.add_tolerances(recording, keep, &mut out.links)?;
         Ok(out)
+    }
+
+    /// Adds to smoothed covariances what tolerances add to those of the Kalman filter's smoother.
+    fn add_tolerances(
+        &self,
+        recording: KalmanRecording<'_>,
+        keep: Keep,
+        out: &mut FilterOutput,
+    ) -> Result<(), RunError> {
+        let mut kalman = self.guard.kalman.clone();
+        kalman.reset();
+        if kalman.model().tolerances().is_empty() {
+            return Ok(());
+        }
+        let with = Smoother::new(&kalman).run(recording, keep)?;
+        let without = Smoother::new(&kalman.without_tolerances()).run(recording, keep)?;
+        let stds = [(&mut out.q_std, with.q_std, without.q_std), (&mut out.tool_std, with.tool_std, without.tool_std)];
+        for (own, with, without) in stds {
+            for (own, (with, without)) in own.iter_mut().zip(with.iter().zip(&without)) {
+                *own = (*own * *own + (with * with - without * without).max(0.0)).sqrt();
+            }
+        }
+        for (own, (with, without)) in out.covariance.iter_mut().zip(with.covariance.iter().zip(&without.covariance)) {
+            *own += with - without;
+        }
+        Ok(())
     }
 
     /// As [`run_each`](Self::run_each), each recording [smoothed](Self::smooth).
