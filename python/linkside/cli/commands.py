@@ -186,7 +186,7 @@ def merge(robot: str, files: tuple[str, ...], out: str, shifts: tuple[str, ...],
     """
     check_writable(out)
     _refuse_clashes([Path(out)], [robot, *files])
-    ahead = dict(map(_shift, shifts))
+    ahead = dict(_named_number("--shift", text) for text in shifts)
     if unknown := set(ahead) - set(files):
         raise click.UsageError(f"--shift {min(unknown)}: this is none of the files {', '.join(files)}")
     loaded = Robot.load(robot)
@@ -198,12 +198,13 @@ def merge(robot: str, files: tuple[str, ...], out: str, shifts: tuple[str, ...],
         click.echo(f"  {column:<22}{hertz:10.6g} Hz, in {100 * share:5.1f} % of the rows")
 
 
-def _shift(text: str) -> tuple[str, float]:
-    file, _, seconds = text.rpartition("=")
+def _named_number(option: str, text: str) -> tuple[str, float]:
+    """What an option says of something by name, ``NAME=NUMBER``."""
+    name, _, number = text.rpartition("=")
     try:
-        return file, float(seconds)
+        return name, float(number)
     except ValueError:
-        raise click.UsageError(f"--shift {text}: expected FILE=SECONDS") from None
+        raise click.UsageError(f"{option} {text}: expected NAME=NUMBER") from None
 
 
 @main.command()
@@ -301,12 +302,17 @@ def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **optio
 @click.argument("robot", type=click.Path())
 @click.argument("log", type=click.Path(), required=False)
 @click.option("--figure", type=click.Path(), help="Draw it: a file that ends in .png, .pdf or .svg.")
-def check(robot: str, log: str | None, figure: str | None) -> None:
+@click.option("--over", metavar="JOINT,JOINT", help="Joints of the figure's map.  [default: those that matter most]")
+@click.option("--at", "held", metavar="JOINT=POSITION", multiple=True, help="Where the map holds a joint [rad, m].")
+def check(robot: str, log: str | None, figure: str | None, over: str | None, held: tuple[str, ...]) -> None:
     """Say what ROBOT's sensors see, how well and where; along LOG if it is given, which is looked at for mistakes."""
     from linkside.observability import analysis as module
     from linkside.observability.words import check_tables
 
     loaded = Robot.load(robot)
+    at = dict(_named_number("--at", text) for text in held)
+    if figure is None and (over or at):
+        raise click.UsageError("--over and --at are for --figure")
     _check_figure(figure, [robot, log])
     if log is not None:
         _look_at(loaded, log)
@@ -315,7 +321,9 @@ def check(robot: str, log: str | None, figure: str | None) -> None:
         report = module.check(loaded, None if log is None else Log.stream(log, loaded))
     show(check_tables(report))
     if figure is not None:
-        _draw(report.figure(), figure)
+        with naming(robot):
+            drawn = report.figure(None if over is None else over.split(","), at)
+        _draw(drawn, figure)
 
 
 def _look_at(robot: Robot, path: str) -> None:
