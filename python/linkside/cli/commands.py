@@ -1,4 +1,4 @@
-"""The command line: ``linkside estimate``, ``merge``, ``tune``, ``check``, ``place`` and ``demo``.
+"""The command line: ``linkside init``, ``merge``, ``estimate``, ``tune``, ``check``, ``place`` and ``demo``.
 
 Whatever a user can get wrong is one line on standard error and exit status 2, and leaves no file behind.
 """
@@ -16,7 +16,7 @@ from typing import Any
 import click
 
 from linkside.errors import EstimatorError, LogError, OutputError, RecordingWarning
-from linkside.files.writing import check_writable
+from linkside.files.writing import check_writable, write_text
 from linkside.kalman.noise import Noise
 from linkside.observers import poles as patterns
 from linkside.recording.checks import verdicts
@@ -24,6 +24,7 @@ from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
 from linkside.robot.config import RobotFile
+from linkside.robot.starter import DRIVES, starter
 
 from . import reporting
 from .error_tables import tool_table
@@ -169,6 +170,29 @@ def _refuse_untaken(method: str) -> None:
         given = context.get_parameter_source(option) == click.core.ParameterSource.COMMANDLINE
         if given and option not in METHODS[method].takes:
             raise click.UsageError(f"--{option.replace('_', '-')} is not for --with {method}")
+
+
+@main.command()
+@click.argument("urdf", type=click.Path())
+@click.option("--out", type=click.Path(), default="robot.yaml", show_default=True, help="The file to begin.")
+@click.option(
+    "--drive", type=click.Choice(list(DRIVES)), default="strain-wave", show_default=True, help="Of its joints."
+)
+@click.option(
+    "--gear-ratio", "ratios", multiple=True, metavar="JOINT=N", help="Of a joint; logs are then of motor shafts."
+)
+def init(urdf: str, out: str, drive: str, ratios: tuple[str, ...]) -> None:
+    """Begin a robot.yaml from URDF: its joints and links, and typical values with their ranges.
+
+    What it asks for is marked ASKED. The file must not be there yet.
+    """
+    check_writable(out, (".yaml", ".yml"))
+    if Path(out).exists():
+        raise OutputError(f"{out}: this is there already; give another --out")
+    given = dict(_named_number("--gear-ratio", text) for text in ratios)
+    write_text(out, starter(urdf, out, drive=drive, gear_ratios=given))
+    click.echo(f"written: {out}")
+    click.echo(f"Next, fill in what it asks for (ASKED), then: linkside check {out}")
 
 
 @main.command()

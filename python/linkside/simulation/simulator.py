@@ -25,6 +25,7 @@ from linkside.observers.acceleration import AccelerationObserver
 from linkside.recording.log import Log
 from linkside.robot import Robot
 from linkside.robot.config import Lateness
+from linkside.robot.requirements import refuse_unsupported
 
 Truth: TypeAlias = dict[str, FloatArray]
 FeedbackSource: TypeAlias = bool | tuple[_core.ElasticJointFilter, list[int]] | _core.AccelerationObserver
@@ -176,6 +177,7 @@ def simulate(
         the joint.
     """
     robot.require_masses("a simulation")
+    refuse_unsupported(robot, "a simulation")
     models = _models(sensors or {}, robot)
     start = {"q": q, "dq": dq, "theta": theta, "dtheta": dtheta, "tau": tau}
     settings = {
