@@ -49,6 +49,11 @@ PATTERNS: dict[str, Callable[[float], patterns.PolePattern]] = {
 }
 
 
+def _example(command: str) -> str:
+    """The end of a command's help."""
+    return f"Example:\n\n\b\n  {command}"
+
+
 class Poles(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.4 only
     """``250``, or a pattern of `linkside.poles` and its frequency, ``bessel:250``."""
 
@@ -75,7 +80,12 @@ def main(ctx: click.Context, debug: bool) -> None:
         click.echo(ctx.get_help())
 
 
-@main.command(epilog="Methods: " + "; ".join(f"{name}: {method.help}" for name, method in METHODS.items()) + ".")
+@main.command(
+    epilog="Methods: "
+    + "; ".join(f"{name}: {method.help}" for name, method in METHODS.items())
+    + ".\n\n"
+    + _example("linkside estimate robot.yaml log.parquet --with ekf --out estimate.parquet")
+)
 @click.argument("robot", type=click.Path())
 @click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
 @click.option("--with", "method", type=click.Choice(list(METHODS)), default="observer", show_default=True)
@@ -172,7 +182,7 @@ def _refuse_untaken(method: str) -> None:
             raise click.UsageError(f"--{option.replace('_', '-')} is not for --with {method}")
 
 
-@main.command()
+@main.command(epilog=_example("linkside init robot.urdf --gear-ratio joint_1=121"))
 @click.argument("urdf", type=click.Path())
 @click.option("--out", type=click.Path(), default="robot.yaml", show_default=True, help="The file to begin.")
 @click.option(
@@ -195,7 +205,7 @@ def init(urdf: str, out: str, drive: str, ratios: tuple[str, ...]) -> None:
     click.echo(f"Next, fill in what it asks for (ASKED), then: linkside check {out}")
 
 
-@main.command()
+@main.command(epilog=_example("linkside merge robot.yaml joints.parquet imu.csv --out log.parquet"))
 @click.argument("robot", type=click.Path())
 @click.argument("files", metavar="FILE...", type=click.Path(), nargs=-1, required=True)
 @click.option("--out", required=True, type=click.Path(), help="The log, a file that ends in .parquet or .csv.")
@@ -231,7 +241,7 @@ def _named_number(option: str, text: str) -> tuple[str, float]:
         raise click.UsageError(f"{option} {text}: expected NAME=NUMBER") from None
 
 
-@main.command()
+@main.command(epilog=_example("linkside tune robot.yaml log.parquet --out tuning.yaml"))
 @click.argument("robot", type=click.Path())
 @click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
 @click.option("--with", "method", type=click.Choice(["ekf", "observer"]), default="ekf", show_default=True)
@@ -288,7 +298,9 @@ def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> 
         _draw(front.figure(), options["figure"])
 
 
-@main.command()
+@main.command(
+    epilog=_example("linkside calibrate robot.yaml log.parquet --out robot.calibrated.yaml --report report.html")
+)
 @click.argument("robot", type=click.Path())
 @click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
 @click.option("--out", required=True, type=click.Path(), help="The calibrated robot.yaml.")
@@ -322,7 +334,7 @@ def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **optio
         sys.exit(3)
 
 
-@main.command()
+@main.command(epilog=_example("linkside check robot.yaml log.parquet --figure check.png"))
 @click.argument("robot", type=click.Path())
 @click.argument("log", type=click.Path(), required=False)
 @click.option("--figure", type=click.Path(), help="Draw it: a file that ends in .png, .pdf or .svg.")
@@ -373,7 +385,7 @@ class Shift(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
             self.fail(f"{value!r} is neither a time in seconds nor auto", param, ctx)
 
 
-@main.command()
+@main.command(epilog=_example("linkside compare truth.parquet estimate.parquet --segments rests"))
 @click.argument("reference", type=click.Path())
 @click.argument("estimates", metavar="ESTIMATE...", type=click.Path(), nargs=-1, required=True)
 @click.option("--robot", type=click.Path(), help="A robot.yaml: the tool's path where a file has none.")
@@ -421,7 +433,7 @@ def compare(reference: str, estimates: tuple[str, ...], **options: Any) -> None:
         _draw(result.figure(), figure)
 
 
-@main.command()
+@main.command(epilog=_example("linkside demo --figure demo.png"))
 @click.option("--figure", type=click.Path(), default="linkside-demo.png", show_default=True, help="Where to draw it.")
 def demo(figure: str) -> None:
     """Run the observer on a robot and a recording that come with the package."""
@@ -436,7 +448,7 @@ def demo(figure: str) -> None:
     click.echo("      your own robot: linkside check robot.yaml")
 
 
-@main.command()
+@main.command(epilog=_example("linkside place robot.yaml log.parquet --link link3 --link link4 --out sensors.yaml"))
 @click.argument("robot", type=click.Path())
 @click.argument("logs", metavar="[LOG]...", type=click.Path(), nargs=-1)
 @click.option("--link", "links", multiple=True, help="A link that can carry a sensor; on a grid around its frame.")
