@@ -8,13 +8,19 @@ import numpy as np
 
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError, NumericalError
+from linkside.figures import COLOURS, legend_beside, line_style
 from linkside.files.yaml_source import suggest
+
+from .parameters import NOISE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from .result import Result
 
+
+FAR = 5.0
+"""Estimates further from robot.yaml than this many tolerances are marked at the edge."""
 
 SPAN = 3.0
 """Half the width of a profile in standard errors."""
@@ -29,26 +35,41 @@ def _figure(width: float, height: float) -> Figure:
 def estimates(calibration: Result) -> Figure:
     """Draw each estimate with two standard errors, as its distance from robot.yaml in tolerances."""
     names = [e.parameter.name for e in calibration.estimates]
-    figure = _figure(8, 1.2 + 0.28 * len(names))
+    figure = _figure(9, 1.2 + 0.28 * len(names))
     axes = figure.subplots()
     rows = np.arange(len(names))[::-1]
+    z, std = calibration.z, calibration.uncertainty.std
+    far = np.abs(z) > FAR
     axes.axvspan(-1, 1, color="0.92", label="tolerance")
     axes.errorbar(
-        calibration.z, rows, xerr=2 * calibration.uncertainty.std, fmt="o", ms=4, capsize=3, label="± 2 std. errors"
+        z[~far], rows[~far], xerr=2 * std[~far], color=COLOURS[0], fmt="o", ms=4, capsize=3, label="± 2 std. errors"
     )
+    axes.set_xlim(*np.clip(axes.get_xlim(), -1.3 * FAR, 1.3 * FAR))
+    if far.any():  # they would squeeze the others to nothing
+        low, high = axes.get_xlim()
+        edge = np.where(z[far] > 0, high, low)
+        axes.scatter(edge, rows[far], marker="D", label=f"beyond {FAR:g}", color=COLOURS[1], clip_on=False, zorder=3)
+        for place, row, value in zip(edge, rows[far], z[far], strict=True):
+            side, away = ("right", -8) if value > 0 else ("left", 8)
+            axes.annotate(
+                f"{value:.3g}", (place, row), xytext=(away, 0), textcoords="offset points", ha=side, va="center"
+            )
     axes.set_yticks(rows, names)
+    axes.set_ylim(-0.6, len(names) - 0.4)
     axes.set_xlabel("estimate less value in robot.yaml, in tolerances")
-    axes.legend(loc="best")
+    legend_beside(axes)
     return figure
 
 
 def correlation(calibration: Result) -> Figure:
-    """Draw the estimates' correlations."""
-    names = [e.parameter.name for e in calibration.estimates]
+    """Draw the estimates' correlations, those of noise left out: they say how readings scatter, not what a robot is."""
+    kept = [i for i, e in enumerate(calibration.estimates) if e.parameter.kind not in NOISE]
+    kept = kept or list(range(len(calibration.estimates)))
+    names = [calibration.estimates[i].parameter.name for i in kept]
     size = 3 + 0.3 * len(names)
     figure = _figure(size + 1, size)
     axes = figure.subplots()
-    image = axes.imshow(calibration.correlation, vmin=-1, vmax=1, cmap="RdBu_r")
+    image = axes.imshow(calibration.correlation[np.ix_(kept, kept)], vmin=-1, vmax=1, cmap="RdBu_r")
     axes.set_xticks(range(len(names)), names, rotation=90)
     axes.set_yticks(range(len(names)), names)
     figure.colorbar(image, label="correlation")
@@ -57,16 +78,16 @@ def correlation(calibration: Result) -> Figure:
 
 def whiteness(calibration: Result) -> Figure:
     """Draw the autocorrelation of innovations before and after."""
-    figure = _figure(9, 3.5)
+    figure = _figure(11, 3.8)
     left, right = figure.subplots(1, 2, sharey=True)
     for axes, fit, title in ((left, calibration.before, "before"), (right, calibration.after, "after")):
-        for name, column in zip(calibration.problem.channels, fit.autocorrelation.T, strict=True):
-            axes.plot(np.arange(1, len(column) + 1), column, lw=1, label=name)
+        for index, (name, column) in enumerate(zip(calibration.problem.channels, fit.autocorrelation.T, strict=True)):
+            axes.plot(np.arange(1, len(column) + 1), column, lw=1.2, label=name, **line_style(index))
         axes.axhline(0, color="0.5", lw=0.5)
         axes.set_title(title)
         axes.set_xlabel("lag [samples]")
     left.set_ylabel("autocorrelation of innovations")
-    right.legend(fontsize="small")
+    legend_beside(right)
     return figure
 
 

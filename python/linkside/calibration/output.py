@@ -92,6 +92,8 @@ def _note(mapping: Any, key: str, text: str) -> None:
 
 def _of_joint(tree: Any, e: Estimated) -> None:
     joint = tree["joints"][e.parameter.core[1]]
+    if e.parameter.kind == "stiffness":
+        joint.pop("stiffness_known", None)  # it is now
     _put(
         joint, e.parameter.kind, rounded(e.value, e.std), "damping" if e.parameter.kind == "mass_scale" else "stiffness"
     )

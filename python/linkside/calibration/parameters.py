@@ -68,6 +68,9 @@ KINDS = {
 }
 """All kinds of parameters, by name."""
 
+UNKNOWN = float(np.log(3))
+"""Tolerance of a stiffness that robot.yaml does not know."""
+
 NOISE = ("motor_noise", "torque_noise", "sensor_noise", "jerk_noise")
 """Kinds that say how uncertain readings are; factors on what `Noise` says."""
 
@@ -241,6 +244,8 @@ def _of_joint(kind: str, index: int, drive: JointConfig, tolerance: float, inert
         "coulomb": drive.motor_friction.coulomb or 1e-5 * stiffness,
         "mass_scale": drive.mass_scale,
     }
+    if kind == "stiffness" and not drive.stiffness_known:
+        tolerance = UNKNOWN
     if kind == "cubic_stiffness":
         tolerance *= stiffness
     made = _made(kind, f"{kind}_{drive.name}", (index, 0), values.get(kind, 1.0), tolerance)

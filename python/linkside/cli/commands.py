@@ -1,4 +1,4 @@
-"""The command line: ``linkside estimate``, ``merge``, ``tune``, ``check``, ``place`` and ``demo``.
+"""The command line: ``linkside init``, ``merge``, ``estimate``, ``tune``, ``check``, ``place`` and ``demo``.
 
 Whatever a user can get wrong is one line on standard error and exit status 2, and leaves no file behind.
 """
@@ -16,7 +16,7 @@ from typing import Any
 import click
 
 from linkside.errors import EstimatorError, LogError, OutputError, RecordingWarning
-from linkside.files.writing import check_writable
+from linkside.files.writing import check_writable, write_text
 from linkside.kalman.noise import Noise
 from linkside.observers import poles as patterns
 from linkside.recording.checks import verdicts
@@ -24,6 +24,7 @@ from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.robot import Robot
 from linkside.robot.config import RobotFile
+from linkside.robot.starter import DRIVES, starter
 
 from . import reporting
 from .error_tables import tool_table
@@ -46,6 +47,11 @@ PATTERNS: dict[str, Callable[[float], patterns.PolePattern]] = {
     "bessel": patterns.bessel,
     "butterworth": patterns.butterworth,
 }
+
+
+def _example(command: str) -> str:
+    """The end of a command's help."""
+    return f"Example:\n\n\b\n  {command}"
 
 
 class Poles(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.4 only
@@ -74,7 +80,12 @@ def main(ctx: click.Context, debug: bool) -> None:
         click.echo(ctx.get_help())
 
 
-@main.command(epilog="Methods: " + "; ".join(f"{name}: {method.help}" for name, method in METHODS.items()) + ".")
+@main.command(
+    epilog="Methods: "
+    + "; ".join(f"{name}: {method.help}" for name, method in METHODS.items())
+    + ".\n\n"
+    + _example("linkside estimate robot.yaml log.parquet --with ekf --out estimate.parquet")
+)
 @click.argument("robot", type=click.Path())
 @click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
 @click.option("--with", "method", type=click.Choice(list(METHODS)), default="observer", show_default=True)
@@ -171,7 +182,30 @@ def _refuse_untaken(method: str) -> None:
             raise click.UsageError(f"--{option.replace('_', '-')} is not for --with {method}")
 
 
-@main.command()
+@main.command(epilog=_example("linkside init robot.urdf --gear-ratio joint_1=121"))
+@click.argument("urdf", type=click.Path())
+@click.option("--out", type=click.Path(), default="robot.yaml", show_default=True, help="The file to begin.")
+@click.option(
+    "--drive", type=click.Choice(list(DRIVES)), default="strain-wave", show_default=True, help="Of its joints."
+)
+@click.option(
+    "--gear-ratio", "ratios", multiple=True, metavar="JOINT=N", help="Of a joint; logs are then of motor shafts."
+)
+def init(urdf: str, out: str, drive: str, ratios: tuple[str, ...]) -> None:
+    """Begin a robot.yaml from URDF: its joints and links, and typical values with their ranges.
+
+    What it asks for is marked ASKED. The file must not be there yet.
+    """
+    check_writable(out, (".yaml", ".yml"))
+    if Path(out).exists():
+        raise OutputError(f"{out}: this is there already; give another --out")
+    given = dict(_named_number("--gear-ratio", text) for text in ratios)
+    write_text(out, starter(urdf, out, drive=drive, gear_ratios=given))
+    click.echo(f"written: {out}")
+    click.echo(f"Next, fill in what it asks for (ASKED), then: linkside check {out}")
+
+
+@main.command(epilog=_example("linkside merge robot.yaml joints.parquet imu.csv --out log.parquet"))
 @click.argument("robot", type=click.Path())
 @click.argument("files", metavar="FILE...", type=click.Path(), nargs=-1, required=True)
 @click.option("--out", required=True, type=click.Path(), help="The log, a file that ends in .parquet or .csv.")
@@ -186,7 +220,7 @@ def merge(robot: str, files: tuple[str, ...], out: str, shifts: tuple[str, ...],
     """
     check_writable(out)
     _refuse_clashes([Path(out)], [robot, *files])
-    ahead = dict(map(_shift, shifts))
+    ahead = dict(_named_number("--shift", text) for text in shifts)
     if unknown := set(ahead) - set(files):
         raise click.UsageError(f"--shift {min(unknown)}: this is none of the files {', '.join(files)}")
     loaded = Robot.load(robot)
@@ -198,15 +232,16 @@ def merge(robot: str, files: tuple[str, ...], out: str, shifts: tuple[str, ...],
         click.echo(f"  {column:<22}{hertz:10.6g} Hz, in {100 * share:5.1f} % of the rows")
 
 
-def _shift(text: str) -> tuple[str, float]:
-    file, _, seconds = text.rpartition("=")
+def _named_number(option: str, text: str) -> tuple[str, float]:
+    """What an option says of something by name, ``NAME=NUMBER``."""
+    name, _, number = text.rpartition("=")
     try:
-        return file, float(seconds)
+        return name, float(number)
     except ValueError:
-        raise click.UsageError(f"--shift {text}: expected FILE=SECONDS") from None
+        raise click.UsageError(f"{option} {text}: expected NAME=NUMBER") from None
 
 
-@main.command()
+@main.command(epilog=_example("linkside tune robot.yaml log.parquet --out tuning.yaml"))
 @click.argument("robot", type=click.Path())
 @click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
 @click.option("--with", "method", type=click.Choice(["ekf", "observer"]), default="ekf", show_default=True)
@@ -263,7 +298,9 @@ def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> 
         _draw(front.figure(), options["figure"])
 
 
-@main.command()
+@main.command(
+    epilog=_example("linkside calibrate robot.yaml log.parquet --out robot.calibrated.yaml --report report.html")
+)
 @click.argument("robot", type=click.Path())
 @click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
 @click.option("--out", required=True, type=click.Path(), help="The calibrated robot.yaml.")
@@ -297,16 +334,21 @@ def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **optio
         sys.exit(3)
 
 
-@main.command()
+@main.command(epilog=_example("linkside check robot.yaml log.parquet --figure check.png"))
 @click.argument("robot", type=click.Path())
 @click.argument("log", type=click.Path(), required=False)
 @click.option("--figure", type=click.Path(), help="Draw it: a file that ends in .png, .pdf or .svg.")
-def check(robot: str, log: str | None, figure: str | None) -> None:
+@click.option("--over", metavar="JOINT,JOINT", help="Joints of the figure's map.  [default: those that matter most]")
+@click.option("--at", "held", metavar="JOINT=POSITION", multiple=True, help="Where the map holds a joint [rad, m].")
+def check(robot: str, log: str | None, figure: str | None, over: str | None, held: tuple[str, ...]) -> None:
     """Say what ROBOT's sensors see, how well and where; along LOG if it is given, which is looked at for mistakes."""
     from linkside.observability import analysis as module
     from linkside.observability.words import check_tables
 
     loaded = Robot.load(robot)
+    at = dict(_named_number("--at", text) for text in held)
+    if figure is None and (over or at):
+        raise click.UsageError("--over and --at are for --figure")
     _check_figure(figure, [robot, log])
     if log is not None:
         _look_at(loaded, log)
@@ -315,7 +357,9 @@ def check(robot: str, log: str | None, figure: str | None) -> None:
         report = module.check(loaded, None if log is None else Log.stream(log, loaded))
     show(check_tables(report))
     if figure is not None:
-        _draw(report.figure(), figure)
+        with naming(robot):
+            drawn = report.figure(None if over is None else over.split(","), at)
+        _draw(drawn, figure)
 
 
 def _look_at(robot: Robot, path: str) -> None:
@@ -341,7 +385,7 @@ class Shift(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
             self.fail(f"{value!r} is neither a time in seconds nor auto", param, ctx)
 
 
-@main.command()
+@main.command(epilog=_example("linkside compare truth.parquet estimate.parquet --segments rests"))
 @click.argument("reference", type=click.Path())
 @click.argument("estimates", metavar="ESTIMATE...", type=click.Path(), nargs=-1, required=True)
 @click.option("--robot", type=click.Path(), help="A robot.yaml: the tool's path where a file has none.")
@@ -389,7 +433,7 @@ def compare(reference: str, estimates: tuple[str, ...], **options: Any) -> None:
         _draw(result.figure(), figure)
 
 
-@main.command()
+@main.command(epilog=_example("linkside demo --figure demo.png"))
 @click.option("--figure", type=click.Path(), default="linkside-demo.png", show_default=True, help="Where to draw it.")
 def demo(figure: str) -> None:
     """Run the observer on a robot and a recording that come with the package."""
@@ -404,7 +448,7 @@ def demo(figure: str) -> None:
     click.echo("      your own robot: linkside check robot.yaml")
 
 
-@main.command()
+@main.command(epilog=_example("linkside place robot.yaml log.parquet --link link3 --link link4 --out sensors.yaml"))
 @click.argument("robot", type=click.Path())
 @click.argument("logs", metavar="[LOG]...", type=click.Path(), nargs=-1)
 @click.option("--link", "links", multiple=True, help="A link that can carry a sensor; on a grid around its frame.")

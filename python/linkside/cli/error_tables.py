@@ -12,10 +12,13 @@ from linkside.robot.workspace import prismatic
 from linkside.text import Titled
 
 
-def error_tables(error: EstimateError, robot: Robot, title: str) -> Iterator[RenderableType]:
-    """Errors of an estimate: of the tool in mm, and of each joint."""
-    if error.tool_rms is not None:
-        yield tool_table({"estimate": error}, title)
+def error_tables(
+    error: EstimateError, motors: EstimateError | None, robot: Robot, title: str
+) -> Iterator[RenderableType]:
+    """Errors of an estimate: of the tool in mm, beside that of motors alone, and of each joint."""
+    if error.tool_rms_mm is not None:
+        beside = {} if motors is None else {"motors alone": motors}
+        yield tool_table(beside | {"estimate": error}, title)
     if any(signal.partition("_")[0] in ("q", "dq", "theta", "dtheta") for signal in error.rms):
         yield _joint_errors(error, robot)
 
@@ -25,7 +28,7 @@ def tool_table(errors: dict[str, EstimateError], title: str) -> Titled:
     heads = ("RMS", "largest", "RMS, offset out", "largest, offset out")
     table = Titled(f"tool error against {title} [mm]", ("", *heads))
     for name, error in errors.items():
-        values = (error.tool_rms, error.tool_max, error.tool_rms_centred, error.tool_max_centred)
+        values = (error.tool_rms_mm, error.tool_max_mm, error.tool_rms_centred_mm, error.tool_max_centred_mm)
         table.add_row(name, *("–" if value is None else f"{value:.4f}" for value in values))
     return table
 

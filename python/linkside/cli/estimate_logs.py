@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import get_ident
 
@@ -18,7 +18,7 @@ import numpy as np
 from rich.console import RenderableType
 
 from linkside.errors import EstimatorError, LinksideError, NumericalError, OutputError, RecordingWarning
-from linkside.recording.estimate import Estimate
+from linkside.recording.estimate import Estimate, EstimateError
 from linkside.recording.log import Log, log_rows
 from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
@@ -192,9 +192,17 @@ def _estimate(
             if known is not None:
                 kept.append(piece)
         with naming(str(job.truth)):  # still inside: an estimate that cannot be compared as asked is not kept
-            error = None if known is None else Estimate.concatenate(kept).error_against(known)
-    if error is not None:
-        outcome.tables += error_tables(error, job.robot, str(job.truth))
+            estimate = None if known is None else Estimate.concatenate(kept)
+            error = None if estimate is None or known is None else estimate.error_against(known)
+    if error is not None and estimate is not None and known is not None:
+        outcome.tables += error_tables(error, _motors_alone(job.robot, estimate, known), job.robot, str(job.truth))
+
+
+def _motors_alone(robot: Robot, estimate: Estimate, known: Estimate) -> EstimateError | None:
+    """How far off the tool is where links are taken to follow their motors, as far as both are known."""
+    if robot.tool is None or known.tool_position is None or np.isnan(estimate.theta).any():
+        return None
+    return replace(estimate, tool_position=robot.tool_position(estimate.theta)).error_against(known)
 
 
 def _pieces(job: EstimateJob, tally: Tally, interruption: Interruption) -> Iterator[Estimate]:

@@ -39,8 +39,9 @@ def draw(comparison: ComparisonResult) -> Figure:
             axes.axvspan(segment.start, segment.end, color="0.93", zorder=0)
         axes.set(ylabel=f"{signal.removeprefix('q_')} [{unit}]")
         finish(axes, legend=False)
-    for axes in grid[max(0, len(panels) - columns) : len(panels)]:
+    for axes in grid[max(0, len(panels) - columns) : len(panels)]:  # the lowest of each column
         axes.set_xlabel("time [s]")
+        axes.tick_params(labelbottom=True)
     handles, labels = grid[0].get_legend_handles_labels()
     if count <= 2 * len(COLOURS):
         figure.legend(handles, labels, loc="outside lower center", ncols=min(count, 4), frameon=False)

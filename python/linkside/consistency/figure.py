@@ -5,17 +5,19 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.figure import Figure
 from scipy import stats
 
 from linkside.arrays import FloatArray
-from linkside.figures import COLOURS
+from linkside.figures import COLOURS, legend_beside, line_style
 
 from .measures import Measures, Ratio
 
 STRETCHES = 100
 """Points of a line over time."""
+
+FARTHEST = 12.0
+"""Normalised innovations beyond it are cut off."""
 
 BLUE, GREEN = COLOURS[0], COLOURS[2]
 
@@ -23,11 +25,11 @@ BLUE, GREEN = COLOURS[0], COLOURS[2]
 def draw(report: Measures) -> Figure:
     """Draw it, see `Consistency.figure`."""
     last = "sizes" if report.nees is None else "nees"
-    figure = Figure(figsize=(12, 7.2), layout="constrained")
-    axes = figure.subplot_mosaic([["nis", "histogram"], ["lags", last]], width_ratios=(1.5, 1))
+    figure = Figure(figsize=(15, 7.6), layout="constrained")
+    axes = figure.subplot_mosaic([["nis", "spreads"], ["lags", last]], width_ratios=(1.3, 1))
     figure.suptitle(report.to_text().splitlines()[0])
     _over_time(axes["nis"], report.t, report.nis, report.innovations, "innovations (NIS)", report.level)
-    _histogram(axes["histogram"], report)
+    _spreads(axes["spreads"], report)
     _lags(axes["lags"], report)
     if report.nees is None:
         _sizes(axes["sizes"], report)
@@ -54,45 +56,50 @@ def _over_time(axes: Any, t: FloatArray, squares: FloatArray, ratio: Ratio, what
     _tidy(axes)
 
 
-def _histogram(axes: Any, report: Measures) -> None:
-    grid = np.linspace(-4.5, 4.5, 91)
-    for index, name in enumerate(report.channels):
-        values = report.normalised[:, index]
-        values = np.clip(values[np.isfinite(values)], grid[0], grid[-1])
-        if len(values):
-            axes.hist(values, grid, density=True, histtype="step", color=_colour(report, index), label=name, alpha=0.8)
-    axes.fill_between(grid, stats.norm.pdf(grid), color=GREEN, alpha=0.3, label="N(0, 1)")
-    axes.set(xlabel="normalised innovation", ylabel="density", title="distribution of innovations", ylim=(0, 1.6))
-    _tidy(axes, _few(report))
+def _spreads(axes: Any, report: Measures) -> None:
+    """Of each channel, where half of its innovations are, and where nearly all are."""
+    shares = np.array([0.01, 0.25, 0.5, 0.75, 0.99])
+    normal = stats.norm.ppf(shares)
+    axes.axvspan(normal[0], normal[-1], color=GREEN, alpha=0.15, label="N(0, 1): 98 %")
+    axes.axvspan(normal[1], normal[3], color=GREEN, alpha=0.25, label="N(0, 1): 50 %")
+    reach = 1.5 * normal[-1]
+    for row, values in enumerate(report.normalised.T):
+        known = values[np.isfinite(values)]
+        if len(known):
+            low, left, middle, right, high = np.quantile(known, shares)
+            reach = min(max(reach, 1.1 * abs(low), 1.1 * high), FARTHEST)
+            axes.plot([low, high], [row, row], color=BLUE, linewidth=1.5, solid_capstyle="butt")
+            axes.plot([left, right], [row, row], color=BLUE, linewidth=5, solid_capstyle="butt")
+            axes.plot(middle, row, "|", color="white", markersize=6)
+    axes.set(xlabel="normalised innovation", title="innovations: thin 98 %, thick 50 %", xlim=(-reach, reach))
+    _by_channel(axes, report)
+    _tidy(axes)
 
 
 def _lags(axes: Any, report: Measures) -> None:
     lags = 1 + np.arange(len(report.autocorrelation))
     for index, name in enumerate(report.channels):
-        axes.plot(lags, report.autocorrelation[:, index], ".-", color=_colour(report, index), label=name, alpha=0.8)
+        axes.plot(lags, report.autocorrelation[:, index], **line_style(index), label=name)
     bound = np.max(report.bound, initial=0, where=np.isfinite(report.bound))
-    axes.axhspan(-bound, bound, color=GREEN, alpha=0.3)
+    axes.axhspan(-bound, bound, color=GREEN, alpha=0.3, label="white")
     axes.axhline(0, color=GREEN)
     axes.set(xlabel="lag [samples]", ylabel="autocorrelation", title="innovations: white if within the band")
-    _tidy(axes, _few(report))
+    _tidy(axes)
 
 
 def _sizes(axes: Any, report: Measures) -> None:
     """Root mean square of each channel's normalised innovations."""
-    colours = [_colour(report, index) for index in range(len(report.channels))]
-    axes.barh(report.channels, report.sizes, color=colours)
+    axes.barh(range(len(report.channels)), report.sizes, color=BLUE)
     axes.axvline(1, color=GREEN)
-    axes.invert_yaxis()
     axes.set(xlabel="RMS of normalised innovations", title="size by channel: should be 1")
+    _by_channel(axes, report)
     _tidy(axes, legend=False)
 
 
-def _colour(report: Measures, index: int) -> Any:
-    return colormaps["viridis"](0.9 * index / max(1, len(report.channels) - 1))
-
-
-def _few(report: Measures) -> bool:
-    return 0 < len(report.channels) <= 8
+def _by_channel(axes: Any, report: Measures) -> None:
+    count = len(report.channels)
+    axes.set_yticks(range(count), report.channels, fontsize=max(4.5, min(9.0, 120 / max(count, 1))))
+    axes.set_ylim(max(count, 1) - 0.5, -0.5)
 
 
 def _tidy(axes: Any, legend: bool = True) -> None:
@@ -100,4 +107,4 @@ def _tidy(axes: Any, legend: bool = True) -> None:
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     if legend:
-        axes.legend(frameon=False, fontsize="small")
+        legend_beside(axes)

@@ -24,8 +24,10 @@ class DemoResult:
         Time [s].
     errors : dict of str to EstimateError
         By guess: from motors alone, and from the observer.
-    tool_distance : dict of str to (T,) array
-        The tool's distance from the truth, likewise [mm].
+    tool : (T, 3)
+        Where the tool truly is [m].
+    tool_error : dict of str to (T, 3) array
+        How far the tool is from there, likewise [m].
     joint : str
         The joint that moves most.
     torsion, torsion_true : (T,)
@@ -34,7 +36,8 @@ class DemoResult:
 
     t: FloatArray
     errors: dict[str, EstimateError]
-    tool_distance: dict[str, FloatArray]
+    tool: FloatArray
+    tool_error: dict[str, FloatArray]
     joint: str
     torsion: FloatArray
     torsion_true: FloatArray
@@ -49,8 +52,9 @@ def run() -> DemoResult:
     moved = int(np.argmax(np.ptp(truth.q, axis=0)))
     torsion, torsion_true = (e.theta[:, moved] - e.q[:, moved] for e in (guesses["observer"], truth))
     errors = {name: guess.error_against(truth) for name, guess in guesses.items()}
-    distance = {name: _distance(guess, truth) for name, guess in guesses.items()}
-    return DemoResult(log.t, errors, distance, robot.names[moved], torsion, torsion_true)
+    assert truth.tool_position is not None
+    away = {name: _tool(guess) - truth.tool_position for name, guess in guesses.items()}
+    return DemoResult(log.t, errors, truth.tool_position, away, robot.names[moved], torsion, torsion_true)
 
 
 def motor_guess(robot: Robot, log: Log) -> Estimate:
@@ -61,7 +65,6 @@ def motor_guess(robot: Robot, log: Log) -> Estimate:
     return Estimate(log.t, log.theta, unknown, log.theta, unknown, status, robot.names, tool_position=tool)
 
 
-def _distance(guess: Estimate, truth: Estimate) -> FloatArray:
+def _tool(guess: Estimate) -> FloatArray:
     assert guess.tool_position is not None
-    assert truth.tool_position is not None
-    return np.asarray(1e3 * np.linalg.norm(guess.tool_position - truth.tool_position, axis=1))
+    return guess.tool_position

@@ -7,12 +7,15 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 
 from linkside.errors import OutputError
 from linkside.files.parts import open_part, publish
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+DASHES = ("-", "--", "-.", ":")
 SUFFIXES = (".png", ".pdf", ".svg")
 
 
@@ -48,9 +51,45 @@ def save(figure: Figure, path: str | Path) -> None:
 
 
 def finish(axes: Any, legend: bool = True) -> None:
-    """Give axes a grid and no frame."""
+    """Give axes a grid and no frame, and the legend beside them, where it hides nothing."""
     axes.grid(True, color="0.9")
+    axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     axes.margins(x=0.01)
     if legend:
-        axes.legend(frameon=False)
+        legend_beside(axes)
+
+
+def legend_beside(axes: Any, **settings: Any) -> None:
+    """Put the legend to the right of axes, in as many columns as keep it no higher than they are."""
+    count = len(axes.get_legend_handles_labels()[1])
+    place = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0, "frameon": False}
+    if count:
+        axes.legend(**place, fontsize="small", ncols=1 + count // 16, **settings)
+
+
+def legend_below(figure: Figure, axes: Any, columns: int = 4) -> None:
+    """Put the legend of axes below the figure."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(columns, len(labels)), frameon=False)
+
+
+def line_style(index: int) -> dict[str, str]:
+    """Colour and dash of the line of a channel or a joint: 28 that differ, neighbours in both."""
+    return {
+        "color": COLOURS[index % len(COLOURS)],
+        "linestyle": DASHES[(index % len(COLOURS) + index // len(COLOURS)) % len(DASHES)],
+    }
+
+
+def plain_log(axis: Any) -> None:
+    """Label a logarithmic axis with plain numbers; where it spans less than two decades, in between too."""
+    low, high = sorted(axis.get_view_interval())
+    short = low > 0 and np.log10(high / low) < 2
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(FuncFormatter(lambda value, _: f"{value:g}" if short and _leading(value) else ""))
+
+
+def _leading(value: float) -> bool:
+    """Whether a number's first digit is 2 or 5."""
+    return value > 0 and round(value / 10 ** np.floor(np.log10(value) + 1e-9)) in (2, 5)

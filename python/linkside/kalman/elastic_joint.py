@@ -15,6 +15,7 @@ from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
 from linkside.robot.considered import considered
+from linkside.robot.requirements import refuse_unsupported
 
 from .filtering import KalmanEstimate, KalmanMethod
 from .late_sensors import inside
@@ -106,6 +107,7 @@ class ElasticJoint(KalmanMethod):
         link_disturbance: Wanted = "auto",
     ) -> None:
         wanted = {"acceleration": accelerations, "dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
+        refuse_unsupported(robot, "a filter on the elastic-joint model")
         super().__init__(robot, wanted, biases, gate, iterations, start, link_disturbance)
         one_of("transition", transition, ("exact", "first-order"))
         one_of("motor_torque", motor_torque, ("sampled", "held"))

@@ -15,7 +15,7 @@ from linkside.arrays import FloatArray
 from linkside.channels import BIASED, CHANNELS
 from linkside.errors import EstimatorError, NumericalError
 from linkside.findings import named
-from linkside.recording.batch import Copies, Job, run_each
+from linkside.recording.batch import Copies, Described, Job, run_each
 from linkside.recording.estimate import Estimate, without_waits
 from linkside.recording.log import Log
 from linkside.robot import Robot
@@ -111,7 +111,7 @@ class LiveFilter(Copies, ABC, Generic[Core]):
         """Build a filter that has taken no sample."""
 
 
-class KalmanMethod(ABC):
+class KalmanMethod(Described, ABC):
     """A Kalman filter, or with ``_smooth`` a smoother, of any model, over recordings."""
 
     _smooth = False
@@ -139,6 +139,15 @@ class KalmanMethod(ABC):
         self.robot = robot
         self._wanted, self._biases = dict(wanted), tuple(biases)
         self._gate, self._iterations = gate, whole("iterations", iterations, least=1)
+
+    def _described(self) -> dict[str, Any]:
+        start = self._at if isinstance(self._at, str) else "given"
+        return {
+            "biases": self._biases,
+            "gate": self._gate,
+            "start": start,
+            "link_disturbance": self._link_disturbance,
+        }
 
     @overload
     def run(self, log: Log, *, covariance: bool = False, innovations: bool = False) -> KalmanEstimate: ...

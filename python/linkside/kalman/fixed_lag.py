@@ -48,6 +48,9 @@ class FixedLagSmoother(Copies):
         self._kinds = self._filter.live_kinds
         self.reset()
 
+    def _described(self) -> dict[str, Any]:
+        return {"lag": self.lag}
+
     def reset(self) -> None:
         """Forget everything: the next `step` starts anew."""
         law = self._filter.live_law

@@ -76,6 +76,8 @@ class Placement:
         The first recording that they are from.
     alone : tuple of float
         Score of every candidate alone; inf if it sees too little.
+    links : tuple of str
+        The link of every candidate.
     """
 
     robot: Robot
@@ -86,6 +88,7 @@ class Placement:
     q: FloatArray
     log: Log | None
     alone: tuple[float, ...]
+    links: tuple[str, ...]
 
     @cached_property
     def report(self) -> CheckReport:
@@ -113,7 +116,7 @@ class Placement:
         from .placement_figure import Scores, placement_figure
 
         label = "worst condition number" if self.criterion == "condition" else "standard deviation [rad/s²]"
-        scores = Scores(self.alone, self.score, self.before, label)
+        scores = Scores(self.alone, self.links, self.score, self.before, label)
         return placement_figure(self.report, [sensor.name for sensor in self.chosen], scores)
 
     def write(self, path: str | Path) -> None:
@@ -239,6 +242,7 @@ class _PlacementSearch:
         if criterion not in _NAMES:
             raise EstimatorError(f"criterion is {criterion!r}, expected one of {', '.join(_NAMES)}")
         self.robot, self.sensors, self.q, self.criterion = robot, sensors, q, criterion
+        self.links = tuple(sensor.link for sensor in sensors)
         self.log = logs[0] if logs else None
         self.share = share
         rows = self._rows()
@@ -354,7 +358,7 @@ class _PlacementSearch:
         robot = _mounted(self.robot, chosen)
         alone = tuple(self.score((index,)) for index in range(len(self.sensors)))
         before = self._exact(self.robot)
-        return Placement(robot, chosen, self.criterion, self.score(best), before, self.q, self.log, alone)
+        return Placement(robot, chosen, self.criterion, self.score(best), before, self.q, self.log, alone, self.links)
 
 
 def _candidates(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -22,8 +23,22 @@ class CheckReport(CheckResult):
         """Report in words and tables, without colours."""
         return as_text(check_tables(self), width)
 
-    def figure(self) -> Figure:
-        """Draw where accelerations are lost: over the two joints that matter most, and along the log."""
+    def figure(self, over: Sequence[str] | None = None, at: Mapping[str, float] | None = None) -> Figure:
+        """Draw where accelerations are lost: over two joints, over the workspace, and along the log.
+
+        Parameters
+        ----------
+        over
+            The two joints of the map; by default those that matter most.
+        at
+            Where other joints are held [rad, m]; by default near the middle of the log, or of the workspace, where most
+            of the map is regular.
+
+        Raises
+        ------
+        EstimatorError
+            There is no such joint.
+        """
         from .figure import check_figure
 
-        return check_figure(self)
+        return check_figure(self, over, at)

@@ -102,6 +102,11 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         self._signal = "acceleration" if accelerations == "sensors" else "ddq"
         self._set_period(period)
 
+    def _described(self) -> dict[str, Any]:
+        sizes = sorted({f"{abs(pole):.4g}" for poles in self.poles.values() for pole in poles}, key=float)
+        poles = " to ".join(dict.fromkeys((sizes[0], sizes[-1])))
+        return {"poles": f"{poles} rad/s", "form": self.form, "accelerations": self.accelerations}
+
     def step(self, *, theta: Signal, tau: Signal, acceleration: Signal) -> _core.State:
         """Take one sample and give the state at its time.
 

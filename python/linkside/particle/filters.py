@@ -201,6 +201,9 @@ class ParticleFilter(DecidingFilter[_core.ParticleFilter], JerkDrivenFilter[_cor
         }
         self._start()  # settings are checked at once
 
+    def _described(self) -> dict[str, Any]:
+        return {name: self._settings[name] for name in ("particles", "seed", "proposal", "resampling")}
+
     @overload
     def run(self, log: Log, *, covariance: bool = False) -> ParticleEstimate: ...
     @overload

@@ -63,7 +63,22 @@ def run_each(
     return found[0] if isinstance(log, Log) else found
 
 
-class Copies:
+class Described:
+    """Estimators say in one line what they are."""
+
+    robot: Any
+
+    def __repr__(self) -> str:
+        """Name the class, the robot and the settings."""
+        settings = "".join(f", {name}={value!r}" for name, value in self._described().items())
+        return f"{type(self).__name__}({self.robot!r}{settings})"
+
+    def _described(self) -> dict[str, Any]:
+        """The settings that tell one from another."""
+        return {}
+
+
+class Copies(Described):
     """Copies of an estimator are estimators of their own: `copy.copy` keeps the state of `step`.
 
     A pickled one has the settings alone: where it is read back, `step` starts anew.

@@ -182,6 +182,19 @@ class Estimate:
         with EstimateWriter(path) as writer:
             writer.write(self)
 
+    def require(self, *fields: str) -> tuple[FloatArray, ...]:
+        """Give fields that not every estimate has: ``tool, std = estimate.require("tool_position", "tool_std")``.
+
+        Raises
+        ------
+        EstimatorError
+            Naming the first that is missing.
+        """
+        for name in fields:
+            if not isinstance(getattr(self, name, None), np.ndarray):
+                raise EstimatorError(f"the estimate has no {name}, only {', '.join(self._form()[1])}")
+        return tuple(getattr(self, name) for name in fields)
+
     def status_summary(self) -> dict[str, int]:
         """Count rows by status, in words: ``{"good": 1990, "damped": 0, "bridged": 10, "unseen": 0}``."""
         flags = {name.lower(): flag for name, flag in Status.__members__.items() if flag}
@@ -266,18 +279,32 @@ class EstimateError:
     ----------
     rms, max : dict of str to float
         Root mean square and largest absolute error by column, such as ``q_a1``, in the column's unit.
-    tool_rms, tool_max : float or None
+    tool_rms_mm, tool_max_mm : float or None
         Distance of the tool from where it truly is [mm].
-    tool_rms_centred, tool_max_centred : float or None
-        The same after its constant offset is taken out [mm].
+    tool_rms_centred_mm, tool_max_centred_mm : float or None
+        The same after its constant offset is taken out [mm]. All four are also there without ``_mm``, as they were
+        called before.
     """
 
     rms: dict[str, float]
     max: dict[str, float]
-    tool_rms: float | None = None
-    tool_max: float | None = None
-    tool_rms_centred: float | None = None
-    tool_max_centred: float | None = None
+    tool_rms_mm: float | None = None
+    tool_max_mm: float | None = None
+    tool_rms_centred_mm: float | None = None
+    tool_max_centred_mm: float | None = None
+
+    tool_rms = property(lambda self: self.tool_rms_mm)
+    tool_max = property(lambda self: self.tool_max_mm)
+    tool_rms_centred = property(lambda self: self.tool_rms_centred_mm)
+    tool_max_centred = property(lambda self: self.tool_max_centred_mm)
+
+    def __repr__(self) -> str:
+        """Say the tool's error, and each column's, with four digits."""
+        tool = ", ".join(
+            f"{name}={value:.4g}" for name, value in vars(self).items() if name.startswith("tool") and value is not None
+        )
+        columns = ", ".join(f"{name} {value:.4g}" for name, value in self.rms.items())
+        return f"EstimateError({tool}{'; ' * bool(tool)}rms: {columns})"
 
     @classmethod
     def _of(cls, errors: dict[str, FloatArray], tool: FloatArray | None, source: str) -> EstimateError:

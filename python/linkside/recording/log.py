@@ -223,10 +223,11 @@ class Log:
         with EstimateWriter(path) as writer:
             writer.write(self)
 
-    def require(self, *signals: str, purpose: str = "this estimator") -> None:
-        """Insist on the columns of some signals: ``log.require("tau", "acceleration")``.
+    def require(self, *signals: str, purpose: str = "this estimator") -> tuple[FloatArray, ...]:
+        """Insist on the columns of some signals, and give the signals: ``theta, tau = log.require("theta", "tau")``.
 
-        Torques and link accelerations are needed of elastic joints only, every other signal of all joints.
+        Torques and link accelerations are needed of elastic joints only, every other signal of all joints. A signal of
+        which nothing is needed, nor there, is NaN.
 
         Raises
         ------
@@ -237,6 +238,11 @@ class Log:
             for column in self._layout.needed(signal, self.source, purpose):
                 if column not in self._layout.found:
                     raise self._layout.missing(column, self.source, f" (needed for {purpose})")
+        return tuple(self._signal(signal) for signal in signals)
+
+    def _signal(self, signal: str) -> FloatArray:
+        array: FloatArray | None = getattr(self, signal)
+        return np.full((len(self), len(self._layout.wanted[signal])), np.nan) if array is None else array
 
     def require_start(self, purpose: str, signals: Sequence[str] = ("theta",)) -> None:
         """Insist on every value of ``signals`` in the first row: an estimate cannot start from rest without.

@@ -66,6 +66,10 @@ def _direction(value: tuple[float, ...]) -> tuple[float, ...]:
     return value
 
 
+USUAL_FREQUENCY = 80.0
+"""√(K/B) of a robot's joint [rad/s], to within a factor of 2: a motor on its spring swings at 6 to 25 Hz."""
+
+
 class _Section(BaseModel):
     """A mapping with a fixed set of keys."""
 
@@ -171,7 +175,8 @@ class JointConfig(_Section):
 
     name: Name
     elastic: bool = True
-    stiffness: Positive | None = None  # K, N m/rad; an elastic joint has it or a table
+    stiffness: Positive | None = None  # K, N m/rad; an elastic joint has it or a table; `unknown`: see below
+    stiffness_known: bool = True  # else `stiffness` is where a calibration begins, to within a factor of 3
     stiffness_table: StiffnessTable | None = None
     backlash: Backlash = Backlash()
     damping: NonNegative = 0.0  # D, N m s/rad
@@ -182,6 +187,17 @@ class JointConfig(_Section):
     motor_friction: MotorFriction = MotorFriction()
     link_friction: Vector6 = (0.0,) * 6  # γ₁ … γ₆ of Ulrich, Sasiadek 2011, eq. (14)
     mass_scale: Positive = 1.0  # factor on mass and inertia of the link that the joint moves, as the URDF has them
+
+    @model_validator(mode="before")
+    @classmethod
+    def _begin_somewhere(cls, data: Any) -> Any:
+        """In place of a stiffness that is unknown, that with which the motor alone swings at `USUAL_FREQUENCY`."""
+        if not (isinstance(data, dict) and data.get("stiffness") == "unknown"):
+            return data
+        inertia = data.get("motor_inertia")
+        if not isinstance(inertia, int | float) or isinstance(inertia, bool) or not 0 < inertia < math.inf:
+            raise refusal("expected motor_inertia beside it, which says where a calibration begins", "stiffness")
+        return {**data, "stiffness": USUAL_FREQUENCY**2 * float(inertia), "stiffness_known": False}
 
     @model_validator(mode="after")
     def _table_alone(self) -> "JointConfig":

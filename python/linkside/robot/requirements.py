@@ -8,6 +8,9 @@ from linkside.errors import EstimatorError
 
 from .robot import Robot
 
+UNKNOWN = "stiffness: unknown"
+"""What only a calibration accounts for."""
+
 LATE = ("corner_frequency", "delay")
 """Keys of what makes a sensor late."""
 
@@ -28,6 +31,7 @@ FEATURES: dict[str, Callable[[Robot], list[str]]] = {
     "coupling": lambda robot: [row for row, entries in robot.config.coupling.items() if any(entries.values())],
     "rotors": lambda robot: list(robot.config.rotors),
     "stiffness_table": lambda robot: [drive.name for drive in robot.drives if drive.stiffness_table],
+    UNKNOWN: lambda robot: [drive.name for drive in robot.drives if drive.elastic and not drive.stiffness_known],
     "backlash": lambda robot: [drive.name for drive in robot.drives if drive.backlash.half_gap],
     **{key: _late("accelerometers", key) for key in LATE},
     **{f"link_encoder.{key}": _late("link_encoder", key) for key in LATE},
@@ -39,26 +43,28 @@ JOINT_SIDE = tuple(f"{carrier}.{key}" for carrier in ("link_encoder", "joint_tor
 """What is inside sensors behind the gears."""
 
 UNSUPPORTED: dict[str, tuple[str, ...]] = {
-    "the acceleration-driven observer": ("rotors", "backlash", "corner_frequency", "delay"),
-    "the acceleration-driven observer on joint accelerations": ("rotors", "backlash"),
-    "a filter on the jerk-driven model": ("coupling", "rotors"),
+    "the acceleration-driven observer": (UNKNOWN, "rotors", "backlash", "corner_frequency", "delay"),
+    "the acceleration-driven observer on joint accelerations": (UNKNOWN, "rotors", "backlash"),
+    "a filter on the jerk-driven model": (UNKNOWN, "coupling", "rotors"),
+    "a filter on the elastic-joint model": (UNKNOWN,),
+    "a simulation": (UNKNOWN,),
     "a velocity observer": ("rotors",),
     "a velocity observer on the links": ("rotors", *JOINT_SIDE),
     "the momentum residual": ("rotors",),
     "the momentum residual on the links": ("rotors", *JOINT_SIDE),
-    "inverse dynamics along a motion": ("rotors",),
-    "state feedback": ("rotors",),
+    "inverse dynamics along a motion": (UNKNOWN, "rotors"),
+    "state feedback": (UNKNOWN, "rotors"),
     "calibration": ("rotors", "stiffness_table", "backlash"),
 }
-"""By method: what it does not account for. Simulator, elastic-joint filters and smoothers account for all of it."""
+"""By method: what it does not account for."""
 
 
 def refuse_unsupported(robot: Robot, method: str) -> None:
     """Raise `EstimatorError` about the first thing that a robot declares and a method does not account for."""
     for key in UNSUPPORTED[method]:
         if owners := FEATURES[key](robot):
+            remedy = "calibrate first" if key == UNKNOWN else "use another method, or take it out"
             raise EstimatorError(
                 f"robot.yaml gives {', '.join(map(repr, owners))} {key.rpartition('.')[2]}, which {method} does not "
-                "account for; "
-                "use another method, or take it out"
+                f"account for; {remedy}"
             )

@@ -12,19 +12,21 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from linkside import _core
 from linkside.arguments import numbers, one_of, sized, whole
 from linkside.arrays import FloatArray
 from linkside.channels import CHANNELS, joint_columns
 from linkside.control.controllers import Controller, State, law_of
-from linkside.errors import EstimatorError, OutputError
+from linkside.errors import EstimatorError
+from linkside.files.writing import writing
 from linkside.kalman.elastic_joint import ElasticJointFilter
 from linkside.observers.acceleration import AccelerationObserver
 from linkside.recording.log import Log
+from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
 from linkside.robot.config import Lateness
+from linkside.robot.requirements import refuse_unsupported
 
 Truth: TypeAlias = dict[str, FloatArray]
 FeedbackSource: TypeAlias = bool | tuple[_core.ElasticJointFilter, list[int]] | _core.AccelerationObserver
@@ -61,7 +63,7 @@ class Sensor:
     every: int = 1
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Simulation:
     """A run: what was recorded, and what was so.
 
@@ -83,8 +85,14 @@ class Simulation:
     known: State
     _table: dict[str, FloatArray]
 
-    def write(self, folder: str | PathLike[str]) -> None:
-        """Write ``log.parquet`` and ``truth.parquet``, as `Log.read` and ``linkside consistency`` read them."""
+    def write(self, folder: str | PathLike[str], *, suffix: Literal[".parquet", ".csv"] = ".parquet") -> None:
+        """Write ``log`` and ``truth``, as `Log.read` and ``linkside compare`` read them; both whole or neither.
+
+        Raises
+        ------
+        OutputError
+            When that cannot be.
+        """
         columns = {"t": self.truth["t"]}
         for signal in ("q", "dq", "ddq", "theta", "dtheta"):
             columns |= {f"{signal}_{name}": self.truth[signal][:, j] for j, name in enumerate(self.robot.names)}
@@ -92,12 +100,27 @@ class Simulation:
             columns |= {f"d_{name}": self.truth["push"][:, j] for j, name in enumerate(self.robot.names)}
         if "tool" in self.truth:
             columns |= {f"tool_{axis}": self.truth["tool"][:, i] for i, axis in enumerate("xyz")}
-        try:
+        with writing(Path(folder)):
             Path(folder).mkdir(parents=True, exist_ok=True)
-            pq.write_table(pa.table(self._table), Path(folder) / "log.parquet")
-            pq.write_table(pa.table(columns), Path(folder) / "truth.parquet")
-        except OSError as error:
-            raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
+        paths = (Path(folder) / f"{name}{suffix}" for name in ("log", "truth"))
+        log, truth = map(EstimateWriter, paths)
+        with log, truth:
+            log.write(_Columns(self._table))
+            truth.write(_Columns(columns))
+
+    def __repr__(self) -> str:
+        """Robot, log and truth in one line."""
+        return f"Simulation({self.robot!r}, {self.log!r}, truth: {' '.join(self.truth)})"
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Columns as they are written."""
+
+    columns: dict[str, FloatArray]
+
+    def to_arrow(self) -> pa.Table:
+        return pa.table(self.columns)
 
 
 def simulate(
@@ -176,6 +199,7 @@ def simulate(
         the joint.
     """
     robot.require_masses("a simulation")
+    refuse_unsupported(robot, "a simulation")
     models = _models(sensors or {}, robot)
     start = {"q": q, "dq": dq, "theta": theta, "dtheta": dtheta, "tau": tau}
     settings = {

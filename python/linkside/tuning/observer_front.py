@@ -95,7 +95,9 @@ class Front:
         """Draw the front: each error over noise, the recommended point and the start marked."""
         from .front_figure import front_figure
 
-        return front_figure(self.ratios, self.recommended)
+        found = self.best.model_dump(exclude_defaults=True)
+        settings = ", ".join(f"{key}_{name} {value:.4g}" for key, own in found.items() for name, value in own.items())
+        return front_figure(self.ratios, self.recommended, settings or "as before")
 
 
 def tune_observer(

@@ -144,6 +144,9 @@ class ReducedOrderObserver(PeriodicObserver[_core.VelocityObserver, VelocityEsti
         self._rest = isinstance(start, str) and start == "rest"
         self._set_period(period)
 
+    def _described(self) -> dict[str, Any]:
+        return {"gain": self.gain, "side": self.side}
+
     def step(self, *, q: Signal, tau: Signal) -> _core.State:
         """Take one sample and give the state at its time.
 
