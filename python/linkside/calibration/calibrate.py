@@ -96,7 +96,8 @@ def calibrate(
     Raises
     ------
     EstimatorError
-        A name that is no parameter, bounds that contradict each other or robot.yaml, nothing to calibrate.
+        A name that is no parameter or has no part here, bounds that contradict each other or robot.yaml, nothing to
+        calibrate.
     LogError
         A recording without motion, with a saturated accelerometer, or of another robot.
     NumericalError
@@ -108,7 +109,10 @@ def calibrate(
     if held_out:
         refuse(robot, held_out)
     torque = use_torque(robot, logs, torque)
+    free = None if free is None else tuple(free)
     chosen = choose(robot, free, torque, bounds or {})
+    if not torque:
+        _refuse_of_filters(chosen, free or ())
     _refuse_unknown(chosen, start or {})
     run = _run(robot, logs, noise or Noise(), torque, chosen, start or {}, progress)
     run.solve()
@@ -153,6 +157,16 @@ def _run(
     return ResponseRun(ResponseProblem(robot, recordings(robot, logs), seen), still, start, progress)
 
 
+def _refuse_of_filters(chosen: Sequence[Parameter], asked: Sequence[str]) -> None:
+    """Refuse by name what has no part where motors are taken as they were measured."""
+    for p in chosen:
+        if p.kind in OF_FILTERS and (p.kind in asked or p.name in asked):
+            raise EstimatorError(
+                f"free: '{p.name}' has a part with motor torques only (--torque): without them motors are where they "
+                "were measured, and nothing else moves the links; leave it out"
+            )
+
+
 def _refuse_unknown(free: Sequence[Parameter], start: Mapping[str, float]) -> None:
     known = [parameter.name for parameter in free]
     for name, z in start.items():
@@ -177,5 +191,6 @@ def _contradictions(problem: Posterior, z: FloatArray) -> tuple[Contradiction, .
         best = Search(alone).maximise(z)
         evidence = alone.evidence(best, detail=True)
         still = [name for name, does in zip(problem.robot.names, moving(log), strict=True) if not does]
-        fits.append(Alone(best, uncertainty(evidence, log.period), frozenset(unidentifiable(alone, evidence, still))))
+        untold = unidentifiable(alone.free, evidence, still)
+        fits.append(Alone(best, uncertainty(evidence, log.period), frozenset(untold.reasons)))
     return tuple(compare(problem, fits))

@@ -87,6 +87,12 @@ class Prepared:
             missing[stretch] = True
         return replace(self, missing=missing)
 
+    def reading(self, columns: Sequence[int]) -> Prepared:
+        """Leave out what all but some channels read."""
+        missing = np.ones_like(self.missing)
+        missing[:, columns] = self.missing[:, columns]
+        return replace(self, missing=missing)
+
 
 def _readings(robot: Robot, log: Log, kind: str) -> FloatArray:
     values = getattr(log, kind)
@@ -159,6 +165,19 @@ class ResponseProblem:
         pairs = zip(self.recordings, stretches, strict=True)
         return self._like(recordings=[recording.without(parts) for recording, parts in pairs])
 
+    def sensors(self) -> dict[str, list[int]]:
+        """Columns of each sensor, by its name: an accelerometer's axes together, other channels one by one."""
+        found = {name: [c] for c, name in enumerate(self.channels)}
+        if "acceleration" in self.kinds:
+            for sensor, columns in zip(self.robot.accelerometers, self._columns(), strict=True):
+                axes = range(columns.start, columns.stop)
+                found = {name: own for name, own in found.items() if own[0] not in axes} | {sensor.name: [*axes]}
+        return found
+
+    def reading(self, columns: Sequence[int]) -> ResponseProblem:
+        """Give the same problem where only some channels were read, beside the motors' positions."""
+        return self._like(recordings=[recording.reading(columns) for recording in self.recordings])
+
     def smoothed(self, wider: float) -> ResponseProblem:
         """Give the same problem with motors' positions smoothed less, by this factor on the corner frequency."""
         smoother = [replace(r, motors=motors(self.robot, r.log, wider)) for r in self.recordings]
@@ -174,17 +193,15 @@ class ResponseProblem:
         ``corner`` is of another band.
         """
         there = self._like(corner=self.corner if corner is None else corner, size=None)
-        rough = there._like(size=there._spread(z))
-        started = []
-        for i, recording in enumerate(self.recordings):
-            residual, _, start = rough._residuals(i, z)
-            started.append(replace(recording, offset=recording.offset + _restart(residual, start, self._start)))
-        there = rough._like(recordings=started)
-        return there._like(size=there._spread(z))
-
-    def _spread(self, z: FloatArray) -> FloatArray:
-        residuals = [self._residuals(i, z)[0] * self.size for i in range(len(self.logs))]
-        return spread(residuals, self._least())
+        seen = [there._residuals(i, z) for i in range(len(self.logs))]
+        size = spread([residual * there.size for residual, _, _ in seen], there._least())
+        started, left = [], []
+        for recording, (residual, _, start) in zip(self.recordings, seen, strict=True):
+            by, e = start * (there.size / size)[:, None], residual * (there.size / size)
+            shift = _restart(e, by, self._start)
+            started.append(replace(recording, offset=recording.offset + shift))
+            left.append((e - by @ shift) * size)
+        return there._like(recordings=started, size=spread(left, there._least()))
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -206,6 +223,24 @@ class ResponseProblem:
     def log_likelihood(self, z: FloatArray) -> float:
         """Log-likelihood alone."""
         return self.evidence(z).log_likelihood
+
+    def paths(self, z: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+        """Each recording's link positions (T, n), and their derivatives in z (T, n, p)."""
+        return [self._path(recording, z) for recording in self.recordings]
+
+    def _path(self, recording: Prepared, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        moving = self._moving()
+        values = self.values(z)
+        core = Response(self.base.core, recording.motors, kinds=("q",), fixed=self._fixed())
+        offset = recording.offset[: 2 * self.robot.n].tolist()
+        q, by = core.evaluate([self.free[k].core for k in moving], [values[k] for k in moving], offset)
+        slopes = np.zeros((*q.shape, len(self.free)))
+        slopes[:, :, moving] = by[:, :, : len(moving)] * [self.free[k].slope(float(z[k])) for k in moving]
+        return q, slopes
+
+    def _moving(self) -> list[int]:
+        """Parameters that predictions depend on before sensors' filters."""
+        return [k for k, p in enumerate(self.free) if p.kind not in (*NOISE, *OF_TIME)]
 
     def _of_log(self, i: int, z: FloatArray, detail: bool, count: int) -> Evidence:
         residual, slopes, start = self._residuals(i, z)
@@ -254,7 +289,7 @@ class ResponseProblem:
     def _residuals(self, i: int, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Residuals (R, m) of a log over their spread, NaN where missing; slopes of predictions in z and the start."""
         recording, band = self.recordings[i], self._bands[i]
-        moving = [k for k, p in enumerate(self.free) if p.kind not in (*NOISE, *OF_TIME)]
+        moving = self._moving()
         names, values = [self.free[k].core for k in moving], self.values(z)
         prediction, by = self._cores[i].evaluate(
             names, [values[k] for k in moving], recording.offset[: 2 * self.robot.n].tolist()
