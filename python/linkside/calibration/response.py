@@ -17,13 +17,15 @@ import numpy.typing as npt
 from linkside._core import Response
 from linkside.arrays import FloatArray
 from linkside.channels import CHANNELS
+from linkside.kalman.late_sensors import sensors
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.config import Lateness
 
 from .band import Band
 from .lag import Lag
 from .motors import motors
-from .parameters import NOISE, Parameter, catalogue
+from .parameters import NOISE, OF_LINK_ENCODERS, CoreName, Parameter, catalogue
 from .problem import HUBER, STATED, Evidence, bare
 from .signals import filled, without_spikes
 from .spread import spread
@@ -37,7 +39,7 @@ ZEROS = ("rate", "q", "torque")
 LEAST_ZERO = 1e-3
 """Uncertainty of a zero, in the signal's unit, beside the largest reading."""
 
-OF_TIME = ("time_constant", "delay")
+OF_TIME = ("time_constant", "delay", *OF_LINK_ENCODERS)
 LEAST_NOISE = 1e-9
 FIRST = 0.05
 """So long motors are looked at to see whether a recording starts in motion [s]."""
@@ -100,7 +102,7 @@ def _readings(robot: Robot, log: Log, kind: str) -> FloatArray:
         bias, scale = robot.acceleration_errors
         noise = np.array([sensor.noise_std for sensor in robot.accelerometers for _ in sensor.axes])
         return without_spikes(values * scale + bias, noise)
-    if kind == "torque":
+    if kind in ("q", "torque"):  # of a joint without a spring they tell nothing
         return np.where(robot.elastic, values, np.nan)
     return np.array(values)
 
@@ -166,8 +168,9 @@ class ResponseProblem:
         return self._like(recordings=[recording.without(parts) for recording, parts in pairs])
 
     def sensors(self) -> dict[str, list[int]]:
-        """Columns of each sensor, by its name: an accelerometer's axes together, other channels one by one."""
-        found = {name: [c] for c, name in enumerate(self.channels)}
+        """Columns of each sensor that reads anything: an accelerometer's axes together, other channels one by one."""
+        read = np.any([~recording.missing.all(axis=0) for recording in self.recordings], axis=0)
+        found = {name: [c] for c, name in enumerate(self.channels) if read[c]}
         if "acceleration" in self.kinds:
             for sensor, columns in zip(self.robot.accelerometers, self._columns(), strict=True):
                 axes = range(columns.start, columns.stop)
@@ -308,17 +311,18 @@ class ResponseProblem:
         return residual, slopes[:, :, :p], slopes[:, :, p:]
 
     def _lag(self, z: FloatArray, period: float, prediction: FloatArray, slopes: FloatArray) -> None:
-        """Let the accelerometers' own filters and delays act, in place."""
+        """Let the sensors' own filters and delays act, in place."""
         at = {p.core: (k, p, float(x)) for k, (p, x) in enumerate(zip(self.free, z, strict=True))}
         held = {p.core: p.value(x) for p, x in self.held}
-        fixed = dict(self._times())
-        for s, columns in enumerate(self._columns() if "acceleration" in self.kinds else ()):
-            of = [("time_constant", s, 0), ("delay", s, 0)]
+        for columns, of, stated in self._late():
             free = [at.get(core) for core in of]
-            values = [f[1].value(f[2]) if f else held.get(c, fixed.get(c, 0.0)) for f, c in zip(free, of, strict=True)]
-            lag = Lag(*(value / period for value in values))
+            values = [
+                f[1].value(f[2]) if f else held.get(core, value)
+                for f, core, value in zip(free, of, stated, strict=True)
+            ]
             if not any(values):
                 continue
+            lag = Lag(*(value / period for value in values))
             by = lag.slopes(prediction[:, columns])
             prediction[:, columns] = lag(prediction[:, columns])
             slopes[:, columns] = lag(slopes[:, columns])
@@ -326,13 +330,20 @@ class ResponseProblem:
                 if f:
                     slopes[:, columns, f[0]] = slope * (f[1].slope(f[2]) / period)
 
-    def _times(self) -> list[tuple[tuple[str, int, int], float]]:
-        out = []
-        for s, sensor in enumerate(self.robot.accelerometers):
-            if sensor.corner_frequency:
-                out.append((("time_constant", s, 0), 1 / (2 * np.pi * sensor.corner_frequency)))
-            out.append((("delay", s, 0), sensor.delay))
-        return out
+    def _late(self) -> list[tuple[slice, list[CoreName], list[float]]]:
+        """Columns with one filter and delay: what these are called, and what robot.yaml says of them [s]."""
+        found: list[tuple[slice, list[CoreName], list[float]]] = []
+        at = 0
+        for kind in self.kinds:
+            of_all = sensors(self.robot, kind)
+            if kind == "acceleration":
+                for i, (own, columns) in enumerate(zip(self.robot.accelerometers, self._columns(), strict=True)):
+                    found.append((columns, [("time_constant", i, 0), ("delay", i, 0)], _times(own)))
+            else:
+                of: list[CoreName] = [(name, 0, 0) for name in OF_LINK_ENCODERS] if kind == "q" else [("", 0, 0)] * 2
+                found += [(slice(at + i, at + i + 1), of, _times(sensor)) for i, sensor in enumerate(of_all)]
+            at += len(of_all)
+        return found
 
     def _fixed(self) -> list[tuple[tuple[str, int, int], float]]:
         estimated = {p.name for p in (*self.free, *(p for p, _ in self.held))}
@@ -349,6 +360,13 @@ class ResponseProblem:
         parts = [told if kind == "acceleration" else [LEAST_NOISE] * _width(self.robot, kind) for kind in self.kinds]
         shrunk = min(float(np.linalg.norm(band.weights)) for band in self._bands)
         return np.array([x * shrunk for part in parts for x in part], dtype=np.float64)
+
+
+def _times(sensor: Lateness | None) -> list[float]:
+    """Time constant and delay that robot.yaml gives a sensor [s]."""
+    if sensor is None:
+        return [0.0, 0.0]
+    return [1 / (2 * np.pi * sensor.corner_frequency) if sensor.corner_frequency else 0.0, sensor.delay]
 
 
 def _width(robot: Robot, signal: str) -> int:

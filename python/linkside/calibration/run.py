@@ -128,4 +128,4 @@ class CalibrationRun(Generic[Objective]):
 def filters(problem: Problem | ResponseProblem) -> dict[str, float]:
     """Half a sample for a filter that robot.yaml does not have: at zero it could not be told from a delay."""
     half = 0.5 * min(log.period for log in problem.logs)
-    return {p.name: p.z(half) for p in problem.free if p.kind == "time_constant" and p.start < half}
+    return {p.name: p.z(half) for p in problem.free if p.kind.endswith("time_constant") and p.start < half}

@@ -10,7 +10,7 @@ from scipy import stats
 
 from linkside.arrays import FloatArray
 
-from .parameters import NOISE, Parameter
+from .parameters import NOISE, OF_LINK_ENCODERS, Parameter
 from .posterior import Posterior
 from .problem import Evidence
 
@@ -26,7 +26,7 @@ HALF_TOLD = 0.9
 NEVER_KNOWN = ("damping", "bias")
 """Kinds of which robot.yaml's value is a guess."""
 
-STANDING_IN = ("time_constant", "delay")
+STANDING_IN = ("time_constant", "delay", *OF_LINK_ENCODERS)
 """Kinds of which one does what another would: without it the other is told."""
 
 HIDING = 0.2
@@ -55,6 +55,8 @@ EXCITATION = {
     "scale": "strong accelerations, and several postures",
     "time_constant": "fast motion: accelerations that change within a few samples",
     "delay": "fast motion: accelerations that change within a few samples",
+    "link_time_constant": "fast motion, and link encoders",
+    "link_delay": "fast motion, and link encoders",
 }
 
 
