@@ -18,6 +18,7 @@ from linkside.calibration.search import Search, Step
 from linkside.calibration.signals import derivative, signals
 from linkside.calibration.uncertainty import Alone, Uncertainty, compare, long_run
 from linkside.errors import ConfigError, EstimatorError, LogError
+from linkside.robot.considered import considered
 
 DATA = Path(__file__).parents[1] / "data"
 MISMATCH = DATA / "arm2_square_mismatch"
@@ -204,6 +205,23 @@ def test_the_robot_file_keeps_its_comments_and_order(calibrated, tmp_path):
     assert Robot.load(tmp_path / "new/robot.yaml").drives[0].stiffness == pytest.approx(
         calibrated["stiffness_axis2"].value, rel=1e-3
     )
+
+
+def test_standard_errors_are_what_the_filters_reckon_with(calibrated, tmp_path):
+    """From the outcome through the file to the standard deviations of an estimate."""
+    shutil.copy(MISMATCH / "robot.urdf", tmp_path)
+    calibrated.write(MISMATCH / "robot.yaml", tmp_path / "robot.yaml")
+    robot = Robot.load(tmp_path / "robot.yaml")
+    reckoned = {one.name: one.std for one in considered(robot)}
+    for name in ("stiffness_axis2", "stiffness_axis3", "damping_axis2", "cubic_stiffness_axis2"):
+        found = calibrated[name]
+        # A stiffness and a damping are uncertain by shares, hardening by its unit.
+        share = found.std / (found.value if found.parameter.relative else 1.0)
+        assert reckoned[name] == pytest.approx(share, rel=0.05), name
+    log = Log.read(MISMATCH / "log.parquet", robot)[:400]
+    guessed = robot.config.model_copy(update={"tolerances": Robot.load(MISMATCH / "robot.yaml").config.tolerances})
+    wide, narrow = (ExtendedKalmanFilter(r).run(log).q_std[0] for r in (Robot(guessed, robot.model), robot))
+    assert np.all(narrow < 0.5 * wide)
 
 
 def test_the_report_is_one_file(calibrated, tmp_path):
