@@ -39,12 +39,13 @@ ZERO = 3e-4
 
 @dataclass(frozen=True)
 class Specimen:
-    """What is known of a robot, what its sensors read, and where its links were (rows, n)."""
+    """What is known of a robot, what its sensors read, where its links were (rows, n), and its URDF, text or file."""
 
     name: str
     robot: Robot
     log: Log
     q: Array
+    urdf: str
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,7 @@ def drawn(seed: int) -> Specimen:
     q, log = _recorded(robot, true, torque, rng, rough=rough)
     kind = f"{Path(urdf).stem if public else 'chain'}, {robot.n} joints"
     return Specimen(
-        f"{kind}, {'rough' if rough else 'smooth'}, {'with' if seen else 'no'} accelerometers", robot, log, q
+        f"{kind}, {'rough' if rough else 'smooth'}, {'with' if seen else 'no'} accelerometers", robot, log, q, urdf
     )
 
 

@@ -18,6 +18,7 @@ from linkside.calibration.search import Search, Step
 from linkside.calibration.signals import derivative, signals
 from linkside.calibration.uncertainty import Alone, Uncertainty, compare, long_run
 from linkside.errors import ConfigError, EstimatorError, LogError
+from linkside.robot.considered import considered
 
 DATA = Path(__file__).parents[1] / "data"
 MISMATCH = DATA / "arm2_square_mismatch"
@@ -166,14 +167,14 @@ def smooth(stiffness, nominal, encoder=1e-6, mass=1.0, seed=0):
 @pytest.mark.parametrize("factor", [0.8, 1.0, 3.0])
 def test_a_smooth_motion_tells_the_spring_too(factor, encoder):
     robot, log = smooth(6000.0, factor * 6000.0, encoder)
-    found = calibrate(robot, log, ["stiffness", "sensor_noise", "motor_noise", "jerk_noise"])["stiffness_j"]
+    found = calibrate(robot, log, ["stiffness", "sensor_noise"])["stiffness_j"]
     assert abs(found.value - 6000) < 4 * found.std
     assert found.std < 0.05 * 6000
 
 
 def test_masses_that_are_wrong_show_in_the_stiffness():
     robot, log = smooth(6000.0, 6000.0, mass=1.05)
-    found = calibrate(robot, log, ["stiffness", "sensor_noise", "motor_noise", "jerk_noise"])["stiffness_j"]
+    found = calibrate(robot, log, ["stiffness", "sensor_noise"])["stiffness_j"]
     assert found.value / 6000 == pytest.approx(1 / 1.05, abs=0.02)
 
 
@@ -204,6 +205,23 @@ def test_the_robot_file_keeps_its_comments_and_order(calibrated, tmp_path):
     assert Robot.load(tmp_path / "new/robot.yaml").drives[0].stiffness == pytest.approx(
         calibrated["stiffness_axis2"].value, rel=1e-3
     )
+
+
+def test_standard_errors_are_what_the_filters_reckon_with(calibrated, tmp_path):
+    """From the outcome through the file to the standard deviations of an estimate."""
+    shutil.copy(MISMATCH / "robot.urdf", tmp_path)
+    calibrated.write(MISMATCH / "robot.yaml", tmp_path / "robot.yaml")
+    robot = Robot.load(tmp_path / "robot.yaml")
+    reckoned = {one.name: one.std for one in considered(robot)}
+    for name in ("stiffness_axis2", "stiffness_axis3", "damping_axis2", "cubic_stiffness_axis2"):
+        found = calibrated[name]
+        # A stiffness and a damping are uncertain by shares, hardening by its unit.
+        share = found.std / (found.value if found.parameter.relative else 1.0)
+        assert reckoned[name] == pytest.approx(share, rel=0.05), name
+    log = Log.read(MISMATCH / "log.parquet", robot)[:400]
+    guessed = robot.config.model_copy(update={"tolerances": Robot.load(MISMATCH / "robot.yaml").config.tolerances})
+    wide, narrow = (ExtendedKalmanFilter(r).run(log).q_std[0] for r in (Robot(guessed, robot.model), robot))
+    assert np.all(narrow < 0.5 * wide)
 
 
 def test_the_report_is_one_file(calibrated, tmp_path):
@@ -250,6 +268,8 @@ def test_a_joint_that_does_not_move_is_left_as_it_is():
     [
         ({"free": ["stifness"]}, "'stifness' is no parameter of this robot; did you mean 'stiffness'"),
         ({"free": ["coulomb"], "torque": False}, "shows in motor torque only"),
+        ({"free": ["stiffness", "motor_noise"]}, "'motor_noise_axis2' has a part with motor torques only"),
+        ({"free": ["jerk_noise_axis3"]}, "'jerk_noise_axis3' has a part with motor torques only"),
         ({"bounds": {"stiffness_axis2": (5e5, 4e5)}}, "leave no value"),
         ({"bounds": {"stiffness_axis2": (1e5, 2e5)}}, "leave out 450000"),
         ({"bounds": {"stiffness_axis9": (1, 2)}}, "'stiffness_axis9' is not free"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -20,6 +20,9 @@ FOLDS = 2
 
 STRETCHES = 12
 """A recording is cut into so many, which the folds take in turn."""
+
+LOSS = -3.0
+"""A sensor whose readings are foretold less well than this, in log-likelihood, speaks against an outcome."""
 
 FAR = 3.0
 """An estimate further from robot.yaml than this, in tolerances, is not one that robot.yaml's tolerance allows for."""
@@ -38,11 +41,14 @@ class Foretold:
         Its standard error, by how it differs from stretch to stretch.
     worst : float
         Gain of the worst stretch.
+    sensors : dict of str to float
+        Gain of each sensor's readings, with what the other sensors alone tell; empty where there is one sensor.
     """
 
     gain: float
     std: float
     worst: float
+    sensors: dict[str, float] = field(default_factory=dict)
 
     @property
     def better(self) -> bool:
@@ -51,7 +57,9 @@ class Foretold:
 
     def __str__(self) -> str:
         """Say so in a line."""
-        return f"readings held back: log-likelihood {self.gain:+.1f} ± {self.std:.1f}"
+        each = ", ".join(f"{name} {gain:+.1f}" for name, gain in self.sensors.items())
+        by_others = f"; each sensor by the others: {each}" if each else ""
+        return f"readings held back: log-likelihood {self.gain:+.1f} ± {self.std:.1f}{by_others}"
 
 
 def foretell(problem: Posterior, nominal: Sequence[FloatArray], z: FloatArray) -> Foretold:
@@ -96,6 +104,12 @@ def objections(
     found = []
     if foretold is not None and not foretold.better:
         found.append(f"it does not foretell better than robot.yaml as it is ({foretold})")
+    if foretold is not None:
+        found += [
+            f"{name} is foretold less well by what the other sensors tell (log-likelihood {worse:+.1f})"
+            for name, worse in foretold.sensors.items()
+            if worse < LOSS
+        ]
     if gain is not None and gain < 0:
         found.append(f"a Kalman filter foretells less well with it than with robot.yaml (log-likelihood {gain:+.1f})")
     for p, x in zip(free, z.tolist(), strict=True):

@@ -19,11 +19,11 @@ from linkside.robot import Robot
 from .acceptance import filters_gain, objections
 from .calibration import Calibration
 from .filter_run import FilterRun
-from .parameters import Bounds, Parameter, choose
+from .parameters import OF_LINK_ENCODERS, Bounds, Parameter, choose
 from .posterior import Posterior
 from .problem import Problem
 from .recordings import refuse, use_torque
-from .response import ResponseProblem, recordings
+from .response import ResponseProblem, kinds, recordings
 from .response_run import ResponseRun
 from .result import Estimated
 from .search import Progress, Search
@@ -96,7 +96,8 @@ def calibrate(
     Raises
     ------
     EstimatorError
-        A name that is no parameter, bounds that contradict each other or robot.yaml, nothing to calibrate.
+        A name that is no parameter or has no part here, bounds that contradict each other or robot.yaml, nothing to
+        calibrate.
     LogError
         A recording without motion, with a saturated accelerometer, or of another robot.
     NumericalError
@@ -108,7 +109,10 @@ def calibrate(
     if held_out:
         refuse(robot, held_out)
     torque = use_torque(robot, logs, torque)
+    free = None if free is None else tuple(free)
     chosen = choose(robot, free, torque, bounds or {})
+    if not torque:
+        _refuse_without_part(chosen, free or (), logs)
     _refuse_unknown(chosen, start or {})
     run = _run(robot, logs, noise or Noise(), torque, chosen, start or {}, progress)
     run.solve()
@@ -116,7 +120,9 @@ def calibrate(
     foretold = run.foretold() if len(run.problem.free) else None
     gain = None
     if foretold is not None and not torque and robot.acceleration_channels:
-        gain = filters_gain(Problem(robot, logs, noise or Noise(), False, run.problem.free), run.z)
+        known = [p.kind not in OF_LINK_ENCODERS for p in run.problem.free]  # which that model reads as robot.yaml says
+        theirs = [p for p, is_known in zip(run.problem.free, known, strict=True) if is_known]
+        gain = filters_gain(Problem(robot, logs, noise or Noise(), False, theirs), run.z[known])
     return Calibration(
         estimates=_estimates(run.problem.free, run.z, found),
         refused=run.refused,
@@ -149,8 +155,23 @@ def _run(
     still = [name for name, does in zip(robot.names, moves, strict=True) if not does]
     if torque:
         return FilterRun(Problem(robot, logs, noise, torque, free), still, start, progress)
-    seen = [p for p in free if p.kind not in OF_FILTERS]
+    without = OF_FILTERS if "q" in kinds(robot, logs) else (*OF_FILTERS, *OF_LINK_ENCODERS)
+    seen = [p for p in free if p.kind not in without]
     return ResponseRun(ResponseProblem(robot, recordings(robot, logs), seen), still, start, progress)
+
+
+def _refuse_without_part(chosen: Sequence[Parameter], asked: Sequence[str], logs: Sequence[Log]) -> None:
+    """Refuse by name what nothing in the recordings, or in how they are looked at, can depend on."""
+    for p in (p for p in chosen if p.kind in asked or p.name in asked):
+        if p.kind in OF_FILTERS:
+            raise EstimatorError(
+                f"free: '{p.name}' has a part with motor torques only (--torque): without them motors are where they "
+                "were measured, and nothing else moves the links; leave it out"
+            )
+        if p.kind in OF_LINK_ENCODERS and not all(log.q is not None for log in logs):
+            raise EstimatorError(
+                f"free: '{p.name}' shows in link encoders only, and a log has none (columns q_<joint>)"
+            )
 
 
 def _refuse_unknown(free: Sequence[Parameter], start: Mapping[str, float]) -> None:
@@ -177,5 +198,6 @@ def _contradictions(problem: Posterior, z: FloatArray) -> tuple[Contradiction, .
         best = Search(alone).maximise(z)
         evidence = alone.evidence(best, detail=True)
         still = [name for name, does in zip(problem.robot.names, moving(log), strict=True) if not does]
-        fits.append(Alone(best, uncertainty(evidence, log.period), frozenset(unidentifiable(alone, evidence, still))))
+        untold = unidentifiable(alone.free, evidence, still)
+        fits.append(Alone(best, uncertainty(evidence, log.period), frozenset(untold.reasons)))
     return tuple(compare(problem, fits))

@@ -16,7 +16,7 @@ from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from linkside.files.writing import write_text
 from linkside.files.yaml_source import Source
 
-from .parameters import AXES, KINDS, SHORTEST_FILTER
+from .parameters import AXES, KINDS, OF_LINK_ENCODERS, SHORTEST_FILTER
 from .result import Estimated, Result
 
 CONSIDERED = ("stiffness", "cubic_stiffness", "damping", "mass_scale", "translation", "rotation", "scale")
@@ -144,7 +144,17 @@ def _of_sensor(tree: Any, e: Estimated) -> None:
         _note(sensor, "xyz", f"along its own {AXES[e.parameter.core[2]]} ± {e.std:.2g}")
     elif kind == "sensor_noise":
         _put(sensor, "noise_std", rounded(sensor.get("noise_std", 0.05) * e.value, 1e-2 * e.value), "rpy")
-    elif kind == "delay":
+    else:
+        _late(sensor, kind, e)
+
+
+def _of_link_encoders(tree: Any, e: Estimated) -> None:
+    sensor = tree.setdefault("link_encoder", CommentedMap())
+    _late(sensor, e.parameter.kind.removeprefix("link_"), e)
+
+
+def _late(sensor: Any, kind: str, e: Estimated) -> None:
+    if kind == "delay":
         _put(sensor, "delay", rounded(e.value, e.std), "noise_std")
         _note(sensor, "delay", f"± {e.std:.2g}")
     elif e.value > 2 * SHORTEST_FILTER:
@@ -191,5 +201,6 @@ _WRITERS: dict[str, Writer] = {
     **dict.fromkeys(("viscous", "coulomb"), _of_friction),
     **dict.fromkeys(("payload_mass", "payload_xyz"), _of_payload),
     **dict.fromkeys(("bias", "scale", "translation", "sensor_noise", "delay", "time_constant"), _of_sensor),
+    **dict.fromkeys(OF_LINK_ENCODERS, _of_link_encoders),
     "coupling": _of_coupling,
 }

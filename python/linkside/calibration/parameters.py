@@ -11,11 +11,11 @@ import numpy as np
 from linkside.errors import EstimatorError
 from linkside.files.yaml_source import suggest
 from linkside.robot import Robot
-from linkside.robot.config import AccelerometerConfig, JointConfig, TolerancesConfig
+from linkside.robot.config import AccelerometerConfig, JointConfig, Lateness, LinkEncoderConfig, TolerancesConfig
 
 CoreName = tuple[str, int, int]
 Bounds = Mapping[str, tuple[float, float]]
-Owner = Literal["joint", "coupling", "payload", "payload axis", "sensor", "sensor axis"]
+Owner = Literal["joint", "coupling", "payload", "payload axis", "sensor", "sensor axis", "link encoders"]
 
 AXES = "xyz"
 SHORTEST_FILTER = 1e-5
@@ -61,6 +61,8 @@ KINDS = {
     "scale": Kind("sensor axis", "", relative=True),
     "time_constant": Kind("sensor", "s", least=SHORTEST_FILTER),
     "delay": Kind("sensor", "s", least=0.0),
+    "link_time_constant": Kind("link encoders", "s", least=SHORTEST_FILTER),
+    "link_delay": Kind("link encoders", "s", least=0.0),
     "motor_noise": Kind("joint", "", relative=True),
     "torque_noise": Kind("joint", "", relative=True),
     "sensor_noise": Kind("sensor", "", relative=True),
@@ -74,6 +76,9 @@ UNKNOWN = float(np.log(3))
 NOISE = ("motor_noise", "torque_noise", "sensor_noise", "jerk_noise")
 """Kinds that say how uncertain readings are; factors on what `Noise` says."""
 
+OF_LINK_ENCODERS = ("link_time_constant", "link_delay")
+"""Kinds of the encoders behind the gears, all of them alike: their first-order filter."""
+
 NOISE_RANGE = (0.03, 1e3)
 """Factors on noise: below, an encoder would be better than its steps."""
 
@@ -82,7 +87,7 @@ TORQUE_ONLY = ("motor_inertia", "viscous", "coulomb", "coupling", "torque_noise"
 
 DEFAULT = (
     *("stiffness", "cubic_stiffness", "damping", "motor_inertia", "viscous", "coulomb"),
-    *("payload_mass", "bias", "time_constant", "delay", *NOISE),
+    *("payload_mass", "bias", "time_constant", "delay", *OF_LINK_ENCODERS, *NOISE),
 )
 """Kinds that are freed where nothing is said, as far as the recordings tell them apart."""
 
@@ -157,7 +162,7 @@ class Parameter:
 def catalogue(robot: Robot, torque: bool) -> list[Parameter]:
     """Every parameter that a robot has; those that only motor torque tells of where there is ``torque``."""
     tolerances = robot.config.tolerances
-    kinds = [kind for kind in KINDS if torque or kind not in TORQUE_ONLY]
+    kinds = [kind for kind in KINDS if kind not in (OF_LINK_ENCODERS if torque else TORQUE_ONLY)]
     return [parameter for kind in kinds for parameter in _of_kind(robot, kind, tolerances)]
 
 
@@ -201,7 +206,7 @@ def _bounded(parameter: Parameter, bounds: tuple[float, float]) -> Parameter:
 
 
 def _of_kind(robot: Robot, kind: str, tolerances: TolerancesConfig) -> list[Parameter]:
-    owner, tolerance = KINDS[kind].owner, getattr(tolerances, kind)
+    owner, tolerance = KINDS[kind].owner, getattr(tolerances, kind.removeprefix("link_"))
     sensors = list(enumerate(robot.accelerometers))
     if owner == "joint":
         inertia = robot.mass_matrix(np.zeros((1, robot.n)))[0].diagonal().tolist()
@@ -215,6 +220,9 @@ def _of_kind(robot: Robot, kind: str, tolerances: TolerancesConfig) -> list[Para
         names = robot.names
         values = robot.coupling
         return [_made(kind, f"coupling_{names[i]}_{names[j]}", (i, j), values[i, j], tolerance) for i, j in pairs]
+    if owner == "link encoders":
+        stated = robot.config.link_encoder or LinkEncoderConfig()
+        return [_made(kind, kind, (0, 0), _of_sensor(stated, kind.removeprefix("link_")), tolerance)]
     if owner in ("payload", "payload axis"):
         return _of_payload(robot, kind, tolerance)
     if owner == "sensor":
@@ -263,7 +271,7 @@ def _of_payload(robot: Robot, kind: str, tolerance: float) -> list[Parameter]:
     return [_made(kind, f"payload_{AXES[a]}", (0, a), payload.xyz[a], tolerance) for a in range(3)]
 
 
-def _of_sensor(sensor: AccelerometerConfig, kind: str) -> float:
+def _of_sensor(sensor: Lateness, kind: str) -> float:
     if kind == "time_constant":
         return 1 / (2 * np.pi * sensor.corner_frequency) if sensor.corner_frequency else SHORTEST_FILTER
     return sensor.delay if kind == "delay" else 1.0

@@ -17,13 +17,17 @@ from linkside.robot import Robot
 from linkside.robot import compile as tree
 from linkside.robot.config import PayloadConfig
 
-from .parameters import TORQUE_ONLY, CoreName, Parameter, catalogue
+from .parameters import OF_LINK_ENCODERS, TORQUE_ONLY, CoreName, Parameter, catalogue
 from .signals import noise_arrays, signals
 
 HUBER = 4.0
 """Innovations beyond so many standard deviations count linearly."""
 
-OF_SENSORS = ("translation", "rotation", "bias", "scale", "time_constant", "delay", "sensor_noise", *TORQUE_ONLY)
+OF_SENSORS = (
+    *("translation", "rotation", "bias", "scale", "time_constant", "delay", "sensor_noise"),
+    *OF_LINK_ENCODERS,
+    *TORQUE_ONLY,
+)
 """Kinds that the motors' positions alone do not depend on."""
 
 STATED = ("mass_scale", "payload_mass", "payload_xyz", "bias", "scale", "time_constant", "delay")

@@ -17,13 +17,15 @@ import numpy.typing as npt
 from linkside._core import Response
 from linkside.arrays import FloatArray
 from linkside.channels import CHANNELS
+from linkside.kalman.late_sensors import sensors
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.config import Lateness
 
 from .band import Band
 from .lag import Lag
 from .motors import motors
-from .parameters import NOISE, Parameter, catalogue
+from .parameters import NOISE, OF_LINK_ENCODERS, CoreName, Parameter, catalogue
 from .problem import HUBER, STATED, Evidence, bare
 from .signals import filled, without_spikes
 from .spread import spread
@@ -37,7 +39,7 @@ ZEROS = ("rate", "q", "torque")
 LEAST_ZERO = 1e-3
 """Uncertainty of a zero, in the signal's unit, beside the largest reading."""
 
-OF_TIME = ("time_constant", "delay")
+OF_TIME = ("time_constant", "delay", *OF_LINK_ENCODERS)
 LEAST_NOISE = 1e-9
 FIRST = 0.05
 """So long motors are looked at to see whether a recording starts in motion [s]."""
@@ -87,6 +89,12 @@ class Prepared:
             missing[stretch] = True
         return replace(self, missing=missing)
 
+    def reading(self, columns: Sequence[int]) -> Prepared:
+        """Leave out what all but some channels read."""
+        missing = np.ones_like(self.missing)
+        missing[:, columns] = self.missing[:, columns]
+        return replace(self, missing=missing)
+
 
 def _readings(robot: Robot, log: Log, kind: str) -> FloatArray:
     values = getattr(log, kind)
@@ -94,7 +102,7 @@ def _readings(robot: Robot, log: Log, kind: str) -> FloatArray:
         bias, scale = robot.acceleration_errors
         noise = np.array([sensor.noise_std for sensor in robot.accelerometers for _ in sensor.axes])
         return without_spikes(values * scale + bias, noise)
-    if kind == "torque":
+    if kind in ("q", "torque"):  # of a joint without a spring they tell nothing
         return np.where(robot.elastic, values, np.nan)
     return np.array(values)
 
@@ -159,6 +167,20 @@ class ResponseProblem:
         pairs = zip(self.recordings, stretches, strict=True)
         return self._like(recordings=[recording.without(parts) for recording, parts in pairs])
 
+    def sensors(self) -> dict[str, list[int]]:
+        """Columns of each sensor that reads anything: an accelerometer's axes together, other channels one by one."""
+        read = np.any([~recording.missing.all(axis=0) for recording in self.recordings], axis=0)
+        found = {name: [c] for c, name in enumerate(self.channels) if read[c]}
+        if "acceleration" in self.kinds:
+            for sensor, columns in zip(self.robot.accelerometers, self._columns(), strict=True):
+                axes = range(columns.start, columns.stop)
+                found = {name: own for name, own in found.items() if own[0] not in axes} | {sensor.name: [*axes]}
+        return found
+
+    def reading(self, columns: Sequence[int]) -> ResponseProblem:
+        """Give the same problem where only some channels were read, beside the motors' positions."""
+        return self._like(recordings=[recording.reading(columns) for recording in self.recordings])
+
     def smoothed(self, wider: float) -> ResponseProblem:
         """Give the same problem with motors' positions smoothed less, by this factor on the corner frequency."""
         smoother = [replace(r, motors=motors(self.robot, r.log, wider)) for r in self.recordings]
@@ -174,17 +196,15 @@ class ResponseProblem:
         ``corner`` is of another band.
         """
         there = self._like(corner=self.corner if corner is None else corner, size=None)
-        rough = there._like(size=there._spread(z))
-        started = []
-        for i, recording in enumerate(self.recordings):
-            residual, _, start = rough._residuals(i, z)
-            started.append(replace(recording, offset=recording.offset + _restart(residual, start, self._start)))
-        there = rough._like(recordings=started)
-        return there._like(size=there._spread(z))
-
-    def _spread(self, z: FloatArray) -> FloatArray:
-        residuals = [self._residuals(i, z)[0] * self.size for i in range(len(self.logs))]
-        return spread(residuals, self._least())
+        seen = [there._residuals(i, z) for i in range(len(self.logs))]
+        size = spread([residual * there.size for residual, _, _ in seen], there._least())
+        started, left = [], []
+        for recording, (residual, _, start) in zip(self.recordings, seen, strict=True):
+            by, e = start * (there.size / size)[:, None], residual * (there.size / size)
+            shift = _restart(e, by, self._start)
+            started.append(replace(recording, offset=recording.offset + shift))
+            left.append((e - by @ shift) * size)
+        return there._like(recordings=started, size=spread(left, there._least()))
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -206,6 +226,24 @@ class ResponseProblem:
     def log_likelihood(self, z: FloatArray) -> float:
         """Log-likelihood alone."""
         return self.evidence(z).log_likelihood
+
+    def paths(self, z: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+        """Each recording's link positions (T, n), and their derivatives in z (T, n, p)."""
+        return [self._path(recording, z) for recording in self.recordings]
+
+    def _path(self, recording: Prepared, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        moving = self._moving()
+        values = self.values(z)
+        core = Response(self.base.core, recording.motors, kinds=("q",), fixed=self._fixed())
+        offset = recording.offset[: 2 * self.robot.n].tolist()
+        q, by = core.evaluate([self.free[k].core for k in moving], [values[k] for k in moving], offset)
+        slopes = np.zeros((*q.shape, len(self.free)))
+        slopes[:, :, moving] = by[:, :, : len(moving)] * [self.free[k].slope(float(z[k])) for k in moving]
+        return q, slopes
+
+    def _moving(self) -> list[int]:
+        """Parameters that predictions depend on before sensors' filters."""
+        return [k for k, p in enumerate(self.free) if p.kind not in (*NOISE, *OF_TIME)]
 
     def _of_log(self, i: int, z: FloatArray, detail: bool, count: int) -> Evidence:
         residual, slopes, start = self._residuals(i, z)
@@ -254,7 +292,7 @@ class ResponseProblem:
     def _residuals(self, i: int, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Residuals (R, m) of a log over their spread, NaN where missing; slopes of predictions in z and the start."""
         recording, band = self.recordings[i], self._bands[i]
-        moving = [k for k, p in enumerate(self.free) if p.kind not in (*NOISE, *OF_TIME)]
+        moving = self._moving()
         names, values = [self.free[k].core for k in moving], self.values(z)
         prediction, by = self._cores[i].evaluate(
             names, [values[k] for k in moving], recording.offset[: 2 * self.robot.n].tolist()
@@ -273,17 +311,18 @@ class ResponseProblem:
         return residual, slopes[:, :, :p], slopes[:, :, p:]
 
     def _lag(self, z: FloatArray, period: float, prediction: FloatArray, slopes: FloatArray) -> None:
-        """Let the accelerometers' own filters and delays act, in place."""
+        """Let the sensors' own filters and delays act, in place."""
         at = {p.core: (k, p, float(x)) for k, (p, x) in enumerate(zip(self.free, z, strict=True))}
         held = {p.core: p.value(x) for p, x in self.held}
-        fixed = dict(self._times())
-        for s, columns in enumerate(self._columns() if "acceleration" in self.kinds else ()):
-            of = [("time_constant", s, 0), ("delay", s, 0)]
+        for columns, of, stated in self._late():
             free = [at.get(core) for core in of]
-            values = [f[1].value(f[2]) if f else held.get(c, fixed.get(c, 0.0)) for f, c in zip(free, of, strict=True)]
-            lag = Lag(*(value / period for value in values))
+            values = [
+                f[1].value(f[2]) if f else held.get(core, value)
+                for f, core, value in zip(free, of, stated, strict=True)
+            ]
             if not any(values):
                 continue
+            lag = Lag(*(value / period for value in values))
             by = lag.slopes(prediction[:, columns])
             prediction[:, columns] = lag(prediction[:, columns])
             slopes[:, columns] = lag(slopes[:, columns])
@@ -291,13 +330,20 @@ class ResponseProblem:
                 if f:
                     slopes[:, columns, f[0]] = slope * (f[1].slope(f[2]) / period)
 
-    def _times(self) -> list[tuple[tuple[str, int, int], float]]:
-        out = []
-        for s, sensor in enumerate(self.robot.accelerometers):
-            if sensor.corner_frequency:
-                out.append((("time_constant", s, 0), 1 / (2 * np.pi * sensor.corner_frequency)))
-            out.append((("delay", s, 0), sensor.delay))
-        return out
+    def _late(self) -> list[tuple[slice, list[CoreName], list[float]]]:
+        """Columns with one filter and delay: what these are called, and what robot.yaml says of them [s]."""
+        found: list[tuple[slice, list[CoreName], list[float]]] = []
+        at = 0
+        for kind in self.kinds:
+            of_all = sensors(self.robot, kind)
+            if kind == "acceleration":
+                for i, (own, columns) in enumerate(zip(self.robot.accelerometers, self._columns(), strict=True)):
+                    found.append((columns, [("time_constant", i, 0), ("delay", i, 0)], _times(own)))
+            else:
+                of: list[CoreName] = [(name, 0, 0) for name in OF_LINK_ENCODERS] if kind == "q" else [("", 0, 0)] * 2
+                found += [(slice(at + i, at + i + 1), of, _times(sensor)) for i, sensor in enumerate(of_all)]
+            at += len(of_all)
+        return found
 
     def _fixed(self) -> list[tuple[tuple[str, int, int], float]]:
         estimated = {p.name for p in (*self.free, *(p for p, _ in self.held))}
@@ -314,6 +360,13 @@ class ResponseProblem:
         parts = [told if kind == "acceleration" else [LEAST_NOISE] * _width(self.robot, kind) for kind in self.kinds]
         shrunk = min(float(np.linalg.norm(band.weights)) for band in self._bands)
         return np.array([x * shrunk for part in parts for x in part], dtype=np.float64)
+
+
+def _times(sensor: Lateness | None) -> list[float]:
+    """Time constant and delay that robot.yaml gives a sensor [s]."""
+    if sensor is None:
+        return [0.0, 0.0]
+    return [1 / (2 * np.pi * sensor.corner_frequency) if sensor.corner_frequency else 0.0, sensor.delay]
 
 
 def _width(robot: Robot, signal: str) -> int:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from linkside.arrays import FloatArray
 from linkside.errors import NumericalError
 from linkside.recording.log import Log
 
 from .acceptance import Foretold, foretell
+from .change import Change, change
 from .parameters import NOISE
 from .problem import OF_SENSORS
 from .response import ResponseProblem, recordings
 from .result import Fit
 from .run import CalibrationRun, filters
 from .search import GAIN, ROUGH, Progress, Search
+from .uncertainty import EXCITATION
 
 CORNERS = (5.0, 12.0, 50.0)
 """Bands that are looked at in turn [Hz], before all of it: the lower, the farther a search finds its way."""
@@ -56,6 +60,7 @@ class ResponseRun(CalibrationRun[ResponseProblem]):
         told = problem.restricted([p for p in problem.free if p.kind not in NOISE])
         super().__init__(told, still, filters(problem) | dict(start), progress)
         self.resumed = bool(start)
+        self.change: Change | None = None
         self.noise = [p for p in problem.free if p.kind in NOISE]
         nominal = np.zeros(len(told.free))
         self.before = Fit.of(told.settled(nominal).evidence(nominal, detail=True))
@@ -72,11 +77,28 @@ class ResponseRun(CalibrationRun[ResponseProblem]):
         self._smooth()
         self._climb(np.inf, ROUGH)
         self._leave_out()
-        for _ in range(ROUNDS):
+        while True:
             self._climb(np.inf, GAIN)
-            if not self._leave_out():
+            if not (self._leave_out() or self._leave_out_flat() or self._leave_out_chance()):
                 break
         self._judge_noise()
+
+    def _leave_out_chance(self) -> bool:
+        """Whether drives had to be left as they are: what they change in the tool's path may be chance."""
+        drives = [p.name for p in self.problem.free if p.kind not in OF_SENSORS]
+        if not drives:
+            return False
+        free = (*self.problem.free, *self.considered)
+        self.change = change(self.problem.restricted(free), self._at(free), self._spread().covariance)
+        if self.change.told:
+            return False
+        unit = "rad" if self.problem.robot.tool is None else "m"
+        reason = (
+            f"what it and others change in the path, {self.change.moved:.2g} {unit}, is not far more than what stays "
+            f"uncertain, {self.change.uncertain:.2g} {unit}; they lack {EXCITATION['stiffness']}"
+        )
+        self._refuse(dict.fromkeys(drives, reason), frozenset({*drives, *(p.name for p in self.considered)}))
+        return True
 
     def foretold(self) -> Foretold:
         """How well the outcome foretells readings, against robot.yaml with what is of the sensors alone fitted."""
@@ -84,8 +106,25 @@ class ResponseRun(CalibrationRun[ResponseProblem]):
         held = self.problem.holding({}, free).settled(np.zeros(len(free)))
         at = dict(zip([p.name for p in free], Search(held, gain=ROUGH).maximise(np.zeros(len(free))), strict=True))
         nominal = np.array([at.get(p.name, 0.0) for p in self.problem.free])
-        densities = self.problem.settled(nominal).evidence(nominal, detail=True).densities
-        return foretell(self.problem, densities, self.z)
+        settled = self.problem.settled(nominal)
+        found = foretell(self.problem, settled.evidence(nominal, detail=True).densities, self.z)
+        return replace(found, sensors=self._by_others(settled, nominal))
+
+    def _by_others(self, settled: ResponseProblem, nominal: FloatArray) -> dict[str, float]:
+        """Log-likelihood that each sensor's readings gain by a fit to the others' only, sensors' own errors kept."""
+        sensors = self.problem.sensors()
+        if len(sensors) < 2:
+            return {}
+        drives = [p for p in self.problem.free if p.kind not in OF_SENSORS]
+        gains = {}
+        for name, columns in sensors.items():
+            others = self.problem.reading([c for c in range(len(self.problem.channels)) if c not in columns])
+            fitted = Search(others.holding(self.at, drives), gain=ROUGH).maximise(self._at(drives))
+            there = self.at | dict(zip([p.name for p in drives], fitted.tolist(), strict=True))
+            z = np.array([there.get(p.name, 0.0) for p in self.problem.free])
+            after = self.problem.reading(columns).log_likelihood(z)
+            gains[name] = after - settled.reading(columns).log_likelihood(nominal)
+        return gains
 
     def held_out(self, logs: Sequence[Log]) -> tuple[float, float]:
         """Log-likelihood of other recordings, before and after; noise levels are fitted for both."""

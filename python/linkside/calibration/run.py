@@ -9,11 +9,15 @@ import numpy as np
 
 from linkside.arrays import FloatArray
 
-from .problem import Problem
+from .parameters import Parameter
+from .problem import Evidence, Problem
 from .response import ResponseProblem
 from .result import Fit
-from .search import Progress
-from .uncertainty import Uncertainty, uncertainty, unidentifiable
+from .search import ROUGH, Progress, Search
+from .uncertainty import EXCITATION, IDENTIFIABLE, Uncertainty, uncertainty, unidentifiable
+
+DOUBTFUL = 0.15
+"""A stiffness with a larger standard error, in tolerances, is tried at robot.yaml's value."""
 
 Objective = TypeVar("Objective", Problem, ResponseProblem)
 
@@ -42,29 +46,86 @@ class CalibrationRun(Generic[Objective]):
         self.problem: Objective = problem
         self.still, self.at, self.progress = still, dict(at), progress
         self.refused: dict[str, str] = {}
+        self.considered: list[Parameter] = []
+        self.flat: dict[str, float] = {}
+        self._seen: tuple[tuple[Objective, list[float]], Evidence] | None = None
         self.evaluations = 0
         self.notes: tuple[str, ...] = ()
 
     @property
     def z(self) -> FloatArray:
         """The best point so far."""
-        return np.array([self.at.get(p.name, 0.0) for p in self.problem.free])
+        return self._at(self.problem.free)
 
     def after(self) -> tuple[Fit, Uncertainty]:
         """How well the outcome explains the recordings, and how uncertain it is."""
-        evidence = self.problem.evidence(self.z, detail=True)
-        return Fit.of(evidence), uncertainty(evidence, min(log.period for log in self.problem.logs))
+        found = self._spread().of(len(self.problem.free))
+        floor = np.array([self.flat.get(p.name, 0.0) for p in self.problem.free])
+        return Fit.of(self.problem.evidence(self.z, detail=True)), found.at_least(floor)
+
+    def _with_considered(self) -> Evidence:
+        """What the recordings say where that of which they tell nothing is uncertain, too; it comes last."""
+        free = (*self.problem.free, *self.considered)
+        at = (self.problem, self._at(free).tolist())
+        if self._seen is None or self._seen[0] != at:
+            self._seen = (at, self.problem.restricted(free).evidence(self._at(free), detail=True))
+        return self._seen[1]
+
+    def _spread(self) -> Uncertainty:
+        """Likewise, how far to believe what is free, and then that."""
+        return uncertainty(self._with_considered(), min(log.period for log in self.problem.logs))
+
+    def _at(self, free: Sequence[Parameter]) -> FloatArray:
+        return np.array([self.at.get(p.name, 0.0) for p in free])
 
     def _leave_out(self) -> bool:
         """Whether anything had to be left out."""
-        reasons = unidentifiable(self.problem, self.problem.evidence(self.z, detail=True), self.still)
-        if reasons:
-            self.refused |= reasons
-            self.problem = self.problem.restricted([p for p in self.problem.free if p.name not in reasons])
-        return bool(reasons)
+        free = (*self.problem.free, *self.considered)
+        known = frozenset(p.name for p in self.considered)
+        untold = unidentifiable(free, self._with_considered(), self.still, known)
+        self._refuse(untold.reasons, untold.considered)
+        return bool(untold.reasons)
+
+    def _refuse(self, reasons: Mapping[str, str], considered: frozenset[str]) -> None:
+        """Leave parameters as robot.yaml has them; those ``considered`` are taken as uncertain."""
+        self.refused |= reasons
+        self.considered = [p for p in (*self.problem.free, *self.considered) if p.name in considered]
+        self.problem = self.problem.restricted([p for p in self.problem.free if p.name not in reasons])
+        for name in reasons:
+            self.at.pop(name, None)
+
+    def _leave_out_flat(self) -> bool:
+        """Whether a spring had to be left out: recordings are nearly as probable with robot.yaml's stiffness."""
+        spread = self._spread()
+        doubtful = [
+            (p, float(self.at[p.name]))
+            for p, std in zip(self.problem.free, spread.std, strict=False)
+            if p.kind == "stiffness" and std > DOUBTFUL and abs(self.at[p.name]) > std
+        ]
+        best = self.problem.log_likelihood(self.z) - 0.5 * float(self.z @ self.z)
+        self.flat = {p.name: self._secant(p, z, best) for p, z in doubtful}
+        worst = max(self.flat, key=lambda name: self.flat[name], default=None)
+        if worst is None or self.flat[worst] < IDENTIFIABLE:
+            return False
+        reason = "the recordings are nearly as probable with robot.yaml's value; they lack " + EXCITATION["stiffness"]
+        self._refuse({worst: reason}, frozenset({worst, *(p.name for p in self.considered)}))
+        return True
+
+    def _secant(self, p: Parameter, z: float, best: float) -> float:
+        """Standard error by what it costs to go back to robot.yaml, all others following.
+
+        Far from robot.yaml the likelihood may be flat on the way although it is curved at its top: how much a spring
+        does grows with its compliance.
+        """
+        others = [other for other in self.problem.free if other is not p]
+        held = self.problem.holding({p.name: 0.0}, others)
+        search = Search(held, gain=ROUGH)
+        search.maximise(self._at(others))
+        self.evaluations += search.evaluations
+        return float(1 / np.sqrt(1 + 2 * max(0.0, best - search.best + 0.5 * z * z) / z**2))
 
 
 def filters(problem: Problem | ResponseProblem) -> dict[str, float]:
     """Half a sample for a filter that robot.yaml does not have: at zero it could not be told from a delay."""
     half = 0.5 * min(log.period for log in problem.logs)
-    return {p.name: p.z(half) for p in problem.free if p.kind == "time_constant" and p.start < half}
+    return {p.name: p.z(half) for p in problem.free if p.kind.endswith("time_constant") and p.start < half}

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
 
 from linkside.arrays import FloatArray
 
-from .parameters import NOISE, Parameter
+from .parameters import NOISE, OF_LINK_ENCODERS, Parameter
 from .posterior import Posterior
 from .problem import Evidence
 
@@ -20,14 +20,20 @@ MEMORY = 0.1
 IDENTIFIABLE = 0.5
 """A parameter whose standard error is more than this share of its tolerance is not identifiable from the data."""
 
+HALF_TOLD = 0.9
+"""Likewise of `NEVER_KNOWN`."""
+
+NEVER_KNOWN = ("damping", "bias")
+"""Kinds of which robot.yaml's value is a guess."""
+
+STANDING_IN = ("time_constant", "delay", *OF_LINK_ENCODERS)
+"""Kinds of which one does what another would: without it the other is told."""
+
 HIDING = 0.2
 """A parameter that is less correlated with a stiffness is not what hides it."""
 
 ALIKE = 0.9
-"""Of what hides a stiffness nearly as well, a load goes first: stiffness and damping scale with it."""
-
-OF_DRIVES = ("damping", "cubic_stiffness")
-"""What a drive has beside its stiffness."""
+"""Of what hides a stiffness nearly as well, a load goes before hardening: stiffness and damping scale with it."""
 
 SIGNIFICANT = 1e-4
 """Recordings contradict each other when estimates as far apart as theirs have a smaller probability than this."""
@@ -49,6 +55,8 @@ EXCITATION = {
     "scale": "strong accelerations, and several postures",
     "time_constant": "fast motion: accelerations that change within a few samples",
     "delay": "fast motion: accelerations that change within a few samples",
+    "link_time_constant": "fast motion, and link encoders",
+    "link_delay": "fast motion, and link encoders",
 }
 
 
@@ -69,6 +77,35 @@ class Uncertainty:
     std: FloatArray
     correlation: FloatArray
     widening: FloatArray
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance, (p, p)."""
+        return self.correlation * np.outer(self.std, self.std)
+
+    def of(self, count: int) -> Uncertainty:
+        """Of the first ``count`` only."""
+        return Uncertainty(self.std[:count], self.correlation[:count, :count], self.widening[:count])
+
+    def at_least(self, std: FloatArray) -> Uncertainty:
+        """Give standard errors no smaller than ``std``."""
+        return replace(self, std=np.maximum(self.std, std))
+
+
+@dataclass(frozen=True)
+class Untold:
+    """What recordings do not tell.
+
+    Attributes
+    ----------
+    reasons : dict of str to str
+        Parameters that stay as robot.yaml has them, with the reason.
+    considered : set of str
+        Of those, which are taken as uncertain: the others, such as a load, are taken as robot.yaml has them.
+    """
+
+    reasons: dict[str, str]
+    considered: frozenset[str]
 
 
 def uncertainty(evidence: Evidence, period: float) -> Uncertainty:
@@ -97,48 +134,74 @@ def long_run(scores: FloatArray, lags: int) -> FloatArray:
     return total
 
 
-def unidentifiable(problem: Posterior, evidence: Evidence, still: Sequence[str]) -> dict[str, str]:
-    """Parameters that the recordings cannot tell, each with the reason; the worst first, then anew without it.
+def unidentifiable(
+    free: Sequence[Parameter], evidence: Evidence, still: Sequence[str], known: frozenset[str] = frozenset()
+) -> Untold:
+    """Parameters that the recordings cannot tell, each with the reason; the worst first, then anew.
 
-    ``still`` are the names of joints that do not move.
+    Parameters
+    ----------
+    free, evidence
+        Parameters, and what recordings say of them.
+    still
+        Names of joints that do not move.
+    known
+        Of ``free``, those that were found so before, and considered since.
     """
-    free = list(problem.free)
-    reasons = {p.name: "its joint does not move" for p in free if _of_joint(p, problem, still)}
+    reasons = {p.name: "its joint does not move" for p in free if _of_joint(p, still)}
+    considered = set(known)
     spread = max(1.0, _excess(evidence))
     kept = [i for i, p in enumerate(free) if p.name not in reasons]
     while kept:
         information = evidence.information[np.ix_(kept, kept)] / spread + np.eye(len(kept))
         covariance = np.asarray(np.linalg.inv(information), np.float64)
         std = np.sqrt(np.diag(covariance))
-        judged = [s if free[i].kind not in NOISE else 0.0 for s, i in zip(std, kept, strict=True)]
-        worst = int(np.argmax(judged))
-        if judged[worst] < IDENTIFIABLE:
+        chosen = [free[i] for i in kept]
+        excess = [0.0 if p.name in considered else s / _enough(p) for p, s in zip(chosen, std, strict=True)]
+        worst = int(np.argmax(excess))
+        if excess[worst] < 1:
             break
         alone = 1 / np.sqrt(information[worst, worst])
-        parameter, chosen = free[kept[worst]], [free[i] for i in kept]
+        name = chosen[worst].name
         hidden_by = _hiding(worst, covariance, chosen) if alone < IDENTIFIABLE else None
         if hidden_by is None:
-            reasons[parameter.name] = _reason(parameter, alone, covariance, worst, chosen)
-            del kept[worst]
+            reasons[name] = _reason(chosen[worst], alone, covariance, worst, chosen)
+            if chosen[worst].kind in STANDING_IN:
+                del kept[worst]
+            else:
+                # It stays among what is uncertain: others are no better known for a value that nothing tells.
+                considered.add(name)
         else:
-            reasons[chosen[hidden_by].name] = f"with it {parameter.name} could not be told; free it by name to try"
+            reasons[chosen[hidden_by].name] = f"with it {name} could not be told; free it by name to try"
+            considered.discard(chosen[hidden_by].name)
             del kept[hidden_by]
-    return reasons
+    return Untold(reasons, frozenset(considered))
+
+
+def _enough(p: Parameter) -> float:
+    """The standard error, in tolerances, at which a parameter is told: of noise, none is too large.
+
+    A damping or a bias that is half known still keeps springs from making up for a wrong one.
+    """
+    return {**dict.fromkeys(NEVER_KNOWN, HALF_TOLD), **dict.fromkeys(NOISE, np.inf)}.get(p.kind, IDENTIFIABLE)
 
 
 def _hiding(index: int, covariance: FloatArray, free: Sequence[Parameter]) -> int | None:
-    """What to leave as robot.yaml has it so that a stiffness can be told: what is most like it, or nothing."""
+    """What to leave as robot.yaml has it so that a stiffness can be told: what is most like it, or nothing.
+
+    Never a damping or a bias: a spring that makes up for a wrong one is far off.
+    """
     if free[index].kind != "stiffness":
         return None
     std = np.sqrt(np.diag(covariance))
     likeness = np.abs(covariance[index]) / (std * std[index])
-    likeness[[p.kind in ("stiffness", *NOISE) for p in free]] = 0.0
+    likeness[[p.kind in ("stiffness", *NEVER_KNOWN, *NOISE) for p in free]] = 0.0
     most = float(likeness.max())
     alike = np.flatnonzero(likeness > max(HIDING, ALIKE * most)).tolist()
-    return max(alike, key=lambda i: (free[i].kind not in OF_DRIVES, likeness[i]), default=None)
+    return max(alike, key=lambda i: (free[i].kind != "cubic_stiffness", likeness[i]), default=None)
 
 
-def _of_joint(parameter: Parameter, problem: Posterior, still: Sequence[str]) -> bool:
+def _of_joint(parameter: Parameter, still: Sequence[str]) -> bool:
     owned = any(parameter.name == f"{parameter.kind}_{joint}" for joint in still)
     return owned and parameter.kind != "mass_scale"
 
@@ -149,7 +212,7 @@ def _excess(evidence: Evidence) -> float:
     return float(np.mean(middles)) if middles else 1.0
 
 
-def _reason(parameter: Parameter, alone: float, covariance: FloatArray, index: int, free: list[Parameter]) -> str:
+def _reason(parameter: Parameter, alone: float, covariance: FloatArray, index: int, free: Sequence[Parameter]) -> str:
     advice = EXCITATION[parameter.kind]
     if alone >= IDENTIFIABLE or len(free) == 1:
         return f"the recordings hardly depend on it; they lack {advice}"
@@ -233,7 +296,7 @@ def _between(problem: Posterior, logs: tuple[int, int], a: Alone, b: Alone) -> C
     if not chosen:
         return None
     difference = (a.z - b.z)[chosen]
-    covariance = _covariance(a.uncertainty, chosen) + _covariance(b.uncertainty, chosen)
+    covariance = (a.uncertainty.covariance + b.uncertainty.covariance)[np.ix_(chosen, chosen)]
     square = float(difference @ np.linalg.solve(covariance, difference))
     probability = float(stats.chi2.sf(square, len(chosen)))
     if probability >= SIGNIFICANT:
@@ -244,8 +307,3 @@ def _between(problem: Posterior, logs: tuple[int, int], a: Alone, b: Alone) -> C
     values = (parameter.value(float(a.z[i])), parameter.value(float(b.z[i])))
     sources = (problem.logs[logs[0]].source, problem.logs[logs[1]].source)
     return Contradiction(sources, parameter.name, values, float(distances[worst]), probability)
-
-
-def _covariance(u: Uncertainty, chosen: list[int]) -> FloatArray:
-    std = u.std[chosen]
-    return u.correlation[np.ix_(chosen, chosen)] * np.outer(std, std)

@@ -330,6 +330,8 @@ def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **optio
     click.echo(result.to_text(), nl=False)
     for output in outputs if result.accepted or options["force"] else outputs[1:]:
         click.echo(f"written: {output}")
+    if not (result.accepted or options["force"]):
+        click.echo(f"not written: {out}; if the estimates above are to be taken all the same, --force writes them")
     if not result.accepted:
         sys.exit(3)
 
