@@ -255,13 +255,12 @@ def _recorded(robot: Robot, true: Robot, torque: Array, rng: np.random.Generator
     control = JointPD(kp=400 * inertia, kd=28 * inertia, times=times, theta=list(theta), tau=true.gravity_torque(start))
     speed = {"dtheta": Sensor(noise=1e-3)}
     run = simulate(true, control, SECONDS, RATE, substeps=8, q=start, seed=int(rng.integers(1 << 30)), sensors=speed)
-    zero = robot.config.tolerances.encoder_zero * rng.standard_normal(n)
+    wide = robot.config.tolerances
+    zero = wide.encoder_zero * rng.standard_normal(n) + wide.lost_motion * rng.standard_normal(n)
     log = replace(run.log, theta=run.log.theta + zero, tau=run.log.tau * torque)
     if log.acceleration is not None:
-        scale = robot.config.tolerances.scale
-        log = replace(
-            log, acceleration=log.acceleration * np.exp(scale * rng.standard_normal(log.acceleration.shape[1]))
-        )
+        scale = np.exp(wide.scale * rng.standard_normal(log.acceleration.shape[1]))
+        log = replace(log, acceleration=log.acceleration * scale)
     return run.truth["q"], log
 
 

@@ -23,7 +23,7 @@ ESTIMATORS = [ExtendedKalmanFilter, RauchTungStriebelSmoother, ElasticJointFilte
 JOINTS = [spring("shoulder"), spring("elbow")]
 ENCODER = {"resolution": 1e-6}
 ZERO = 2e-4
-UNTOLD = dict.fromkeys(("stiffness", "damping", "mass_scale", "motor_inertia", "torque_constant"), 1e-9)
+UNTOLD = dict.fromkeys(("stiffness", "damping", "mass_scale", "motor_inertia", "torque_constant", "lost_motion"), 1e-9)
 
 
 def robot(joints: Any = JOINTS, **tolerances: float) -> Robot:
@@ -92,3 +92,39 @@ def test_a_vibration_of_another_frequency_is_covered_at_all_its_phases(estimator
     assert ((error > 3 * estimate.q_std).any(axis=1)).mean() < 0.02
     swing = np.abs(run.truth["theta"] - run.truth["q"])[2000:].max(axis=0)
     assert (estimate.q_std[2000:].max(axis=0) < 2.5 * swing).all()  # the vibration's size, however long it lasts
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_lost_motion_stays_in_the_standard_deviation_whatever_readings_say(estimator: Any) -> None:
+    """It changes with the motion, so that no reading of before tells it; a link encoder sees the link itself."""
+    lost = 2e-4
+    sensors = [{"name": "acc", "link": "hand", "noise_std": 0.01}]
+    tiny = {**UNTOLD, **dict.fromkeys(("rotation", "translation", "scale"), 1e-9), "lost_motion": lost}
+
+    def arm(**more: Any) -> Robot:
+        return Robot.from_urdf(ARM, JOINTS, encoder=ENCODER, torque={"noise_std": 0.01}, tolerances=tiny, **more)
+
+    seen = arm(accelerometers=sensors)
+    np.testing.assert_allclose(estimator(seen).run(moving(seen).log).q_std[-100:], lost, rtol=0.1)
+    encoded = arm(link_encoder={"resolution": 1e-6})
+    run = moving(encoded)
+    log = replace(run.log, q=run.truth["q"])
+    assert np.all(
+        estimator(encoded).run(log).q_std[-100:] < (0.1 if "Elastic" not in estimator.__name__ else 1.0) * lost
+    )
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_play_that_is_not_declared_is_inside_the_standard_deviations(estimator: Any) -> None:
+    """The link lies at one end of the gap or at the other, and where gravity turns it goes through."""
+    gap, tiny = 1.8e-4, {"stiffness": 0.05, "mass_scale": 0.02}
+
+    def arm(wide: float, **more: Any) -> Robot:
+        joints = [{**joint, "stiffness": 5e4, **more} for joint in JOINTS]
+        return Robot.from_urdf(ARM, joints, encoder=ENCODER, tolerances={**tiny, "lost_motion": wide})
+
+    run = moving(arm(0.0, backlash={"half_gap": gap}), seconds=1.0)
+    for wide, honest in ((1e-4, True), (0.0, False)):
+        estimate = estimator(arm(wide)).run(run.log)
+        off = np.any(np.abs(estimate.q - run.truth["q"]) > 3 * estimate.q_std, axis=1)
+        assert (np.mean(off) < 0.02) == honest, np.mean(off)

@@ -88,7 +88,7 @@ def test_standard_deviations_are_those_of_the_parameters_effect(robot: Robot, lo
     """Motor readings alone teach nothing of a spring, so that q_std² is P + Σ² std², with Σ by two true robots."""
     yaml = robot.config.model_dump()
     settings = {k: v for k, v in yaml.items() if k not in ("joints", "urdf", "accelerometers", "columns", "tolerances")}
-    tiny = dict.fromkeys(("mass_scale", "damping"), 1e-12)
+    tiny = dict.fromkeys(("mass_scale", "damping", "lost_motion"), 1e-12)
     share = 0.01
 
     def build(factor: float, **tolerances: float) -> Robot:
@@ -184,7 +184,7 @@ def test_a_wrong_model_is_first_of_all_nobodys_fault() -> None:
 def test_a_start_at_rest_contains_what_the_springs_hold() -> None:
     """The first row's standard deviation is a third of what three tolerances of the spring do to its torsion."""
     sensors = [{"name": "acc", "link": "hand", "noise_std": 0.05}]
-    tiny = dict.fromkeys(("mass_scale", "damping"), 1e-9)
+    tiny = dict.fromkeys(("mass_scale", "damping", "lost_motion"), 1e-9)
     robot = Robot.from_urdf(ARM, [spring("shoulder"), spring("elbow")], accelerometers=sensors, tolerances=tiny)
     q = np.array([0.9, 0.6])
     torsion = robot.gravity_torque(q) / 1e4

@@ -341,6 +341,7 @@ class TolerancesConfig(_Section):
     motor_friction: Positive = 0.5
     calibrated: dict[Name, Positive] = {}  # of single parameters, by the names that `calibrate` gives them
     encoder_zero: NonNegative = 0.0  # rad; between a motor's encoder and its link; 0: positions are relative to it
+    lost_motion: NonNegative = 1e-4  # rad; hysteresis, play and teeth of a gear: three of it are half of 2 arc minutes
     rigid_frequency: Positive = 20.0  # Hz; on which a joint taken as rigid may ring after all
 
 

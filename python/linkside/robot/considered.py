@@ -46,7 +46,7 @@ def considered(robot: Robot, *, motors: bool = False) -> list[Uncertain]:
 
     Those that ``tolerances.calibrated`` names have the standard errors that a calibration found.
     Stiffness, and damping and hardening where they are declared, of elastic joints; how much a joint that is taken as
-    rigid gives way; masses of links; friction of links; mounting of accelerometers.
+    rigid gives way; lost motion of transmissions; masses of links; friction of links; mounting of accelerometers.
     """
     found = [*_of_joints(robot), *_of_sensors(robot), *(_of_motors(robot) if motors else ())]
     known = robot.config.tolerances.calibrated
@@ -65,6 +65,7 @@ def _of_joints(robot: Robot) -> Iterator[Uncertain]:
             stds["yielding"] = (2 * np.pi * wide.rigid_frequency) ** -2
         stds["link_friction"] = wide.link_friction if any(drive.link_friction) else 0.0
         stds["encoder_zero"] = wide.encoder_zero
+        stds["lost_motion"] = wide.lost_motion
         for kind, std in stds.items():
             if std:
                 name = "mass_scale" if kind == "mass" else kind

@@ -43,6 +43,9 @@ pub(super) struct Consider {
     pub(super) signatures: Vec<f64>,
     /// Variances of the parameters as robot.yaml's tolerances have them.
     prior: Vec<f64>,
+    /// Share of each prior variance that no reading takes away, and the square root of the rest.
+    kept: Vec<f64>,
+    open: Vec<f64>,
     /// E[p] given the readings.
     mean: Vec<f64>,
     /// Cov[p] given the readings.
@@ -84,7 +87,10 @@ impl Consider {
         let tolerances = model.tolerances();
         let (count, m, states) = (tolerances.len(), model.channels(), model.states());
         let stride = count.next_multiple_of(linear::LANES);
+        let kept: Vec<f64> = tolerances.iter().map(|t| if t.parameter.is_constant() { KEPT } else { 1.0 }).collect();
         let mut consider = Self {
+            open: kept.iter().map(|kept| (1.0 - kept).sqrt()).collect(),
+            kept,
             count,
             stride,
             columns: vec![0.0; states * stride],
@@ -239,12 +245,13 @@ impl Consider {
         if learn {
             self.moment.data.copy_from_slice(&self.spread.data);
             let doubt = self.doubt_of_model();
-            for (m, row) in self.mean.iter().zip(self.moment.data.chunks_exact_mut(self.stride)) {
+            let rows = self.moment.data.chunks_exact_mut(self.stride);
+            for ((m, row), open) in self.mean.iter().zip(rows).zip(&self.open) {
                 linear::add_scaled(row, *m, &self.mean);
-                row.iter_mut().for_each(|x| *x *= (1.0 - KEPT) * doubt);
+                row.iter_mut().zip(&self.open).for_each(|(x, other)| *x *= open * other * doubt);
             }
-            for (i, prior) in self.prior.iter().enumerate() {
-                self.moment.data[i * self.stride + i] += KEPT * prior;
+            for (i, (prior, kept)) in self.prior.iter().zip(&self.kept).enumerate() {
+                self.moment.data[i * self.stride + i] += kept * prior;
             }
         }
     }

@@ -127,7 +127,7 @@ impl ElasticSensitivity {
             match parameter {
                 U::LinkFriction(_) => links[at] = -drive.link_friction(dq).0,
                 U::Stiffness(_) | U::CubicStiffness(_) | U::Damping(_) if drive.elastic => transmitted[at] = motor,
-                U::Stiffness(_) | U::CubicStiffness(_) | U::Damping(_) | U::EncoderZero(_) => {}
+                U::Stiffness(_) | U::CubicStiffness(_) | U::Damping(_) | U::EncoderZero(_) | U::LostMotion(_) => {}
                 _ => motors[at] = motor,
             }
         }
@@ -163,7 +163,7 @@ impl ElasticSensitivity {
         }
         for (column, Tolerance { parameter, .. }) in self.tolerances.iter().enumerate() {
             let mut put = |row: usize, value: f64| out[row * stride + column] += value;
-            if let Uncertain::EncoderZero(j) = *parameter {
+            if let Uncertain::EncoderZero(j) | Uncertain::LostMotion(j) = *parameter {
                 let row = channels.iter().position(|c| *c == Channel::Motor(j));
                 row.into_iter().for_each(|row| put(row, 1.0));
             } else if let Uncertain::Yielding(j) = *parameter {

@@ -33,6 +33,8 @@ pub enum Uncertain {
     MotorInertia(usize),
     /// How far a joint's motor position is from the link's zero, all the time [rad].
     EncoderZero(usize),
+    /// How far a joint's transmission is from its spring's curve [rad]: hysteresis, play, teeth. It changes as the robot moves.
+    LostMotion(usize),
     /// Rotation of an accelerometer about one of its own axes [rad].
     Rotation(usize, usize),
     /// Displacement of an accelerometer along one of its own axes [m].
@@ -53,9 +55,15 @@ impl Uncertain {
             | Self::TorqueConstant(j)
             | Self::MotorFriction(j)
             | Self::MotorInertia(j)
-            | Self::EncoderZero(j) => Some(j),
+            | Self::EncoderZero(j)
+            | Self::LostMotion(j) => Some(j),
             _ => None,
         }
+    }
+
+    /// Whether it is one number for all time, which readings can tell.
+    pub(super) fn is_constant(self) -> bool {
+        !matches!(self, Self::LostMotion(_))
     }
 
     /// Whether it is the logarithm of a positive number.
@@ -65,6 +73,7 @@ impl Uncertain {
             Self::CubicStiffness(_)
                 | Self::Yielding(_)
                 | Self::EncoderZero(_)
+                | Self::LostMotion(_)
                 | Self::Rotation(..)
                 | Self::Translation(..)
         )
@@ -139,7 +148,8 @@ impl<T: Scalar> LinkMotion<T> {
         | U::Damping(j)
         | U::Yielding(j)
         | U::LinkFriction(j)
-        | U::EncoderZero(j)) = parameter
+        | U::EncoderZero(j)
+        | U::LostMotion(j)) = parameter
         else {
             return;
         };
@@ -149,7 +159,7 @@ impl<T: Scalar> LinkMotion<T> {
             put(row, friction);
         }
         let Some(row) = position(channels, Channel::Motor(j)) else { return };
-        if let U::EncoderZero(_) = parameter {
+        if let U::EncoderZero(_) | U::LostMotion(_) = parameter {
             return put(row, T::constant(1.0));
         }
         if !drive.elastic {
