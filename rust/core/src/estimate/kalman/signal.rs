@@ -19,6 +19,13 @@ pub enum Fault {
     Unknown,
 }
 
+impl Fault {
+    /// Whether readings do not follow the robot any more.
+    pub(super) fn repeats(self) -> bool {
+        matches!(self, Self::Stuck | Self::Saturated | Self::Dead)
+    }
+}
+
 /// Repetitions of a reading, to the last bit, from which a channel that used to change is stuck.
 pub(super) const RUN: u32 = 8;
 /// Standard deviations of a reading by which its prediction moves on while it is stuck.
