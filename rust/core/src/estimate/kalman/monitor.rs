@@ -25,6 +25,8 @@ const WINDOWS: [usize; 3] = [1, 8, 64];
 /// Windows of the steps' signatures, in samples: two that follow each other all the time, and one that begins when a sample
 /// contradicts what was predicted.
 const BANKS: [u32; 3] = [32, 256, 64];
+/// A fault below so many standard deviations of a reading is not told from a wrong model, nor from an encoder's steps.
+const SMALL: f64 = 3.5;
 /// A jump by so many standard deviations is named at once: what it does to a filter is not linear any more.
 const GROSS: f64 = 20.0;
 /// Which that is.
@@ -68,6 +70,17 @@ struct Alarm {
     variance: f64,
     /// The window that tells; none: this sample alone.
     bank: Option<usize>,
+}
+
+/// What a sample comes to.
+#[derive(Clone, Copy, Debug)]
+enum Verdict {
+    Good,
+    /// Innovations lean to one side for long, and no channel explains it.
+    Correlated,
+    /// They are too large, and no channel explains it.
+    Contradicted,
+    Channel(Alarm),
 }
 
 /// Tests on the innovations of a filter.
@@ -186,12 +199,20 @@ impl Monitor {
             bank.update(model, sample.dt, correction, &self.effect.signatures, &self.residuals, consider.as_deref());
         }
         // 3. All channels together, over one sample and over windows; then the one to name.
-        let row = self.windows(nis, used) || jump.is_some();
+        let beyond = self.windows(nis, used) || jump.is_some();
         self.wrong += self.residuals.iter().filter(|r| r.is_finite()).map(|r| r * r - 1.0).sum::<f64>();
-        let alarm = self.alarm(consider.as_deref(), stuck, jump);
-        let mut flags = self.record(row, alarm);
-        if let Some(alarm) = alarm.filter(|alarm| self.is_step(alarm)) {
-            self.take_step(model, correction, alarm);
+        let verdict = match (self.repetition(stuck), beyond) {
+            (Some(alarm), _) => Verdict::Channel(alarm),
+            (None, beyond) => match self.alarm(model, consider.as_deref(), jump) {
+                Verdict::Good | Verdict::Correlated if beyond => Verdict::Contradicted,
+                verdict => verdict,
+            },
+        };
+        let mut flags = self.record(verdict);
+        if let Verdict::Channel(alarm) = verdict {
+            if self.is_step(&alarm) {
+                self.take_step(model, correction, alarm);
+            }
         }
         // 4. A row is not to be believed as long as what faults did to some link is not small.
         if self.effect.is_active() && self.counts(belief, consider.as_deref_mut()) {
@@ -300,58 +321,57 @@ impl Monitor {
         let news: f64 = self.residuals.iter().filter(|r| r.is_finite()).map(|r| r * r).sum();
         // Below that no single channel can be beyond its own bound.
         let alarm = (news > BOUND).then(|| self.isolate(correction, self.open_channel()))?;
-        if alarm.deviations <= DEVIATIONS {
+        if alarm.deviations <= DEVIATIONS || alarm.deviations.powi(2) <= MOST_OF * news {
             return None;
         }
         if !self.onset {
             self.onset = true;
             self.banks[ONSET].restart();
         }
-        (alarm.deviations.powi(2) > MOST_OF * news || alarm.deviations <= GROSS).then_some(alarm)
+        Some(alarm)
+    }
+
+    /// The channel that repeats itself, unless a finding of another goes on.
+    fn repetition(&self, stuck: Option<usize>) -> Option<Alarm> {
+        let channel = stuck.filter(|_| self.open_channel().is_none_or(|open| stuck == Some(open)))?;
+        let run = self.signals[channel].run;
+        let deviations = f64::from(run);
+        Some(Alarm { channel, size: 0.0, deviations, age: run - 2, variance: 0.0, bank: None })
     }
 
     /// The channel to name, if one explains what is wrong; while a finding goes on, its channel alone.
     #[inline(always)]
-    fn alarm(&mut self, consider: Option<&Consider>, stuck: Option<usize>, jump: Option<Alarm>) -> Option<Alarm> {
-        let only = self.open_channel();
-        if let (Some(channel), true) = (stuck, only.is_none() || only == stuck) {
-            let run = self.signals[channel].run;
-            return Some(Alarm {
-                channel,
-                size: 0.0,
-                deviations: f64::from(run),
-                age: run - 2,
-                variance: 0.0,
-                bank: None,
-            });
-        }
-        if only.is_some() && jump.is_some() {
-            return jump;
-        }
-        if let Some(jump) = jump.filter(|jump| jump.deviations > GROSS) {
-            return Some(jump);
+    fn alarm(&mut self, model: &impl Model, consider: Option<&Consider>, jump: Option<Alarm>) -> Verdict {
+        let (now, only) = (self.taken - 1, self.open_channel());
+        // Where a model was wrong before a fault began, the channel must explain most of all since then.
+        let unnamed = self.open.filter(|_| only.is_none()).map(|open| self.findings[open].since);
+        let wrong = |age: u64| if unnamed.is_some_and(|since| since + age < now) { self.wrong } else { 0.0 };
+        if let Some(jump) = jump
+            .filter(|jump| only.is_some() || (jump.deviations > GROSS && jump.deviations.powi(2) > MOST_OF * wrong(0)))
+        {
+            return Verdict::Channel(jump);
         }
         if self.onset && self.banks[ONSET].age < LASTS && only.is_none() {
-            return None;
+            return Verdict::Good;
         }
-        let now = self.taken - 1;
-        let unnamed = self.open.filter(|_| only.is_none()).map(|open| self.findings[open].since);
-        let mut worst: Option<(f64, Alarm)> = None;
+        let (mut verdict, mut most) = (Verdict::Good, 0.0);
         for (index, bank) in self.banks.iter_mut().enumerate().take(if self.onset { 3 } else { ONSET }) {
             let Some(Evidence { channel, ratio, drop, size, variance }) = bank.worst(consider, BOUND, only) else {
                 continue;
             };
             let age = bank.age - 1;
-            // Where a model was wrong before the window began, the channel must explain most of all since then.
-            let earlier = unnamed.is_some_and(|since| since + u64::from(age) < now);
-            let unexplained = if earlier { bank.excess.max(self.wrong) } else { bank.excess };
-            let explains = only.is_some() || drop > MOST_OF * unexplained;
-            if explains && worst.is_none_or(|(most, _)| drop > most) {
+            let explains = drop > MOST_OF * bank.excess.max(wrong(u64::from(age)))
+                && size * size > SMALL * SMALL * model.variance(channel);
+            if only.is_none() && !explains {
+                if let Verdict::Good = verdict {
+                    verdict = Verdict::Correlated;
+                }
+            } else if drop > most {
                 let alarm = Alarm { channel, size, deviations: ratio.sqrt(), age, variance, bank: Some(index) };
-                worst = Some((drop, alarm));
+                (verdict, most) = (Verdict::Channel(alarm), drop);
             }
         }
-        worst.map(|(_, alarm)| alarm)
+        verdict
     }
 
     /// Largest t = [Λν]ᵢ/√Λᵢᵢ: each channel against the prediction and all others, with ν = L e, Cov e diagonal.
@@ -387,26 +407,30 @@ impl Monitor {
 
     /// Opens, goes on with or ends a finding. While one goes on, what it does to the state is not another's fault.
     #[inline(always)]
-    fn record(&mut self, row: bool, alarm: Option<Alarm>) -> u8 {
-        let holds = row || alarm.is_some() || self.is_repeating();
-        self.calm = if holds { 0 } else { self.calm + 1 };
+    fn record(&mut self, verdict: Verdict) -> u8 {
+        let calm = matches!(verdict, Verdict::Good) && !self.is_repeating();
+        self.calm = if calm { self.calm + 1 } else { 0 };
         if self.calm > CALM {
             self.open = None;
         }
         let now = self.taken - 1;
-        if let (Some(Alarm { channel, size, deviations, age, .. }), true) = (alarm, self.open_channel().is_none()) {
-            let since = now.saturating_sub(u64::from(age));
-            let fault = self.signals[channel].fault(size, self.turns[channel], now - since);
-            // What was first seen without a name is this.
-            if self.open.is_some_and(|open| open + 1 == self.findings.len() && self.findings[open].since >= since) {
-                self.findings.pop();
+        match verdict {
+            Verdict::Channel(Alarm { channel, size, deviations, age, .. }) if self.open_channel().is_none() => {
+                let since = now.saturating_sub(u64::from(age));
+                let fault = self.signals[channel].fault(size, self.turns[channel], now - since);
+                // What was first seen without a name is this.
+                if self.open.is_some_and(|open| open + 1 == self.findings.len() && self.findings[open].since >= since) {
+                    self.findings.pop();
+                }
+                self.push(Finding { channel: Some(channel), since, until: now, size, deviations, fault });
+                self.last_named = self.open;
             }
-            self.push(Finding { channel: Some(channel), since, until: now, size, deviations, fault });
-            self.last_named = self.open;
-        } else if row && self.open.is_none() {
-            let fault = Fault::Unknown;
-            self.push(Finding { channel: None, since: now, until: now, size: 0.0, deviations: 0.0, fault });
-            self.wrong = self.recent;
+            Verdict::Contradicted | Verdict::Correlated if self.open.is_none() => {
+                let fault = if let Verdict::Correlated = verdict { Fault::Correlated } else { Fault::Unknown };
+                self.push(Finding { channel: None, since: now, until: now, size: 0.0, deviations: 0.0, fault });
+                self.wrong = self.recent;
+            }
+            _ => (),
         }
         let Some(open) = self.open else {
             return if self.calm == 0 { Status::CONTRADICTED } else { 0 };

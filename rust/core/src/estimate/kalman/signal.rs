@@ -15,6 +15,8 @@ pub enum Fault {
     Step,
     /// The sign is turned.
     Flipped,
+    /// None of these: innovations that lean to one side for long.
+    Correlated,
     /// None of these.
     Unknown,
 }
