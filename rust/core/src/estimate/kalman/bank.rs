@@ -76,15 +76,14 @@ impl Bank {
         self.age == self.length
     }
 
-    /// Takes a sample, to whose innovations `known` faults add this.
+    /// Takes a sample.
     #[inline(always)]
     pub(super) fn update(
         &mut self,
         model: &mut impl Model,
         dt: f64,
         correction: &Correction,
-        known: &[f64],
-        residuals: &[f64],
+        News { known, residuals, runs }: News<'_>,
         consider: Option<&Consider>,
     ) {
         if self.is_over() {
@@ -112,9 +111,11 @@ impl Bank {
             for (k, column) in gain.iter().zip(self.columns.chunks_exact_mut(p)) {
                 linear::add_scaled(column, -k, &self.own);
             }
-            let precision = 1.0 / (innovation.variance * self.noise[i]);
+            // A coarse encoder's readings are one as long as they are the same: their error is that of its step.
+            let noise = self.noise[i] * runs[i];
+            let precision = 1.0 / (innovation.variance * noise);
             let value = innovation.value - known[i];
-            self.excess += residuals[i] * residuals[i] / self.noise[i] - 1.0;
+            self.excess += residuals[i] * residuals[i] / noise - 1.0;
             for (c, s) in self.own.iter().take(self.channels).enumerate() {
                 self.score[c] += s * value * precision;
                 self.information[c] += s * s * precision;
@@ -151,6 +152,17 @@ impl Bank {
         }
         worst
     }
+}
+
+/// What there is to know of each channel at a sample beside its innovation.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct News<'a> {
+    /// What known faults add to its innovation.
+    pub(super) known: &'a [f64],
+    /// Its residual, less what parameters and known faults explain, in standard deviations.
+    pub(super) residuals: &'a [f64],
+    /// How often its reading came in a row, of an encoder; else 1.
+    pub(super) runs: &'a [f64],
 }
 
 /// What a window says of a step in a channel.

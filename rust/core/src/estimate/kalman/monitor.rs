@@ -5,7 +5,7 @@
 //! step in each channel with its signature in all others ([`Bank`]). Innovations that are correlated or smaller than the
 //! filter says, as those of smooth motions are, make alarms rarer.
 
-use super::bank::{Bank, Evidence};
+use super::bank::{Bank, Evidence, News};
 use super::consider::Consider;
 use super::correction::Correction;
 use super::effect::{Effect, Step};
@@ -93,6 +93,8 @@ pub(super) struct Monitor {
     signals: Vec<Signal>,
     /// Whether a channel is an encoder's, which may wrap and stands still with its joint.
     turns: Vec<bool>,
+    /// How often each channel's reading came in a row, of encoders: their errors are that correlated (channels).
+    runs: Vec<f64>,
     /// Signatures of steps.
     banks: [Bank; 3],
     /// Whether the window that begins with a contradiction is on.
@@ -129,6 +131,7 @@ impl Monitor {
         Self {
             signals: vec![Signal::NEW; m],
             turns: model.channel_kinds().iter().map(|c| matches!(c, Channel::Motor(_) | Channel::Link(_))).collect(),
+            runs: vec![1.0; m],
             onset: false,
             recent: 0.0,
             wrong: 0.0,
@@ -189,6 +192,9 @@ impl Monitor {
             // 1. Each channel by itself: stuck, saturated or dead readings need no model but that the prediction moves.
             let predicted = reading - self.whole_innovation(correction, i);
             self.signals[i].take(*reading, predicted);
+            if self.turns[i] {
+                self.runs[i] = f64::from(self.signals[i].run);
+            }
             if !self.turns[i] && self.signals[i].is_stuck(model.variance(i)) {
                 stuck = stuck.or(Some(i));
             }
@@ -196,7 +202,8 @@ impl Monitor {
         // 2. A step in some channel since a window began, by its signature in all of them.
         let jump = self.jump(correction);
         for bank in &mut self.banks[..if self.onset { 3 } else { ONSET }] {
-            bank.update(model, sample.dt, correction, &self.effect.signatures, &self.residuals, consider.as_deref());
+            let (known, residuals, runs) = (&self.effect.signatures[..], &self.residuals[..], &self.runs[..]);
+            bank.update(model, sample.dt, correction, News { known, residuals, runs }, consider.as_deref());
         }
         // 3. All channels together, over one sample and over windows; then the one to name.
         let beyond = self.windows(nis, used) || jump.is_some();
