@@ -19,6 +19,11 @@ CAUSES = {
         "something pushed the robot, or it took up a load",
         "robot.yaml is wrong about this sensor or its joint",
     ),
+    "correlated": (
+        "a spring, a mass or a payload is not as robot.yaml says",
+        "something drives the robot that robot.yaml lacks: friction, a cable, a contact",
+        "a sensor drifts",
+    ),
     "unknown": (
         "the robot is not as robot.yaml says, by more than its tolerances",
         "the noise of the readings is larger than robot.yaml says",
@@ -63,7 +68,8 @@ class Fault:
         where = f"rows {self.since} to {self.until}"
         causes = "; or ".join(self.causes)
         if self.channel is None:
-            return f"{where}: readings contradict the model. Likely: {causes}"
+            what = "stay on one side of their predictions" if self.kind == "correlated" else "contradict the model"
+            return f"{where}: readings {what}. Likely: {causes}"
         by = (
             f"for {self.deviations:.0f} readings"
             if self.kind in ("stuck", "saturated", "dead")

@@ -138,6 +138,7 @@ fn word(fault: Fault) -> &'static str {
         Fault::Wrap => "wrap",
         Fault::Step => "step",
         Fault::Flipped => "flipped",
+        Fault::Correlated => "correlated",
         Fault::Unknown => "unknown",
     }
 }

@@ -17,10 +17,12 @@ pub(super) struct Bank {
     length: u32,
     /// Samples of the present window so far.
     pub(super) age: u32,
+    /// Σ r² less its mean over the window, r being residuals that parameters and known faults leave.
+    pub(super) excess: f64,
     /// Numbers between rows: channels, padded.
-    stride: usize,
+    pub(super) stride: usize,
     /// Σ: what a unit fault of each channel, since the window began, has done to the state (states × stride).
-    columns: Vec<f64>,
+    pub(super) columns: Vec<f64>,
     /// s: what it does to the channel at hand.
     own: Vec<f64>,
     /// Σ s r and Σ s² of each channel.
@@ -46,6 +48,7 @@ impl Bank {
         Self {
             length,
             age: 0,
+            excess: 0.0,
             stride,
             columns: vec![0.0; model.states() * stride],
             own: row(),
@@ -61,11 +64,16 @@ impl Bank {
 
     /// A new window: a fault may begin at its first sample.
     pub(super) fn restart(&mut self) {
-        self.age = 0;
+        (self.age, self.excess) = (0, 0.0);
         self.columns.fill(0.0);
         self.score.fill(0.0);
         self.information.fill(0.0);
         self.shared.fill(0.0);
+    }
+
+    /// Whether the window is complete.
+    pub(super) fn is_over(&self) -> bool {
+        self.age == self.length
     }
 
     /// Takes a sample.
@@ -75,9 +83,10 @@ impl Bank {
         model: &mut impl Model,
         dt: f64,
         correction: &Correction,
+        News { known, residuals, runs }: News<'_>,
         consider: Option<&Consider>,
     ) {
-        if self.age == self.length {
+        if self.is_over() {
             self.restart();
         }
         if let (0, Some(consider)) = (self.age, consider) {
@@ -102,9 +111,13 @@ impl Bank {
             for (k, column) in gain.iter().zip(self.columns.chunks_exact_mut(p)) {
                 linear::add_scaled(column, -k, &self.own);
             }
-            let precision = 1.0 / (innovation.variance * self.noise[i]);
+            // A coarse encoder's readings are one as long as they are the same: their error is that of its step.
+            let noise = self.noise[i] * runs[i];
+            let precision = 1.0 / (innovation.variance * noise);
+            let value = innovation.value - known[i];
+            self.excess += residuals[i] * residuals[i] / noise - 1.0;
             for (c, s) in self.own.iter().take(self.channels).enumerate() {
-                self.score[c] += s * innovation.value * precision;
+                self.score[c] += s * value * precision;
                 self.information[c] += s * s * precision;
                 if let Some(consider) = consider {
                     let q = self.parameters;
@@ -115,25 +128,52 @@ impl Bank {
         }
     }
 
-    /// The channel whose fault explains most, its likelihood ratio (χ² with one degree) and the size of the fault: of what
-    /// the parameters do not explain, within what they may explain yet. Exact only where it is beyond `bound`.
+    /// The channel whose fault explains most of those beyond `bound`, or that of `only` one: of what the parameters do not
+    /// explain, within what they may explain yet.
     #[inline(always)]
-    pub(super) fn worst(&mut self, consider: Option<&Consider>, bound: f64) -> (usize, f64, f64) {
-        let (mut worst, q) = ((0, 0.0, 0.0), self.parameters);
-        for c in 0..self.channels {
+    pub(super) fn worst(&mut self, consider: Option<&Consider>, bound: f64, only: Option<usize>) -> Option<Evidence> {
+        let (mut worst, q): (Option<Evidence>, _) = (None, self.parameters);
+        for c in (0..self.channels).filter(|&c| only.is_none_or(|only| only == c)) {
             let shared = &self.shared[c * q..][..q];
             let score = self.score[c] - consider.map_or(0.0, |consider| consider.explained(shared));
+            let information = self.information[c].max(f64::MIN_POSITIVE);
             // An error of a parameter that looks like the fault makes the ratio smaller: computed only where it could
             // matter.
-            let mut variance = self.information[c].max(f64::MIN_POSITIVE);
-            if let Some(consider) = consider.filter(|_| score * score > bound * variance) {
-                variance += consider.doubt(shared, &mut self.gain);
+            let drop = score * score / information;
+            if drop <= bound || worst.is_some_and(|worst| drop < worst.drop) {
+                continue;
             }
-            let ratio = score * score / variance;
-            if ratio > worst.1 {
-                worst = (c, ratio, score / self.information[c]);
+            let doubt = consider.map_or(0.0, |consider| consider.doubt(shared, &mut self.gain));
+            let ratio = score * score / (information + doubt);
+            if ratio > bound {
+                let variance = (information + doubt) / (information * information);
+                worst = Some(Evidence { channel: c, ratio, drop, size: score / information, variance });
             }
         }
         worst
     }
+}
+
+/// What there is to know of each channel at a sample beside its innovation.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct News<'a> {
+    /// What known faults add to its innovation.
+    pub(super) known: &'a [f64],
+    /// Its residual, less what parameters and known faults explain, in standard deviations.
+    pub(super) residuals: &'a [f64],
+    /// How often its reading came in a row, of an encoder; else 1.
+    pub(super) runs: &'a [f64],
+}
+
+/// What a window says of a step in a channel.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Evidence {
+    pub(super) channel: usize,
+    /// Likelihood ratio, parameters being free within their tolerances: χ² with one degree without a step.
+    pub(super) ratio: f64,
+    /// By how much Σ r² falls with the step.
+    pub(super) drop: f64,
+    /// Size of the step and the variance of that.
+    pub(super) size: f64,
+    pub(super) variance: f64,
 }

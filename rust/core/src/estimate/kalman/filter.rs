@@ -3,6 +3,7 @@
 use super::consider::Consider;
 use super::correction::Correction;
 use super::driven::JerkDriven;
+use super::effect::Step;
 use super::gaussian::{Gaussian, Symmetric};
 use super::monitor::{Finding, Monitor};
 use super::output::{FilterOutput, Keep, Tool};
@@ -92,7 +93,7 @@ pub struct ExtendedKalmanFilter<M> {
     /// Sensitivities to parameters that are known to a tolerance; none where nothing is uncertain.
     pub(super) consider: Option<Consider>,
     /// The judge of innovations; none where it was switched off.
-    monitor: Option<Monitor>,
+    pub(super) monitor: Option<Monitor>,
     /// Kinematics of the tool centre point, for its standard deviations.
     pub(super) tool: Tool,
     /// What the model remembers of the last sample, for the row of an estimate.
@@ -177,6 +178,18 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
     /// Contradictions between readings and model since the start.
     pub fn findings(&self) -> &[Finding] {
         self.monitor.as_ref().map_or(&[], |monitor| &monitor.findings)
+    }
+
+    /// Goes by these faults from now on, and looks for no others.
+    pub(super) fn follow(&mut self, steps: &[Step]) {
+        if let Some(monitor) = &mut self.monitor {
+            monitor.follow(steps);
+        }
+    }
+
+    /// Samples taken.
+    pub(super) fn taken(&self) -> u64 {
+        self.taken as u64
     }
 
     /// Whether it has taken a sample.
@@ -323,8 +336,9 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         }
         // What innovations say beside the state: of parameters (their estimates, a NIS whitened of them), and of
         // faults.
-        let Self { model, correction, consider, monitor, .. } = self;
-        M::judge_phase(Judge { model, correction, consider: consider.as_mut(), monitor: monitor.as_mut(), sample });
+        let Self { model, belief, correction, consider, monitor, .. } = self;
+        let (consider, monitor) = (consider.as_mut(), monitor.as_mut());
+        M::judge_phase(Judge { model, belief, correction, consider, monitor, sample });
         if self.model.bridged() {
             self.correction.status |= Status::BRIDGED;
         }
@@ -423,6 +437,9 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
             self.correct(&sample);
             if let Some(history) = &mut history {
                 history.push_update(&self.model, &self.correction, self.consider.as_ref());
+                if let Some(Monitor { effect, .. }) = self.monitor.as_ref().filter(|m| m.effect.is_active()) {
+                    history.effect.push(i, effect);
+                }
             }
             // 3. A likelihood or a mean that is not finite will not become so again: say where, and stop.
             if !self.is_finite() {

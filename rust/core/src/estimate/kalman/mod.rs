@@ -20,6 +20,7 @@ mod correction;
 mod disturbance;
 mod drift;
 mod driven;
+mod effect;
 mod elastic;
 mod elastic_measurement;
 mod elastic_sensitivity;

@@ -5,20 +5,34 @@
 //! step in each channel with its signature in all others ([`Bank`]). Innovations that are correlated or smaller than the
 //! filter says, as those of smooth motions are, make alarms rarer.
 
-use super::bank::Bank;
+use super::bank::{Bank, Evidence, News};
 use super::consider::Consider;
 use super::correction::Correction;
+use super::effect::{Effect, Step};
+use super::gaussian::Gaussian;
 use super::model::Model;
-use super::signal::{Fault, Signal};
+use super::recording::KalmanSample;
+use super::signal::{Fault, RUN, Signal};
 use crate::estimate::Status;
 use crate::estimate::measurement::Channel;
 
 /// Quantile of the normal distribution for the tests of single channels.
 const DEVIATIONS: f64 = 6.5;
+/// The same, squared.
+const BOUND: f64 = DEVIATIONS * DEVIATIONS;
 /// Windows over which the normalised innovation squared is summed, in samples.
 const WINDOWS: [usize; 3] = [1, 8, 64];
-/// Windows of the steps' signatures, in samples.
-const BANKS: [u32; 2] = [32, 256];
+/// Windows of the steps' signatures, in samples: two that follow each other all the time, and one that begins when a sample
+/// contradicts what was predicted.
+const BANKS: [u32; 3] = [32, 256, 64];
+/// A fault below so many standard deviations of a reading is not told from a wrong model, nor from an encoder's steps.
+const SMALL: f64 = 3.5;
+/// A jump by so many standard deviations is named at once: what it does to a filter is not linear any more.
+const GROSS: f64 = 20.0;
+/// Which that is.
+const ONSET: usize = 2;
+/// Samples of it after which a channel may be named: what lasts is told from what does not, and from a wrong model.
+const LASTS: u32 = 4;
 /// So many times fewer degrees of freedom than readings, as neighbours are correlated.
 const CORRELATED: f64 = 4.0;
 /// Part of a sample's contradiction that the channel must explain that is named: where many channels contradict, it is the
@@ -46,6 +60,29 @@ pub struct Finding {
     pub fault: Fault,
 }
 
+/// A channel that is beyond its bound: by how much, since how many samples before this one, and the variance of that size.
+#[derive(Clone, Copy, Debug)]
+struct Alarm {
+    channel: usize,
+    size: f64,
+    deviations: f64,
+    age: u32,
+    variance: f64,
+    /// The window that tells; none: this sample alone.
+    bank: Option<usize>,
+}
+
+/// What a sample comes to.
+#[derive(Clone, Copy, Debug)]
+enum Verdict {
+    Good,
+    /// Innovations lean to one side for long, and no channel explains it.
+    Correlated,
+    /// They are too large, and no channel explains it.
+    Contradicted,
+    Channel(Alarm),
+}
+
 /// Tests on the innovations of a filter.
 ///
 /// A few thousand operations a sample for six joints, nearly all of them the banks'. It never changes the estimate:
@@ -56,8 +93,15 @@ pub(super) struct Monitor {
     signals: Vec<Signal>,
     /// Whether a channel is an encoder's, which may wrap and stands still with its joint.
     turns: Vec<bool>,
-    /// Signatures of steps, over a short window and a long one.
-    banks: [Bank; 2],
+    /// How often each channel's reading came in a row, of encoders: their errors are that correlated (channels).
+    runs: Vec<f64>,
+    /// Signatures of steps.
+    banks: [Bank; 3],
+    /// Whether the window that begins with a contradiction is on.
+    onset: bool,
+    /// Σ r² less its mean over the longest window, and since a finding without a channel began.
+    recent: f64,
+    wrong: f64,
     /// Normalised innovations squared and readings of the last samples, in a ring.
     ring: Vec<(f64, u32)>,
     /// Innovations in their standard deviations, less what parameters explain; NaN where not used (channels).
@@ -72,6 +116,11 @@ pub(super) struct Monitor {
     calm: u64,
     /// The finding that goes on.
     open: Option<usize>,
+    /// The last finding with a channel.
+    last_named: Option<usize>,
+    /// What faults do to the state; and the steps to go by in place of alarms, once all are known.
+    pub(super) effect: Effect,
+    script: Option<Vec<Step>>,
     /// All findings since the start, at most [`MOST`].
     pub(super) findings: Vec<Finding>,
 }
@@ -82,6 +131,10 @@ impl Monitor {
         Self {
             signals: vec![Signal::NEW; m],
             turns: model.channel_kinds().iter().map(|c| matches!(c, Channel::Motor(_) | Channel::Link(_))).collect(),
+            runs: vec![1.0; m],
+            onset: false,
+            recent: 0.0,
+            wrong: 0.0,
             banks: BANKS.map(|length| Bank::new(model, model.tolerances().len(), length)),
             ring: vec![(0.0, 0); WINDOWS[2]],
             residuals: vec![f64::NAN; m],
@@ -91,8 +144,16 @@ impl Monitor {
             taken: 0,
             calm: 0,
             open: None,
+            last_named: None,
+            effect: Effect::new(model),
+            script: None,
             findings: Vec::with_capacity(MOST),
         }
+    }
+
+    /// From now on goes by these steps, and looks for no others.
+    pub(super) fn follow(&mut self, steps: &[Step]) {
+        self.script = Some(steps.to_vec());
     }
 
     /// Forgets everything: the next sample is a recording's first.
@@ -100,42 +161,117 @@ impl Monitor {
         self.signals.fill(Signal::NEW);
         self.banks.iter_mut().for_each(Bank::restart);
         self.ring.fill((0.0, 0));
-        (self.taken, self.calm, self.open) = (0, 0, None);
+        self.effect.reset();
+        (self.onset, self.wrong) = (false, 0.0);
+        (self.taken, self.calm, self.open, self.last_named, self.script) = (0, 0, None, None, None);
         self.findings.clear();
     }
 
-    /// Judges a sample that `correction` has used; gives the flags of its row.
+    /// Judges a sample that `correction` has used, and that left `belief`; gives the flags of its row.
     #[inline(always)]
-    pub(super) fn judge(
+    pub(super) fn judge<M: Model>(
         &mut self,
-        model: &mut impl Model,
-        dt: f64,
+        model: &mut M,
+        belief: &Gaussian,
+        sample: &KalmanSample<'_>,
         correction: &Correction,
-        readings: &[f64],
-        consider: Option<&Consider>,
+        mut consider: Option<&mut Consider>,
     ) -> u8 {
-        let (nis, used) = self.load(correction, consider);
+        // What is known to be wrong goes on, and is no news.
+        if self.effect.is_active() {
+            self.effect.take(model, sample.dt, correction);
+        }
+        self.taken += 1;
+        if self.script.is_some() {
+            self.go_by_script(model, correction);
+            return 0;
+        }
+        let (nis, used) = self.load(correction, consider.as_deref());
         let mut stuck = None;
-        for (i, reading) in readings.iter().enumerate().filter(|(_, r)| !r.is_nan()) {
+        for (i, reading) in sample.readings.iter().enumerate().filter(|(_, r)| !r.is_nan()) {
             // 1. Each channel by itself: stuck, saturated or dead readings need no model but that the prediction moves.
             let predicted = reading - self.whole_innovation(correction, i);
             self.signals[i].take(*reading, predicted);
+            if self.turns[i] {
+                self.runs[i] = f64::from(self.signals[i].run);
+            }
             if !self.turns[i] && self.signals[i].is_stuck(model.variance(i)) {
                 stuck = stuck.or(Some(i));
             }
         }
-        // 2. A step in some channel since the window began, by its signature in all of them.
-        for bank in &mut self.banks {
-            bank.update(model, dt, correction, consider);
+        // 2. A step in some channel since a window began, by its signature in all of them.
+        let jump = self.jump(correction);
+        for bank in &mut self.banks[..if self.onset { 3 } else { ONSET }] {
+            let (known, residuals, runs) = (&self.effect.signatures[..], &self.residuals[..], &self.runs[..]);
+            bank.update(model, sample.dt, correction, News { known, residuals, runs }, consider.as_deref());
         }
         // 3. All channels together, over one sample and over windows; then the one to name.
-        let row = self.windows(nis, used);
-        let alarm = self.alarm(correction, consider, nis, stuck);
-        self.taken += 1;
-        self.record(row, alarm)
+        let beyond = self.windows(nis, used) || jump.is_some();
+        self.wrong += self.residuals.iter().filter(|r| r.is_finite()).map(|r| r * r - 1.0).sum::<f64>();
+        let verdict = match (self.repetition(stuck), beyond) {
+            (Some(alarm), _) => Verdict::Channel(alarm),
+            (None, beyond) => match self.alarm(model, consider.as_deref(), jump) {
+                Verdict::Good | Verdict::Correlated if beyond => Verdict::Contradicted,
+                verdict => verdict,
+            },
+        };
+        let mut flags = self.record(verdict);
+        if let Verdict::Channel(alarm) = verdict {
+            if self.is_step(&alarm) {
+                self.take_step(model, correction, alarm);
+            }
+        }
+        // 4. A row is not to be believed as long as what faults did to some link is not small.
+        if self.effect.is_active() && self.counts(belief, consider.as_deref_mut()) {
+            flags |= Status::CONTRADICTED | Status::FAULTY;
+        }
+        flags
     }
 
-    /// Residuals in standard deviations with what the parameters explain; their sum of squares and number.
+    /// Lets those steps begin that began at the sample last taken.
+    fn go_by_script(&mut self, model: &impl Model, correction: &Correction) {
+        let now = self.taken - 1;
+        for step in self.script.iter().flatten().filter(|step| step.since == now) {
+            self.effect.begin(model, correction, *step, 0.0);
+        }
+    }
+
+    /// Whether an alarm is of the channel of the finding that goes on, and of one that does not repeat itself.
+    fn is_step(&self, alarm: &Alarm) -> bool {
+        let finding = self.open.map(|open| &self.findings[open]);
+        alarm.size != 0.0 && finding.is_some_and(|f| f.channel == Some(alarm.channel) && !f.fault.repeats())
+    }
+
+    /// Carries a fault along from now on; the search for others begins anew.
+    fn take_step(&mut self, model: &impl Model, correction: &Correction, alarm: Alarm) {
+        let Alarm { channel, size, age, variance, bank, .. } = alarm;
+        let now = self.taken - 1;
+        let step = Step { channel, since: now.saturating_sub(u64::from(age)), found: now, size };
+        match bank {
+            Some(bank) => self.effect.join(&self.banks[bank].columns, self.banks[bank].stride, step, variance),
+            None => self.effect.begin(model, correction, step, variance),
+        }
+        self.banks.iter_mut().for_each(Bank::restart);
+        self.onset = false;
+    }
+
+    /// Whether faults move some link by more than its standard deviation.
+    #[inline(always)]
+    fn counts(&mut self, belief: &Gaussian, mut consider: Option<&mut Consider>) -> bool {
+        let joints = self.effect.joints;
+        if let Some(consider) = &mut consider {
+            consider.sum_up(joints);
+        }
+        let total = |j: usize| consider.as_ref().map_or(0.0, |consider| consider.total[j * joints + j]);
+        let counts = self.effect.counts((0..joints).map(|j| belief.covariance.at(j, j) + total(j)));
+        if let (true, Some(last)) = (counts, self.last_named) {
+            self.findings[last].until = self.taken - 1;
+        }
+        counts
+    }
+
+    /// Residuals in standard deviations, less what parameters and known faults explain; sum of squares, the latter left
+    /// in, and number.
     #[inline(always)]
     fn load(&mut self, correction: &Correction, consider: Option<&Consider>) -> (f64, u32) {
         let (mut nis, mut used) = (0.0, 0);
@@ -148,8 +284,8 @@ impl Monitor {
                 self.residuals[i] = f64::NAN;
                 continue;
             }
-            self.residuals[i] = residual;
             self.std[i] = innovation.variance.sqrt() * factor;
+            self.residuals[i] = residual - self.effect.signatures[i] / self.std[i];
             nis += residual * residual;
             used += 1;
         }
@@ -169,47 +305,85 @@ impl Monitor {
     #[inline(always)]
     fn windows(&mut self, nis: f64, used: u32) -> bool {
         let size = self.ring.len();
-        let at = (self.taken % size as u64) as usize;
+        let at = ((self.taken - 1) % size as u64) as usize;
         self.ring[at] = (nis, used);
-        WINDOWS.iter().any(|&length| {
+        WINDOWS.iter().fold(false, |beyond, &length| {
             let (mut sum, mut count) = (0.0, 0);
-            for k in 0..length.min(self.taken as usize + 1) {
+            for k in 0..length.min(self.taken as usize) {
                 let (nis, used) = self.ring[(at + size - k) % size];
                 sum += nis;
                 count += used;
             }
-            sum > bound(f64::from(count), if length == 1 { 1.0 } else { CORRELATED })
+            self.recent = sum - f64::from(count);
+            beyond | (sum > bound(f64::from(count), if length == 1 { 1.0 } else { CORRELATED }))
         })
     }
 
-    /// The channel that contradicts the others most, if one does: which, size and deviations, since how many samples.
+    /// A channel that contradicts all others at this sample; a window begins with it, unless one is on.
     #[inline(always)]
-    fn alarm(
-        &mut self,
-        correction: &Correction,
-        consider: Option<&Consider>,
-        nis: f64,
-        stuck: Option<usize>,
-    ) -> Option<(usize, f64, f64, u32)> {
-        if let Some(channel) = stuck {
-            let run = self.signals[channel].run;
-            return Some((channel, 0.0, f64::from(run), run - 2));
+    fn jump(&mut self, correction: &Correction) -> Option<Alarm> {
+        if self.banks[ONSET].is_over() {
+            self.onset = false;
         }
+        let news: f64 = self.residuals.iter().filter(|r| r.is_finite()).map(|r| r * r).sum();
         // Below that no single channel can be beyond its own bound.
-        if nis > DEVIATIONS * DEVIATIONS {
-            let (channel, size, deviations) = self.isolate(correction);
-            if deviations > DEVIATIONS && deviations * deviations > MOST_OF * nis {
-                return Some((channel, size, deviations, 0));
+        let alarm = (news > BOUND).then(|| self.isolate(correction, self.open_channel()))?;
+        if alarm.deviations <= DEVIATIONS || alarm.deviations.powi(2) <= MOST_OF * news {
+            return None;
+        }
+        if !self.onset {
+            self.onset = true;
+            self.banks[ONSET].restart();
+        }
+        Some(alarm)
+    }
+
+    /// The channel that repeats itself, unless a finding of another goes on.
+    fn repetition(&self, stuck: Option<usize>) -> Option<Alarm> {
+        let channel = stuck.filter(|_| self.open_channel().is_none_or(|open| stuck == Some(open)))?;
+        let run = self.signals[channel].run;
+        let deviations = f64::from(run);
+        Some(Alarm { channel, size: 0.0, deviations, age: run - 2, variance: 0.0, bank: None })
+    }
+
+    /// The channel to name, if one explains what is wrong; while a finding goes on, its channel alone.
+    #[inline(always)]
+    fn alarm(&mut self, model: &impl Model, consider: Option<&Consider>, jump: Option<Alarm>) -> Verdict {
+        let (now, only) = (self.taken - 1, self.open_channel());
+        // Where a model was wrong before a fault began, the channel must explain most of all since then.
+        let unnamed = self.open.filter(|_| only.is_none()).map(|open| self.findings[open].since);
+        let wrong = |age: u64| if unnamed.is_some_and(|since| since + age < now) { self.wrong } else { 0.0 };
+        if let Some(jump) = jump
+            .filter(|jump| only.is_some() || (jump.deviations > GROSS && jump.deviations.powi(2) > MOST_OF * wrong(0)))
+        {
+            return Verdict::Channel(jump);
+        }
+        if self.onset && self.banks[ONSET].age < LASTS && only.is_none() {
+            return Verdict::Good;
+        }
+        let (mut verdict, mut most) = (Verdict::Good, 0.0);
+        for (index, bank) in self.banks.iter_mut().enumerate().take(if self.onset { 3 } else { ONSET }) {
+            let Some(Evidence { channel, ratio, drop, size, variance }) = bank.worst(consider, BOUND, only) else {
+                continue;
+            };
+            let age = bank.age - 1;
+            let explains = drop > MOST_OF * bank.excess.max(wrong(u64::from(age)))
+                && size * size > SMALL * SMALL * model.variance(channel);
+            if only.is_none() && !explains {
+                if let Verdict::Good = verdict {
+                    verdict = Verdict::Correlated;
+                }
+            } else if drop > most {
+                let alarm = Alarm { channel, size, deviations: ratio.sqrt(), age, variance, bank: Some(index) };
+                (verdict, most) = (Verdict::Channel(alarm), drop);
             }
         }
-        let all = self.banks.iter_mut().map(|bank| (bank.worst(consider, DEVIATIONS * DEVIATIONS), bank.age));
-        let ((channel, ratio, size), age) = all.max_by(|a, b| a.0.1.total_cmp(&b.0.1))?;
-        (ratio > DEVIATIONS * DEVIATIONS).then(|| (channel, size, ratio.sqrt(), age))
+        verdict
     }
 
     /// Largest t = [Λν]ᵢ/√Λᵢᵢ: each channel against the prediction and all others, with ν = L e, Cov e diagonal.
     #[inline(always)]
-    fn isolate(&mut self, correction: &Correction) -> (usize, f64, f64) {
+    fn isolate(&mut self, correction: &Correction, only: Option<usize>) -> Alarm {
         let (m, factors) = (self.signals.len(), &correction.factors);
         // Λ ν = L⁻ᵀ D⁻¹ e by back substitution: the factors that the sequential update left are those of S = L D Lᵀ.
         for i in (0..m).rev() {
@@ -218,8 +392,8 @@ impl Monitor {
                 self.pull[i] -= factors[k * m + i] * self.pull[k];
             }
         }
-        let mut worst = (0, 0.0, 0.0);
-        for c in (0..m).filter(|&c| self.residuals[c].is_finite()) {
+        let mut worst = Alarm { channel: 0, size: 0.0, deviations: 0.0, age: 0, variance: 0.0, bank: None };
+        for c in (0..m).filter(|&c| self.residuals[c].is_finite() && only.is_none_or(|only| only == c)) {
             let mut precision = 0.0;
             // Λ_cc = ‖D^(−1/2) L⁻¹ e_c‖², column c of L⁻¹ by forward substitution.
             for k in (c..m).filter(|&k| self.residuals[k].is_finite()) {
@@ -230,8 +404,9 @@ impl Monitor {
                 precision += (self.solution[k] / self.std[k]).powi(2);
             }
             let deviations = self.pull[c].abs() / precision.sqrt();
-            if deviations > worst.2 {
-                worst = (c, self.pull[c] / precision, deviations);
+            if deviations > worst.deviations {
+                let (size, variance) = (self.pull[c] / precision, 1.0 / precision);
+                worst = Alarm { channel: c, size, deviations, variance, ..worst };
             }
         }
         worst
@@ -239,19 +414,30 @@ impl Monitor {
 
     /// Opens, goes on with or ends a finding. While one goes on, what it does to the state is not another's fault.
     #[inline(always)]
-    fn record(&mut self, row: bool, alarm: Option<(usize, f64, f64, u32)>) -> u8 {
-        self.calm = if row || alarm.is_some() { 0 } else { self.calm + 1 };
+    fn record(&mut self, verdict: Verdict) -> u8 {
+        let calm = matches!(verdict, Verdict::Good) && !self.is_repeating();
+        self.calm = if calm { self.calm + 1 } else { 0 };
         if self.calm > CALM {
             self.open = None;
         }
         let now = self.taken - 1;
-        if let (Some((channel, size, deviations, age)), true) = (alarm, self.open_channel().is_none()) {
-            let since = now.saturating_sub(u64::from(age));
-            let fault = self.signals[channel].fault(size, self.turns[channel], now - since);
-            self.push(Finding { channel: Some(channel), since, until: now, size, deviations, fault });
-        } else if row && self.open.is_none() {
-            let fault = Fault::Unknown;
-            self.push(Finding { channel: None, since: now, until: now, size: 0.0, deviations: 0.0, fault });
+        match verdict {
+            Verdict::Channel(Alarm { channel, size, deviations, age, .. }) if self.open_channel().is_none() => {
+                let since = now.saturating_sub(u64::from(age));
+                let fault = self.signals[channel].fault(size, self.turns[channel], now - since);
+                // What was first seen without a name is this.
+                if self.open.is_some_and(|open| open + 1 == self.findings.len() && self.findings[open].since >= since) {
+                    self.findings.pop();
+                }
+                self.push(Finding { channel: Some(channel), since, until: now, size, deviations, fault });
+                self.last_named = self.open;
+            }
+            Verdict::Contradicted | Verdict::Correlated if self.open.is_none() => {
+                let fault = if let Verdict::Correlated = verdict { Fault::Correlated } else { Fault::Unknown };
+                self.push(Finding { channel: None, since: now, until: now, size: 0.0, deviations: 0.0, fault });
+                self.wrong = self.recent;
+            }
+            _ => (),
         }
         let Some(open) = self.open else {
             return if self.calm == 0 { Status::CONTRADICTED } else { 0 };
@@ -262,8 +448,18 @@ impl Monitor {
         // A step may turn out as another kind while it goes on: a turned sign shows only when the robot moves.
         if finding.fault == Fault::Step && now < finding.since + 2 * CALM {
             finding.fault = self.signals[channel].fault(f64::INFINITY, self.turns[channel], now - finding.since);
+            if finding.fault.repeats() {
+                self.effect.release(channel, now); // no step, and over when the channel reads anew
+            }
         }
         Status::CONTRADICTED | Status::FAULTY
+    }
+
+    /// Whether the finding that goes on is of a channel that still repeats itself.
+    fn is_repeating(&self) -> bool {
+        self.open.map(|open| &self.findings[open]).is_some_and(|finding| {
+            finding.fault.repeats() && finding.channel.is_some_and(|channel| self.signals[channel].run >= RUN)
+        })
     }
 
     /// The channel of the finding that goes on.

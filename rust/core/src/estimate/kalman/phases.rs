@@ -125,6 +125,7 @@ impl<M: Model> Kernel for Update<'_, M> {
 /// What the update says of parameters and of channels.
 pub(crate) struct Judge<'a, 'b, M> {
     pub(super) model: &'a mut M,
+    pub(super) belief: &'a Gaussian,
     pub(super) correction: &'a mut Correction,
     pub(super) consider: Option<&'a mut Consider>,
     pub(super) monitor: Option<&'a mut Monitor>,
@@ -136,14 +137,13 @@ impl<M: Model> Kernel for Judge<'_, '_, M> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { model, correction, mut consider, monitor, sample } = self;
+        let Self { model, belief, correction, mut consider, monitor, sample } = self;
         if let Some(consider) = &mut consider {
             consider.update(model, correction);
             correction.nis = consider.nis();
         }
         if let Some(monitor) = monitor {
-            let consider = consider.as_deref();
-            correction.status |= monitor.judge(model, sample.dt, correction, sample.readings, consider);
+            correction.status |= monitor.judge(model, belief, sample, correction, consider);
         }
     }
 }

@@ -15,8 +15,17 @@ pub enum Fault {
     Step,
     /// The sign is turned.
     Flipped,
+    /// None of these: innovations that lean to one side for long.
+    Correlated,
     /// None of these.
     Unknown,
+}
+
+impl Fault {
+    /// Whether readings do not follow the robot any more.
+    pub(super) fn repeats(self) -> bool {
+        matches!(self, Self::Stuck | Self::Saturated | Self::Dead)
+    }
 }
 
 /// Repetitions of a reading, to the last bit, from which a channel that used to change is stuck.

@@ -8,6 +8,7 @@
 use super::consider::Consider;
 use super::consider_back::{ConsiderBack, ConsiderHistory};
 use super::correction::Correction;
+use super::effect::{EffectBack, EffectHistory};
 use super::filter::ExtendedKalmanFilter;
 use super::gaussian::{Gaussian, Innovation};
 use super::information::Information;
@@ -16,6 +17,7 @@ use super::output::{FilterOutput, Keep};
 use super::phases::{Phases, WriteReport};
 use super::recording::KalmanRecording;
 use crate::error::{DesignError, RunError};
+use crate::estimate::Status;
 use crate::interrupt::Watch;
 use crate::linear;
 use crate::memory::room;
@@ -45,6 +47,8 @@ pub(super) struct History {
     memories: Vec<f64>,
     /// Sensitivities to parameters; empty where nothing is uncertain.
     consider: ConsiderHistory,
+    /// What faults do; empty without.
+    pub(super) effect: EffectHistory,
 }
 
 impl History {
@@ -63,6 +67,7 @@ impl History {
             variances: room(count, m)?,
             memories: room(count, model.memory())?,
             consider: ConsiderHistory::default(),
+            effect: EffectHistory::default(),
         })
     }
 
@@ -158,6 +163,8 @@ pub struct Smoother<M> {
     smoothed: Vec<f64>,
     /// The way back of the sensitivities to parameters.
     consider: Option<ConsiderBack>,
+    /// That of the faults.
+    effect: EffectBack,
 }
 
 /// Past sample `i`'s readings, and the smoothed estimate there.
@@ -193,11 +200,14 @@ impl<M: Phases> Kernel for Retreat<'_, M> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { smoother: Smoother { filter, lambda, information, consider, .. }, history, i } = self;
+        let Self { smoother: Smoother { filter, lambda, information, consider, effect, .. }, history, i } = self;
         // The order is that of prediction turned round: sensors' states last of all then, first of all now.
         let (memory, dt, stride) = (history.memory(i), history.dt[i], information.matrix.stride);
         if let Some(consider) = consider {
             consider.retreat(&mut filter.model, memory, dt);
+        }
+        if effect.is_active() {
+            effect.retreat(&mut filter.model, memory, dt);
         }
         filter.model.retreat_sensors(memory, lambda, &mut information.matrix);
         filter.model.noise_rows(memory, dt, &mut information.noise, stride);
@@ -226,6 +236,7 @@ impl<M: Phases> Smoother<M> {
             smoothed: vec![0.0; states * stride],
             information,
             consider: filter.consider.as_ref().map(|consider| ConsiderBack::new(consider, states)),
+            effect: EffectBack::new(states, filter.model.robot().len()),
             filter,
         }
     }
@@ -274,6 +285,7 @@ impl<M: Phases> Smoother<M> {
         if let Some(consider) = &mut self.consider {
             consider.finish();
         }
+        self.effect.finish();
     }
 
     /// Smooths a stretch of a recording, the last stretch first; `start` is the filter as it was before the stretch.
@@ -297,6 +309,13 @@ impl<M: Phases> Smoother<M> {
             // consistent.
             back.learn(consider);
         }
+        // Faults began before they were found: with all steps known, their effect once more from where they did.
+        if self.effect.learn(filter.monitor.as_ref().map_or(&[], |monitor| &monitor.effect.steps), start.taken()) {
+            history = History::with_capacity(count, &filter.model, self.lambda.len())?;
+            filter = start.clone();
+            filter.follow(&self.effect.steps);
+            filter.run_with(recording, Keep::default(), Some(&mut history))?;
+        }
         let history = &history;
         let watch = Watch::current();
         // …and backwards: undo the sample's readings, read off the smoothed state, undo its prediction (Bierman 1973).
@@ -305,6 +324,9 @@ impl<M: Phases> Smoother<M> {
                 return Err(RunError::Interrupted { sample: i });
             }
             M::back_phase(SmoothBack { smoother: &mut *self, history, i, whole: keep.covariance });
+            if self.is_moved(history, i) {
+                out.status[i] |= Status::CONTRADICTED | Status::FAULTY;
+            }
             self.report(history, i, &mut out, keep.covariance);
             M::retreat_phase(Retreat { smoother: &mut *self, history, i });
         }
@@ -332,6 +354,16 @@ impl<M: Phases> Smoother<M> {
         if let Some(consider) = &mut self.consider {
             consider.back(&history.consider, i, &history.innovations[i * m..][..m], &self.rows, gains);
         }
+        if self.effect.is_active() {
+            self.effect.back(&history.effect, i, &history.innovations[i * m..][..m], &self.rows, gains);
+        }
+    }
+
+    /// Whether faults move some smoothed link of sample `i` by more than its standard deviation.
+    fn is_moved(&self, history: &History, i: usize) -> bool {
+        let (m, stride) = (self.rows.len() / self.lambda.len(), self.lambda.len());
+        self.effect.is_active()
+            && self.effect.counts(&history.effect, i, m, history.covariance(i), &self.smoothed, stride)
     }
 
     /// Whole rows of H at sample `i`, and each over −2r; zero where a reading was not used. Returns how many.
