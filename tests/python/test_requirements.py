@@ -57,6 +57,7 @@ DECLARED = {
         "drive": {"stiffness": None, "stiffness_table": {"torque": [8, 30], "stiffness": [8e3, 1e4, 2e4]}}
     },
     "backlash": {"drive": {"backlash": {"half_gap": 1e-3}}},
+    "ripple": {"drive": {"gear_ratio": 100, "ripple": [{"order": 2, "amplitude": 4e-5}]}},
     "link_friction": {"drive": {"link_friction": [0.5, 150.0, 50.0, 2.0, 100.0, 0.5]}},
     "motor_friction": {"drive": {"motor_friction": {"viscous": 40.0, "coulomb": 30.0}}},
 }
@@ -130,7 +131,7 @@ METHODS = {
 
 SENSOR, SPRING = (
     {"corner_frequency", "delay", "bias"},
-    {"cubic_stiffness", "soft_windup", "stiffness_table", "backlash"},
+    {"cubic_stiffness", "soft_windup", "stiffness_table", "backlash", "ripple"},
 )
 BEHIND_GEARS = {key for key in DECLARED if "." in key}
 UNCONCERNED = {

@@ -29,6 +29,7 @@ FEATURES: dict[str, Callable[[Robot], list[str]]] = {
     "rotors": lambda robot: list(robot.config.rotors),
     "stiffness_table": lambda robot: [drive.name for drive in robot.drives if drive.stiffness_table],
     "backlash": lambda robot: [drive.name for drive in robot.drives if drive.backlash.half_gap],
+    "ripple": lambda robot: [drive.name for drive in robot.drives if drive.ripple],
     **{key: _late("accelerometers", key) for key in LATE},
     **{f"link_encoder.{key}": _late("link_encoder", key) for key in LATE},
     **{f"joint_torque.{key}": _late("joint_torque", key) for key in LATE},
@@ -39,8 +40,8 @@ JOINT_SIDE = tuple(f"{carrier}.{key}" for carrier in ("link_encoder", "joint_tor
 """What is inside sensors behind the gears."""
 
 UNSUPPORTED: dict[str, tuple[str, ...]] = {
-    "the acceleration-driven observer": ("rotors", "backlash", "corner_frequency", "delay"),
-    "the acceleration-driven observer on joint accelerations": ("rotors", "backlash"),
+    "the acceleration-driven observer": ("rotors", "backlash", "ripple", "corner_frequency", "delay"),
+    "the acceleration-driven observer on joint accelerations": ("rotors", "backlash", "ripple"),
     "a filter on the jerk-driven model": ("coupling", "rotors"),
     "a velocity observer": ("rotors",),
     "a velocity observer on the links": ("rotors", *JOINT_SIDE),
@@ -48,7 +49,7 @@ UNSUPPORTED: dict[str, tuple[str, ...]] = {
     "the momentum residual on the links": ("rotors", *JOINT_SIDE),
     "inverse dynamics along a motion": ("rotors",),
     "state feedback": ("rotors",),
-    "calibration": ("rotors", "stiffness_table", "backlash"),
+    "calibration": ("rotors", "stiffness_table", "backlash", "ripple"),
 }
 """By method: what it does not account for. Simulator, elastic-joint filters and smoothers account for all of it."""
 
