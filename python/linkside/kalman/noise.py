@@ -218,8 +218,8 @@ def jerk_scale(log: Log | Readings) -> FloatArray:
 def ripple_jerk(log: Log, robot: Robot) -> FloatArray:
     """Density of the jerk that the gears' ripple gives the links (n,), motors turning as in ``log`` [rad/s³/√Hz].
 
-    A harmonic a sin(νθ) is one of frequency ω = ν|θ̇|, of jerk a ω³ that lasts for 1/ω: a density of a ω^(5/2). Faster
-    than the link can swing on its spring, it is less by the square of that.
+    A harmonic a sin(νθ) is one of frequency ω = ν|θ̇|, of jerk a ω³/√2 that lasts for 1/ω: a density of a ω^(5/2)/√2.
+    Faster than the link can swing on its spring, it is less by the square of that.
     """
     density = np.zeros(robot.n)
     steps = np.diff(log.theta, axis=0) / np.diff(log.t)[:, None]
@@ -232,7 +232,7 @@ def ripple_jerk(log: Log, robot: Robot) -> FloatArray:
         for amplitude, frequency, _ in robot.drives[j].harmonics:
             turning = np.abs(frequency * steps[np.isfinite(steps[:, j]), j])
             slow = (robot.drives[j].stiffness or 0.0) * swing[j] / np.maximum(turning, 1e-9) ** 2
-            density[j] += np.mean((amplitude * turning**2.5 * np.minimum(1.0, slow)) ** 2)
+            density[j] += 0.5 * np.mean((amplitude * turning**2.5 * np.minimum(1.0, slow)) ** 2)
     return np.asarray(np.sqrt(density))
 
 
