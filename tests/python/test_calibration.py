@@ -49,7 +49,7 @@ def test_the_likelihood_is_that_of_the_filter():
     robot, log = load(DATA / "arm2_square")
     log = log[:600]
     filtered = ExtendedKalmanFilter(robot, start="rest", tolerances=False)
-    noise = filtered.noise.for_log(log).arrays(robot, ("motor", "acceleration"))
+    noise = filtered.noise.for_log(log, robot).arrays(robot, ("motor", "acceleration"))
     settings = {"noise": noise, "biased": [True] * 5, "torque": False, "fixed": [], "huber": np.inf}
     ours = _core.Likelihood(robot.core, signals(robot, log, False), **settings).log_likelihood([], [])
     assert ours == pytest.approx(filtered.run(log).log_likelihood.sum(), rel=1e-9)

@@ -91,7 +91,7 @@ def test_from_file_to_file(tmp_path, suffix):
 def test_jerk_is_read_off_the_first_piece():
     free = RauchTungStriebelSmoother(ROBOT)
     parts = list(smooth_pieces(free, pieces(LOG, 2000)))
-    fixed = RauchTungStriebelSmoother(ROBOT, Noise().for_log(LOG[:2000]))
+    fixed = RauchTungStriebelSmoother(ROBOT, Noise().for_log(LOG[:2000], ROBOT))
     assert_same(Estimate.concatenate(parts), fixed.run(LOG))
 
 

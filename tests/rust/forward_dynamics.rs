@@ -6,7 +6,8 @@ mod support;
 use linkside_core::dynamics::{ElasticDynamics, ElasticLayout, check_inertia};
 use linkside_core::error::RobotError;
 use linkside_core::robot::{
-    Backlash, BodySpec, Drive, Interpolation, JointKind, MotorFriction, Robot, Rotor, SoftWindup, SpringCurve, Tree,
+    Backlash, BodySpec, Drive, Harmonic, Interpolation, JointKind, MotorFriction, Ripple, Robot, Rotor, SoftWindup,
+    SpringCurve, Tree,
 };
 use linkside_core::scalar::{Dual, Lanes, Scalar};
 use linkside_core::spatial::{Mat3, Vec3};
@@ -34,13 +35,15 @@ fn drives() -> impl Strategy<Value = Drive> {
     let spring = (100.0..1e3, 0.0..3.0, 0.0..1e3, -40.0..90.0_f64, 0.0..50.0);
     let friction = (0.0..0.5, 0.0..0.5, 0.0..0.5, 0.1..1.0, prop::array::uniform6(0.0..1.0));
     let law = (0..3_u8, 0.0..0.1_f64, 1e-3..0.05_f64);
+    let wave = || (-0.09..0.09_f64, -9.0..9.0_f64, 0.0..6.0_f64);
+    let law = (law, prop::collection::vec(wave(), 0..3));
     (prop::bool::weighted(0.75), 0.5..4.0, spring, friction, law).prop_map(
         |(
             elastic,
             motor_inertia,
             (stiffness, damping, cubic, missing, shape),
             (v, c, s, speed, link),
-            (law, gap, x),
+            ((law, gap, x), waves),
         )| {
             // Rates with hardening and wind-up, a table, or play before one rate.
             let (mut cubic_stiffness, mut curve, mut backlash) = (cubic, SpringCurve::default(), Backlash::default());
@@ -52,6 +55,8 @@ fn drives() -> impl Strategy<Value = Drive> {
                 (cubic_stiffness, missing) = (0.0, 0.0);
                 backlash = Backlash { half_gap: gap, slope: 0.1, rounding: x };
             }
+            let harmonic = |(speed, frequency, phase)| Harmonic { amplitude: speed / frequency, frequency, phase };
+            let ripple = Ripple::new(waves.into_iter().filter(|w| elastic && w.1.abs() > 0.1).map(harmonic).collect());
             Drive {
                 elastic,
                 stiffness,
@@ -61,6 +66,7 @@ fn drives() -> impl Strategy<Value = Drive> {
                 soft_windup: SoftWindup { stiffness: missing, shape },
                 curve,
                 backlash,
+                ripple,
                 motor_friction: MotorFriction { viscous: v, coulomb: c, stribeck: s, stribeck_velocity: speed },
                 link_friction: link,
             }
@@ -147,7 +153,7 @@ fn energy<T: Scalar>(driven: &Driven, [q, dq, theta, dtheta]: [&[T]; 4]) -> T {
             }
         };
         if drive.elastic {
-            sum += spring_energy(drive, theta[j] - q[j]);
+            sum += spring_energy(drive, drive.ripple.output(theta[j]).angle - q[j]);
         }
     }
     sum
@@ -168,10 +174,11 @@ fn spring_energy<T: Scalar>(drive: &Drive, torsion: T) -> T {
 }
 
 /// What goes into motors, less what friction and damping take.
-fn power(robot: &Robot, [_, dq, _, dtheta, tau]: &[Vec<f64>; 5]) -> f64 {
+fn power(robot: &Robot, [_, dq, theta, dtheta, tau]: &[Vec<f64>; 5]) -> f64 {
     let joint = |(j, drive): (usize, &Drive)| {
         let speed = if drive.elastic { dtheta[j] } else { dq[j] };
-        let slip = if drive.elastic { dtheta[j] - dq[j] } else { 0.0 };
+        let ratio = drive.ripple.output(theta[j]).ratio;
+        let slip = if drive.elastic { ratio * dtheta[j] - dq[j] } else { 0.0 };
         let friction = drive.motor_friction(speed).0 * speed + drive.link_friction(dq[j]).0 * dq[j];
         tau[j] * speed - friction - drive.damping * slip * slip
     };
@@ -229,7 +236,8 @@ proptest! {
 
     /// A spring under the torque that makes the motor follow its link moves both as a rigid joint would.
     #[test]
-    fn springs_that_hold_still_are_rigid_joints(driven in driven()) {
+    fn springs_that_hold_still_are_rigid_joints(mut driven in driven()) {
+        driven.robot.drives.iter_mut().for_each(|d| d.ripple = Ripple::default());
         let Driven { robot, signals: [q, dq, _, _, tau], .. } = &driven;
         let mut rigid = robot.clone();
         rigid.drives.iter_mut().for_each(|d| d.elastic = false);
@@ -288,6 +296,7 @@ fn space_arm() -> Robot {
         soft_windup: SoftWindup { stiffness: 10.0, shape: 3000.0 },
         curve: SpringCurve::default(),
         backlash: Backlash::default(),
+        ripple: Ripple::default(),
         motor_friction: MotorFriction::default(),
         link_friction: [0.5, 150.0, 50.0, 2.0, 100.0, 0.5],
     };

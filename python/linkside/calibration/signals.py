@@ -85,7 +85,8 @@ def noise_arrays(robot: Robot, log: Log, noise: Noise, torque: bool, free_bias: 
     """Noise of motors, accelerometers and torques; a bias that is a parameter is not also an uncertain state."""
     kinds = ("motor", "acceleration", "torque") if torque else ("motor", "acceleration")
     steps = np.full(robot.n, robot.config.encoder.resolution)
-    arrays = noise.for_log(replace(log, theta=filled(without_spikes(log.theta, steps)))).arrays(robot, kinds)
+    smooth = replace(log, theta=filled(without_spikes(log.theta, steps)))
+    arrays = noise.for_log(smooth, robot).arrays(robot, kinds)
     n, m = robot.n, len(robot.acceleration_channels)
     for channel, free in enumerate(free_bias):
         arrays["initial_bias"][n + channel] *= 0.0 if free else 1.0

@@ -132,7 +132,7 @@ class JerkDriven(KalmanMethod):
 
     def noise_for(self, log: Log | None, law: LinkDisturbance | None) -> Noise:
         """The noise with what is to be read off a recording, and of what disturbances give links; None: in `step`."""
-        noise: Noise = self.noise if log is None else self.noise.for_log(log)
+        noise: Noise = self.noise if log is None else self.noise.for_log(log, self.robot)
         if law is None or self.noise.jerk is not None:
             return noise
         jerk = np.full(self.robot.n, LEAST_JERK) if noise.jerk is None else np.ravel(noise.jerk)

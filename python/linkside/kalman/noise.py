@@ -140,9 +140,11 @@ class Noise(ReadingNoise):
     velocity_walk: Std | tuple[Std, ...] = 0.0
     initial_acceleration: Std = 0.1
 
-    def for_log(self, log: Log) -> Noise:
+    def for_log(self, log: Log, robot: Robot) -> Noise:
         """Fill in what is to be read off the log: the scale of jerk."""
-        return self if self.jerk is not None else self.updated(jerk=tuple(jerk_scale(log)))
+        if self.jerk is not None:
+            return self
+        return self.updated(jerk=tuple(np.hypot(jerk_scale(log), ripple_jerk(log, robot)).tolist()))
 
     def arrays(self, robot: Robot, kinds: tuple[str, ...]) -> dict[str, Any]:
         """Arrays for the filter: one number a joint or channel, the channels being those of ``kinds`` in order."""
@@ -211,6 +213,27 @@ def jerk_scale(log: Log | Readings) -> FloatArray:
     """
     with np.errstate(over="ignore", invalid="ignore"):  # of absurd readings, which the filter then names
         return np.array([_jerk_scale(log.t, theta) for theta in log.theta.T])
+
+
+def ripple_jerk(log: Log, robot: Robot) -> FloatArray:
+    """Density of the jerk that the gears' ripple gives the links (n,), motors turning as in ``log`` [rad/s³/√Hz].
+
+    A harmonic a sin(νθ) is one of frequency ω = ν|θ̇|, of jerk a ω³/√2 that lasts for 1/ω: a density of a ω^(5/2)/√2.
+    Faster than the link can swing on its spring, it is less by the square of that.
+    """
+    density = np.zeros(robot.n)
+    steps = np.diff(log.theta, axis=0) / np.diff(log.t)[:, None]
+    rippled = [j for j, drive in enumerate(robot.drives) if drive.ripple and np.isfinite(steps[:, j]).any()]
+    if not rippled:
+        return density
+    posture = np.nan_to_num([np.median(angle[np.isfinite(angle)]) for angle in log.theta.T])
+    swing = np.diag(np.linalg.inv(robot.mass_matrix(posture)))
+    for j in rippled:
+        for amplitude, frequency, _ in robot.drives[j].harmonics:
+            turning = np.abs(frequency * steps[np.isfinite(steps[:, j]), j])
+            slow = (robot.drives[j].stiffness or 0.0) * swing[j] / np.maximum(turning, 1e-9) ** 2
+            density[j] += 0.5 * np.mean((amplitude * turning**2.5 * np.minimum(1.0, slow)) ** 2)
+    return np.asarray(np.sqrt(density))
 
 
 def _jerk_scale(t: FloatArray, theta: FloatArray) -> float:

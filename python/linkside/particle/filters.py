@@ -284,7 +284,7 @@ class ParticleFilter(DecidingFilter[_core.ParticleFilter], JerkDrivenFilter[_cor
 
     def _prepared(self, log: Log, first: Readings) -> tuple[_core.ParticleFilter, tuple[str, ...]]:
         """A filter of the core that starts where the ``first`` samples say, and the kinds of its channels."""
-        kinds, noise = self._front.kinds(log), self.noise.for_log(log)
+        kinds, noise = self._front.kinds(log), self.noise.for_log(log, self.robot)
         core = self._core(kinds, noise, log.period)
         self._front.begin(core, first, kinds, noise)
         return core, kinds

@@ -161,6 +161,15 @@ class Backlash(_Section):
     rounding: Positive | None = None  # rad; of the corners, a tenth of the half gap unless given
 
 
+class Harmonic(_Section):
+    """One harmonic of a gear's kinematic error, amplitude·sin(order·turned + phase)."""
+
+    order: Positive  # cycles a turn
+    amplitude: Number  # rad, behind the gear
+    phase: Number = 0.0  # rad
+    of: Literal["motor", "output"] = "motor"  # what turns: the motor's shaft, or the gear's output
+
+
 class MotorFriction(_Section):
     """Friction between motor and ground."""
 
@@ -179,6 +188,7 @@ class JointConfig(_Section):
     stiffness_known: bool = True  # else `stiffness` is where a calibration begins, to within a factor of 3
     stiffness_table: StiffnessTable | None = None
     backlash: Backlash = Backlash()
+    ripple: tuple[Harmonic, ...] = ()  # the gear's output stands at θ + their sum
     damping: NonNegative = 0.0  # D, N m s/rad
     motor_inertia: Positive | None = None  # B, kg m²; required when elastic
     gear_ratio: Annotated[Number, AfterValidator(_nonzero)] = 1.0  # negative: the motor turns the other way
@@ -218,6 +228,25 @@ class JointConfig(_Section):
             if self.elastic and getattr(self, key) is None:
                 raise refusal(f"missing key '{key}': an elastic joint needs a number greater than 0")
         return self
+
+    @model_validator(mode="after")
+    def _ripple_turns(self) -> "JointConfig":
+        """A gear with an error still turns its output as it turns itself, and behind it is a spring."""
+        if self.ripple and not self.elastic:
+            raise refusal("expected none: the joint is rigid", "ripple")
+        for index, harmonic in enumerate(self.ripple):
+            if harmonic.of == "motor" and "gear_ratio" not in self.model_fields_set:
+                raise refusal("missing key 'gear_ratio': the motor's turns are counted by it", "ripple", index, "of")
+        change = sum(abs(amplitude * frequency) for amplitude, frequency, _ in self.harmonics)
+        if change > 0.2:
+            raise refusal(f"expected to change the output's speed by at most 0.2 of it, got {change:.3g}", "ripple")
+        return self
+
+    @property
+    def harmonics(self) -> list[list[float]]:
+        """Amplitude [rad], cycles a turn of the reflected motor angle and phase [rad] of each."""
+        turns = {"motor": self.gear_ratio, "output": 1.0}
+        return [[each.amplitude, each.order * turns[each.of], each.phase] for each in self.ripple]
 
     @model_validator(mode="after")
     def _spring_monotone(self) -> "JointConfig":

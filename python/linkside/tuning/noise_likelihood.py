@@ -196,7 +196,7 @@ class _NoiseSearch:
         for (name, _), value in zip(self.entries, self.start, strict=True):
             if value <= 0:
                 raise EstimatorError(f"free: {name} starts at {value:g}; give it a value above 0 to vary")
-        self._jerks = [self.base.for_log(log).jerk for log in self.logs]
+        self._jerks = [self.base.for_log(log, self.robot).jerk for log in self.logs]
 
     def _with_arrays(self) -> Noise:
         """The start, with an entry a joint of what is free joint by joint; jerk is the largest of the logs'."""

@@ -1,7 +1,9 @@
 //! A robot to try things on; the examples of this documentation run on it.
 
 use crate::error::RobotError;
-use crate::robot::{Backlash, BodySpec, Drive, JointKind, MotorFriction, Robot, Sensor, SoftWindup, SpringCurve, Tree};
+use crate::robot::{
+    Backlash, BodySpec, Drive, JointKind, MotorFriction, Ripple, Robot, Sensor, SoftWindup, SpringCurve, Tree,
+};
 use crate::spatial::{Mat3, Vec3};
 
 /// An arm of one joint: 5 kg on a metre that turn about the vertical, so that gravity does nothing, behind a spring that
@@ -36,6 +38,7 @@ pub fn arm() -> Result<Robot, RobotError> {
         soft_windup: SoftWindup::default(),
         curve: SpringCurve::default(),
         backlash: Backlash::default(),
+        ripple: Ripple::default(),
         motor_friction: MotorFriction::default(),
         link_friction: [0.0; 6],
     };

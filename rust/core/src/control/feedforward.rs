@@ -3,10 +3,10 @@
 //! The links' recursive Newton–Euler kernel runs on power series in time ([`Series`]), which gives the torque on each link with
 //! all its derivatives in one pass. A transmission then turns D δ̇ + φ(δ) = r into torsion δ and its derivatives, from
 //! the outermost joint inwards as the inertial coupling S is strictly upper triangular:
-//! rᵢ = τ_J,ᵢ + Σ_{j>i} Sᵢⱼ θ̈ⱼ and τ = B θ̈ + Sᵀ q̈ + r + motor friction, for the models (1) and (2) of De Luca,
+//! rᵢ = τ_J,ᵢ + Σ_{j>i} Sᵢⱼ θ̈ⱼ and τ = B θ̈ + Sᵀ q̈ + (1 + ε′) r + motor friction, for the models (1) and (2) of De Luca,
 //! Schröder and Thümmel (2007).
 
-use super::transmission::{LoadedTransmission, SMOOTHEST, advance, damped, undamped};
+use super::transmission::{LoadedTransmission, SMOOTHEST, advance, damped, motor, undamped};
 use crate::check::{expect, expect_finite, expect_length, expect_rising};
 use crate::dynamics::NewtonEuler;
 use crate::error::DesignError;
@@ -200,7 +200,8 @@ impl<'a, const P: usize> FeedforwardPass<'a, P> {
             for j in (i + 1..n).filter(|j| self.robot.coupling[i * n + j] != 0.0) {
                 self.load[i] += self.theta[j].rate().rate() * self.robot.coupling[i * n + j];
             }
-            self.theta[i] = self.link[0][i] + self.torsion(i, dt);
+            let angle = self.link[0][i] + self.torsion(i, dt);
+            self.theta[i] = motor(&self.robot.drives[i], angle);
         }
     }
 
@@ -222,13 +223,14 @@ impl<'a, const P: usize> FeedforwardPass<'a, P> {
         damped(drive, load, torsion)
     }
 
-    /// τ = B θ̈ + Sᵀ q̈ + r + motor friction.
+    /// τ = B θ̈ + Sᵀ q̈ + (1 + ε′) r + motor friction.
     #[inline(always)]
     fn torque(&self, joint: usize) -> f64 {
         let (n, drive) = (self.robot.len(), &self.robot.drives[joint]);
         let coupled: f64 = (0..joint).map(|i| self.robot.coupling[i * n + joint] * self.link[2][i].value()).sum();
         let speed = self.theta[joint].0[1];
         let friction = drive.motor_friction(speed).0;
-        drive.motor_inertia * 2.0 * self.theta[joint].0[2] + coupled + self.load[joint].value() + friction
+        let felt = self.load[joint].value() * drive.ripple.output(self.theta[joint].value()).ratio;
+        drive.motor_inertia * 2.0 * self.theta[joint].0[2] + coupled + felt + friction
     }
 }

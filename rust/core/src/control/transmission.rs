@@ -30,6 +30,17 @@ pub(super) fn damped<const P: usize>(drive: &Drive, load: Series<P>, torsion: f6
     series
 }
 
+/// The motor's angle with its derivatives where the gear's output stands at `angle`.
+#[inline(always)]
+pub(super) fn motor<const P: usize>(drive: &Drive, angle: Series<P>) -> Series<P> {
+    let (mut theta, mut known) = (drive.ripple.motor(angle), 2);
+    while known < P && !drive.ripple.is_none() {
+        theta = drive.ripple.approach(angle, theta);
+        known *= 2;
+    }
+    theta
+}
+
 /// A damped transmission at one moment.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LoadedTransmission<const P: usize> {
@@ -149,7 +160,7 @@ fn moments(z: f64) -> ExponentialMoments {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::robot::{Backlash, MotorFriction, SoftWindup, SpringCurve};
+    use crate::robot::{Backlash, MotorFriction, Ripple, SoftWindup, SpringCurve};
 
     fn drive(cubic_stiffness: f64, windup: f64) -> Drive {
         Drive {
@@ -161,6 +172,7 @@ mod tests {
             soft_windup: SoftWindup { stiffness: windup, shape: 800.0 },
             curve: SpringCurve::default(),
             backlash: Backlash::default(),
+            ripple: Ripple::default(),
             motor_friction: MotorFriction::default(),
             link_friction: [0.0; 6],
         }

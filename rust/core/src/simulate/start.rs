@@ -4,7 +4,7 @@ use crate::check::{expect_finite, expect_length};
 use crate::control::RobotState;
 use crate::dynamics::{Kinematics, Loads};
 use crate::error::DesignError;
-use crate::robot::Robot;
+use crate::robot::{Drive, Robot};
 
 /// State and motor torques at the start, n numbers each; what is None holds the robot at rest where its links are.
 #[derive(Clone, Debug, Default)]
@@ -15,7 +15,7 @@ pub struct SimulationStart {
     pub dq: Option<Vec<f64>>,
     /// Motor positions [rad], not looked at where rigid; else where the springs hold gravity.
     pub theta: Option<Vec<f64>>,
-    /// Motor velocities [rad/s], not looked at where rigid; else those of the links.
+    /// Motor velocities [rad/s], not looked at where rigid; else those at which torsions stay.
     pub dtheta: Option<Vec<f64>>,
     /// Motor torques before the first sample [N m]; else gravity's.
     pub tau: Option<Vec<f64>>,
@@ -38,11 +38,15 @@ impl SimulationStart {
         let dq = self.dq.unwrap_or_else(|| vec![0.0; n]);
         let mut gravity = gravity(robot, &q);
         crate::linear::add_scaled(&mut gravity, -1.0, push);
-        let hold =
-            |(j, q): (usize, &f64)| if robot.drives[j].elastic { q + robot.drives[j].torsion(gravity[j]) } else { *q };
-        let theta = self.theta.unwrap_or_else(|| q.iter().enumerate().map(hold).collect());
-        let dtheta = self.dtheta.unwrap_or_else(|| dq.clone());
-        let tau = self.tau.unwrap_or(gravity);
+        let hold = |((q, drive), load): ((&f64, &Drive), &f64)| {
+            if drive.elastic { drive.ripple.motor(q + drive.torsion(*load)) } else { *q }
+        };
+        let theta = self.theta.unwrap_or_else(|| q.iter().zip(&robot.drives).zip(&gravity).map(hold).collect());
+        let ratio = |(theta, drive): (&f64, &Drive)| drive.ripple.output(*theta).ratio;
+        let ratios: Vec<_> = theta.iter().zip(&robot.drives).map(ratio).collect();
+        let dtheta = self.dtheta.unwrap_or_else(|| dq.iter().zip(&ratios).map(|(dq, ratio)| dq / ratio).collect());
+        let felt = || gravity.iter().zip(&ratios).map(|(load, ratio)| load * ratio).collect();
+        let tau = self.tau.unwrap_or_else(felt);
         Ok((RobotState { q, dq, theta, dtheta }, tau))
     }
 }

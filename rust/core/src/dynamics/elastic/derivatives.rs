@@ -113,7 +113,7 @@ impl<T: Scalar> ElasticDynamics<T> {
         let (theta, dtheta, one) = (layout.theta[j], layout.dtheta[j], T::constant(1.0));
         let slip = drive.motor_friction(x[dtheta]).1;
         let disturbance = layout.disturbance.map(|first| first + j);
-        let Self { coupling, ddq_by, ddq_by_tau, ddtheta_by, .. } = self;
+        let Self { coupling, ddq_by, ddq_by_tau, ddtheta_by, ratio, spring, .. } = self;
         if !drive.elastic {
             ddq_by[j * d + dtheta] -= slip;
             ddq_by_tau[j * n + j] = one;
@@ -122,11 +122,14 @@ impl<T: Scalar> ElasticDynamics<T> {
             }
             return;
         }
-        let (kappa, damping) = (drive.tangent_stiffness(x[theta] - x[j]), T::constant(drive.damping));
-        let spring = [(theta, kappa), (j, -kappa), (dtheta, damping), (n + j, -damping)];
+        let slopes = drive.transmission_slopes(x[theta], x[dtheta], x[j]);
+        let link = [(theta, slopes.by_theta), (j, slopes.by_q), (dtheta, slopes.by_dtheta), (n + j, slopes.by_dq)];
+        // The motor feels (1 + ε′) τ_e, with an ε′ that turns with it.
+        let mut motor = link.map(|(k, slope)| (k, slope * ratio[j]));
+        motor[0].1 += drive.ripple.output(x[theta]).bend * spring[j];
         for (i, s) in coupling.coupled(j) {
             let share = s / T::constant(drive.motor_inertia);
-            for (k, slope) in spring {
+            for (k, slope) in motor {
                 ddq_by[i * d + k] += share * slope;
             }
             ddq_by[i * d + dtheta] += share * slip;
@@ -136,9 +139,9 @@ impl<T: Scalar> ElasticDynamics<T> {
             }
         }
         let own = &mut ddtheta_by[j * d..][..d];
-        for (k, slope) in spring {
+        for ((k, slope), (_, reaction)) in link.into_iter().zip(motor) {
             ddq_by[j * d + k] += slope;
-            own[k] -= slope;
+            own[k] -= reaction;
         }
         own[dtheta] -= slip;
         if let Some(k) = disturbance {
@@ -188,7 +191,7 @@ impl<T: Scalar> ElasticDynamics<T> {
         for (j, drive) in robot.drives.iter().enumerate() {
             if drive.elastic {
                 linear::add_scaled(&mut links[row(j)], one, &transmitted[row(j)]);
-                linear::add_scaled(&mut motors[row(j)], -one, &transmitted[row(j)]);
+                linear::add_scaled(&mut motors[row(j)], -self.ratio[j], &transmitted[row(j)]);
                 for (i, s) in self.coupling.coupled(j) {
                     let share = s / T::constant(drive.motor_inertia);
                     linear::add_scaled(&mut links[row(i)], -share, &motors[row(j)]);

@@ -30,11 +30,12 @@ use coupling::Coupling;
 /// eqs. (10)–(16)):
 ///
 /// ```text
-/// M q̈ + S θ̈ + C q̇ + g + d(q̇) = τ_e(θ − q, θ̇ − q̇)
-/// Sᵀ q̈ + B θ̈ + f(θ̇)          = τ − τ_e
+/// M q̈ + S θ̈ + C q̇ + g + d(q̇) = τ_e(θ + ε(θ) − q, (1 + ε′) θ̇ − q̇)
+/// Sᵀ q̈ + B θ̈ + f(θ̇)          = τ − (1 + ε′) τ_e
 /// ```
 ///
-/// θ̈ is eliminated, as B is diagonal: (M − S B⁻¹ Sᵀ) q̈ = τ_e − C q̇ − g − d − S B⁻¹ (τ − f − τ_e). A rigid joint's motor
+/// ε is the kinematic error of each gear, on which power does not depend.
+/// θ̈ is eliminated, as B is diagonal: (M − S B⁻¹ Sᵀ) q̈ = τ_e − C q̇ − g − d − S B⁻¹ (τ − f − (1 + ε′) τ_e). A rigid joint's motor
 /// moves with its link: its row and column of S and its B join M. Motors that are [`Rotor`](crate::robot::Rotor)s on
 /// links are bodies of an extended tree, whence S(q) and its velocity terms in both rows. Derivatives: those of the
 /// left-hand side are of the inverse dynamics at q̈ and θ̈.
@@ -82,6 +83,8 @@ pub struct ElasticDynamics<T = f64> {
     ignored: Vec<T>,
     /// τ_e (n) [N m]; behind a rigid drive its motor's torque less friction.
     spring: Vec<T>,
+    /// 1 + ε′ (n): the motor feels the spring's torque times this.
+    ratio: Vec<T>,
     /// Motor torque less friction, and of a rotor less what its carrier's turning takes.
     drive: Vec<T>,
 }
@@ -111,6 +114,7 @@ impl<T: Scalar> ElasticDynamics<T> {
             by_dq: square(),
             ignored: square(),
             spring: room(n),
+            ratio: vec![T::constant(1.0); n],
             drive: room(n),
         }
     }
@@ -139,9 +143,9 @@ impl<T: Scalar> ElasticDynamics<T> {
         linear::solve(&self.mass[..system], n, &mut self.ddq, 1);
         for (j, drive) in robot.drives.iter().enumerate() {
             self.ddtheta[j] = if drive.elastic {
-                // The motor's row once q̈ is known: B θ̈ = τ − f − τ_e − (Sᵀ q̈)ⱼ.
+                // The motor's row once q̈ is known: B θ̈ = τ − f − (1 + ε′) τ_e − (Sᵀ q̈)ⱼ.
                 let pull = self.coupling.pull(j, &self.ddq);
-                (self.drive[j] - self.spring[j] - pull) / T::constant(drive.motor_inertia)
+                (self.drive[j] - self.ratio[j] * self.spring[j] - pull) / T::constant(drive.motor_inertia)
             } else {
                 self.ddq[j]
             };
@@ -183,7 +187,9 @@ impl<T: Scalar> ElasticDynamics<T> {
             let extra = layout.disturbance.map_or(T::default(), |first| x[first + j]);
             self.drive[j] += tau[j] + extra - drive.motor_friction(speed).0;
             self.spring[j] = if drive.elastic {
-                drive.spring_torque(x[layout.theta[j]] - q[j]) + (speed - dq[j]) * drive.damping
+                let gear = drive.ripple.output(x[layout.theta[j]]);
+                self.ratio[j] = gear.ratio;
+                drive.spring_torque(gear.angle - q[j]) + (gear.ratio * speed - dq[j]) * drive.damping
             } else {
                 self.drive[j]
             };
@@ -198,7 +204,7 @@ impl<T: Scalar> ElasticDynamics<T> {
     #[inline(always)]
     fn couple(&mut self, robot: &Robot) {
         let n = robot.len();
-        let Self { coupling, mass, ddq, drive: torque, spring, .. } = self;
+        let Self { coupling, mass, ddq, drive: torque, spring, ratio, .. } = self;
         for (j, drive) in robot.drives.iter().enumerate() {
             if !drive.elastic {
                 mass[j * n + j] += T::constant(drive.motor_inertia);
@@ -209,9 +215,9 @@ impl<T: Scalar> ElasticDynamics<T> {
                 continue;
             }
             for (i, s) in coupling.coupled(j) {
-                // θ̈ⱼ eliminated: −S B⁻¹ Sᵀ joins M, −S B⁻¹ (τ − f − τ_e) the torque.
+                // θ̈ⱼ eliminated: −S B⁻¹ Sᵀ joins M, −S B⁻¹ (τ − f − (1 + ε′) τ_e) the torque.
                 let share = s / T::constant(drive.motor_inertia);
-                ddq[i] -= share * (torque[j] - spring[j]);
+                ddq[i] -= share * (torque[j] - ratio[j] * spring[j]);
                 for (k, s) in coupling.links(j) {
                     mass[i * n + k] -= share * s;
                 }

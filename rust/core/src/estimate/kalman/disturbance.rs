@@ -88,7 +88,7 @@ impl Disturbances {
 pub(super) fn hold(robot: &Robot, theta: &[f64], first: usize, belief: &mut Gaussian) {
     let Gaussian { mean, covariance } = belief;
     for (j, drive) in robot.drives.iter().enumerate().filter(|(_, drive)| drive.elastic) {
-        let compliance = drive.compliance(theta[j] - mean[j]);
+        let compliance = drive.compliance(drive.torsion_between(theta[j], mean[j]));
         depend(covariance, j, first + j, compliance);
     }
 }

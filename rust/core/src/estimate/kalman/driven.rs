@@ -114,13 +114,13 @@ impl JerkMeasurement {
 impl JerkMeasurement {
     /// What a motor velocity that comes of positions adds to the variance of the predicted torsion, by its damping.
     #[inline(always)]
-    fn velocity_variance(&self, joint: usize, torsion: f64) -> f64 {
+    fn velocity_variance(&self, joint: usize) -> f64 {
         let (drive, variance) = (&self.model.robot.drives[joint], self.dtheta_variance[joint]);
         if variance == 0.0 || !drive.elastic {
             return 0.0;
         }
-        // δ = φ⁻¹(r − D(θ̇ − q̇)): an error of θ̇ moves the torsion by D/φ'(δ).
-        let lag = drive.damping * drive.compliance(torsion);
+        // δ = φ⁻¹(r − D(θ̇ − q̇)): an error of θ̇ moves the torsion by D/φ'(δ). Motors are the first channels.
+        let lag = drive.damping * self.evaluation.by_torque[joint];
         lag * lag * variance
     }
 }
@@ -169,7 +169,7 @@ impl Measurement for JerkMeasurement {
     fn signatures(&mut self, stride: usize, out: &mut [f64]) {
         let Self { model, evaluation, reference, dtheta, tolerances, .. } = self;
         let (n, channels) = (model.joints(), &model.channels);
-        evaluation.motion.signatures(&model.robot, channels, tolerances, &reference[n..2 * n], dtheta, stride, out);
+        evaluation.motion.signatures(&model.robot, channels, tolerances, &reference[..2 * n], dtheta, stride, out);
         if let Some(motors) = &mut self.motors {
             motors.signatures(model, tolerances, dtheta, stride, out);
         }
@@ -221,7 +221,7 @@ impl Measurement for JerkMeasurement {
         match self.model.channels[i] {
             Channel::Motor(j) => {
                 let torsion = self.evaluation.prediction[i] - self.reference[j];
-                own + square(self.noise.torsion * torsion) + self.velocity_variance(j, torsion)
+                own + square(self.noise.torsion * torsion) + self.velocity_variance(j)
             }
             Channel::MotorVelocity(j) => {
                 let (n, d) = (self.model.joints(), self.dense());
@@ -329,7 +329,7 @@ impl Motors {
         let n = self.channels.len();
         let Self { channels, evaluation, state, rates } = self;
         rates.resize(n * stride, Dual::default());
-        evaluation.motion.signatures(&model.robot, channels, tolerances, &state[n..2 * n], dtheta, stride, rates);
+        evaluation.motion.signatures(&model.robot, channels, tolerances, &state[..2 * n], dtheta, stride, rates);
         for (out, channel) in out.chunks_exact_mut(stride).zip(&model.channels) {
             let Channel::MotorVelocity(j) = *channel else { continue };
             for (out, rate) in out.iter_mut().zip(&rates[j * stride..]) {

@@ -146,7 +146,7 @@ impl Measurement for ElasticMeasurement {
     fn swings(&self, out: &mut [f64]) {
         let Self { robot, layout, dynamics, reference, .. } = self;
         for (j, (out, drive)) in out.iter_mut().zip(&robot.drives).enumerate() {
-            let torsion = reference[layout.theta[j]] - reference[j];
+            let torsion = drive.torsion_between(reference[layout.theta[j]], reference[j]);
             let inertia = dynamics.inertia(robot, j) + drive.motor_inertia;
             *out = if drive.elastic { (inertia / drive.tangent_stiffness(torsion)).max(0.0).sqrt() } else { 0.0 };
         }

@@ -78,7 +78,7 @@ impl ElasticSensitivity {
         self.load(robot, layout, dynamics, x, tau);
         let p = self.stride;
         for (j, drive) in robot.drives.iter().enumerate().filter(|(_, drive)| drive.elastic) {
-            let compliance = drive.compliance(x[layout.theta[j]] - x[j]);
+            let compliance = drive.compliance(drive.torsion_between(x[layout.theta[j]], x[j]));
             for torques in [&self.links, &self.transmitted] {
                 linear::add_scaled(&mut columns[j * p..][..p], compliance, &torques[j * p..][..p]);
             }
@@ -114,11 +114,12 @@ impl ElasticSensitivity {
                 continue;
             }
             let (drive, at) = (&robot.drives[j], j * *stride + column);
-            let (torsion, speed, dq) = (x[layout.theta[j]] - x[j], x[layout.dtheta[j]], x[layout.joints + j]);
+            let (theta, speed, dq) = (x[layout.theta[j]], x[layout.dtheta[j]], x[layout.joints + j]);
+            let torsion = drive.torsion_between(theta, x[j]);
             let motor = match parameter {
                 U::Stiffness(_) => drive.spring_torque(torsion),
                 U::CubicStiffness(_) => drive.hardening(torsion),
-                U::Damping(_) => drive.damping * (speed - dq),
+                U::Damping(_) => drive.damping * drive.slip(theta, [speed, dq]),
                 U::TorqueConstant(_) => tau[j],
                 U::MotorFriction(_) => -drive.motor_friction(speed).0,
                 U::MotorInertia(_) => -drive.motor_inertia * dynamics.ddtheta[j],
@@ -188,7 +189,8 @@ mod tests {
     };
     use crate::estimate::measurement::Kind;
     use crate::robot::{
-        Backlash, BodySpec, Drive, Frame, JointKind, MotorFriction, Rotor, Sensor, SoftWindup, SpringCurve, Tree,
+        Backlash, BodySpec, Drive, Frame, JointKind, MotorFriction, Ripple, Rotor, Sensor, SoftWindup, SpringCurve,
+        Tree,
     };
     use crate::spatial::{Mat3, Vec3};
     use Uncertain as U;
@@ -210,6 +212,7 @@ mod tests {
             soft_windup: SoftWindup { stiffness: 120.0 * log(U::Stiffness(j)), shape: 80.0 },
             curve: SpringCurve::default(),
             backlash: Backlash::default(),
+            ripple: Ripple::default(),
             motor_friction: MotorFriction {
                 viscous: 0.4 * log(U::MotorFriction(j)),
                 coulomb: 0.1 * log(U::MotorFriction(j)),

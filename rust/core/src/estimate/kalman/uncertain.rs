@@ -1,8 +1,8 @@
 //! Numbers of a robot that are known to a tolerance only, and what a unit error of each does to the readings.
 
 use crate::dynamics::Kinematics;
-use crate::estimate::measurement::{Channel, LinkMotion};
-use crate::robot::{Drive, Robot, Tree};
+use crate::estimate::measurement::{Channel, LinkMotion, MotorStand, OfDrives};
+use crate::robot::{Robot, Tree};
 use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
 use crate::spatial::Vec3;
@@ -102,7 +102,7 @@ impl Tolerance {
 impl<T: Scalar> LinkMotion<T> {
     /// N = ∂h/∂p at the state that was last evaluated, into `out` (channels × `stride`, one column a parameter).
     ///
-    /// With δ the torsion and φ′ the tangent stiffness, of a motor position: −φ/φ′ for ln K, −D(θ̇ − q̇)/φ′ for ln D and
+    /// With δ the torsion and φ′ the tangent stiffness, of a motor position: −φ/φ′ for ln K, −D δ̇/φ′ for ln D and
     /// Yᵢπᵢ/φ′ for the mass of link i; of an accelerometer that reads y: [y]× for its rotation and [ω̇]× + [ω]×² for
     /// its displacement, in its own axes.
     #[inline]
@@ -111,20 +111,19 @@ impl<T: Scalar> LinkMotion<T> {
         robot: &Robot,
         channels: &[Channel],
         tolerances: &[Tolerance],
-        dq: &[T],
+        links: &[T],
         dtheta: &[f64],
         stride: usize,
         out: &mut [T],
     ) {
-        simd::phase(Signatures { motion: self, robot, channels, tolerances, dq, dtheta, stride, out });
+        simd::phase(Signatures { motion: self, robot, channels, tolerances, links, dtheta, stride, out });
     }
 
-    /// Torque that joint `j`'s spring holds, and 1/φ′, at the state that was last evaluated.
+    /// Where elastic joint `j`'s motor stands at the state that was last evaluated, links being at (q, q̇) = `links`.
     #[inline(always)]
-    fn spring(&self, drive: &Drive, j: usize, dq: T, dtheta: f64) -> (T, T) {
-        let torque = self.tau[j] + drive.link_friction(dq).0 - torsion_rate(dq, dtheta) * drive.damping;
-        let torsion = drive.torsion(torque);
-        (torsion, T::constant(1.0) / drive.tangent_stiffness(torsion))
+    fn motor(&self, robot: &Robot, j: usize, links: &[T], dtheta: &[f64]) -> MotorStand<T> {
+        let (drive, link) = (&robot.drives[j], [links[j], links[robot.len() + j]]);
+        MotorStand::new(&OfDrives, drive, j, link, self.tau[j] + drive.link_friction(link[1]).0, dtheta[j])
     }
 
     /// A number of a drive shows between motor and link, or on a joint torque sensor.
@@ -137,7 +136,7 @@ impl<T: Scalar> LinkMotion<T> {
         robot: &Robot,
         channels: &[Channel],
         parameter: Uncertain,
-        dq: &[T],
+        links: &[T],
         dtheta: &[f64],
         mut put: impl FnMut(usize, T),
     ) {
@@ -154,7 +153,7 @@ impl<T: Scalar> LinkMotion<T> {
             return;
         };
         let drive = &robot.drives[j];
-        let friction = drive.link_friction(dq[j]).0;
+        let friction = drive.link_friction(links[n + j]).0;
         if let (Some(row), U::LinkFriction(_)) = (position(channels, Channel::Torque(j)), parameter) {
             put(row, friction);
         }
@@ -168,12 +167,12 @@ impl<T: Scalar> LinkMotion<T> {
             }
             return;
         }
-        let (torsion, compliance) = self.spring(drive, j, dq[j], dtheta[j]);
+        let MotorStand { torsion, slip, by_torque, .. } = self.motor(robot, j, links, dtheta);
         match parameter {
-            U::Stiffness(_) => put(row, -compliance * drive.spring_torque(torsion)),
-            U::CubicStiffness(_) => put(row, -compliance * drive.hardening(torsion)),
-            U::Damping(_) => put(row, -compliance * torsion_rate(dq[j], dtheta[j]) * drive.damping),
-            U::LinkFriction(_) => put(row, compliance * friction),
+            U::Stiffness(_) => put(row, -by_torque * drive.spring_torque(torsion)),
+            U::CubicStiffness(_) => put(row, -by_torque * drive.hardening(torsion)),
+            U::Damping(_) => put(row, -by_torque * slip * drive.damping),
+            U::LinkFriction(_) => put(row, by_torque * friction),
             _ => {}
         }
     }
@@ -185,7 +184,7 @@ impl<T: Scalar> LinkMotion<T> {
         robot: &Robot,
         channels: &[Channel],
         link: usize,
-        dq: &[T],
+        links: &[T],
         dtheta: &[f64],
         mut put: impl FnMut(usize, T),
     ) {
@@ -195,7 +194,7 @@ impl<T: Scalar> LinkMotion<T> {
                 put(row, share);
             }
             if let Some(row) = position(channels, Channel::Motor(j)).filter(|_| drive.elastic) {
-                put(row, self.spring(drive, j, dq[j], dtheta[j]).1 * share);
+                put(row, self.motor(robot, j, links, dtheta).by_torque * share);
             }
         });
     }
@@ -263,12 +262,6 @@ fn seen<'a, T: Scalar>(
     (kinematics.specific_force_at(&placed), carry)
 }
 
-/// θ̇ − q̇; zero where the motor's velocity is not known.
-#[inline(always)]
-fn torsion_rate<T: Scalar>(dq: T, dtheta: f64) -> T {
-    if dtheta.is_nan() { T::default() } else { -dq + dtheta }
-}
-
 /// The unit vector along an axis.
 fn unit<T: Scalar>(axis: usize) -> Vec3<T> {
     let mut out = Vec3::default();
@@ -288,7 +281,7 @@ struct Signatures<'a, T> {
     robot: &'a Robot,
     channels: &'a [Channel],
     tolerances: &'a [Tolerance],
-    dq: &'a [T],
+    links: &'a [T],
     dtheta: &'a [f64],
     stride: usize,
     out: &'a mut [T],
@@ -300,14 +293,14 @@ impl<T: Scalar> Kernel for Signatures<'_, T> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { motion, robot, channels, tolerances, dq, dtheta, stride, out } = self;
+        let Self { motion, robot, channels, tolerances, links, dtheta, stride, out } = self;
         out.fill(T::default());
         for (column, tolerance) in tolerances.iter().enumerate() {
             let put = |row: usize, value: T| out[row * stride + column] = value;
             match tolerance.parameter {
-                Uncertain::Mass(j) => motion.mass_signature(robot, channels, j, dq, dtheta, put),
+                Uncertain::Mass(j) => motion.mass_signature(robot, channels, j, links, dtheta, put),
                 parameter if parameter.joint().is_some() => {
-                    motion.drive_signature(robot, channels, parameter, dq, dtheta, put);
+                    motion.drive_signature(robot, channels, parameter, links, dtheta, put);
                 }
                 parameter => of_sensor(&motion.kinematics, robot, channels, parameter, put),
             }

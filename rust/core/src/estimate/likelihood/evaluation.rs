@@ -140,7 +140,7 @@ impl<T: Scalar> ParametricMeasurement<T> {
         let links = Calibrated { motion, parameters, turns };
         let dtheta = &log.dtheta[instant.row * n..][..n];
         let view = Driven { links: &links, state, dtheta, springs: &*parameters };
-        let mut wanted = Jacobian { prediction, rows: jacobian, joints: n, width: 3 * n };
+        let mut wanted = Jacobian { prediction, rows: jacobian, joints: n, width: 3 * n, by_torque: &mut [] };
         read(robot, channels[channel], channel, &view, &mut wanted);
     }
 

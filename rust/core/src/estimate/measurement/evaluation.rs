@@ -27,6 +27,8 @@ pub struct Evaluation<T> {
     pub prediction: Vec<T>,
     /// ∂h/∂(q, q̇, q̈), and by the links' disturbance torques if there are any, channels × 3n or 4n, row-major.
     pub jacobian: Vec<T>,
+    /// ∂h by what a joint's transmission gives its link, of the channels that depend on it [unit/(N m)].
+    pub(crate) by_torque: Vec<T>,
     /// Numbers of a row.
     width: usize,
     /// Motion and loads with derivatives, and without for values alone.
@@ -46,6 +48,7 @@ impl<T: Scalar> Evaluation<T> {
         Self {
             prediction: vec![T::default(); channels],
             jacobian: vec![T::default(); channels * width],
+            by_torque: vec![T::default(); channels],
             width,
             motion: LinkMotion::new(robot),
             plain: PlainMotion::new(robot),
@@ -57,22 +60,6 @@ impl<T: Scalar> Evaluation<T> {
     #[inline]
     pub fn evaluate(&mut self, robot: &Robot, channels: &[Channel], state: &[T], dtheta: &[f64]) {
         simd::phase(Evaluate { evaluation: self, robot, channels, state, dtheta });
-    }
-
-    /// Derivatives by the disturbances, each of which is taken off the load of its own joint.
-    #[inline(always)]
-    fn by_disturbances(&mut self, robot: &Robot, channels: &[Channel], state: &[T]) {
-        let n = robot.len();
-        for (row, channel) in channels.iter().enumerate() {
-            let (j, by) = match *channel {
-                Channel::Motor(j) if robot.drives[j].elastic => {
-                    (j, -robot.drives[j].compliance(self.prediction[row] - state[j]))
-                }
-                Channel::Torque(j) => (j, T::constant(-1.0)),
-                _ => continue,
-            };
-            self.jacobian[row * self.width + 3 * n + j] = by;
-        }
     }
 
     /// Predictions alone, as [`evaluate`](Self::evaluate) but for rounding.
@@ -98,7 +85,7 @@ impl<T: Scalar> Kernel for Evaluate<'_, T> {
     #[inline(always)]
     fn run(self) {
         let Self { evaluation, robot, channels, state, dtheta } = self;
-        let Evaluation { prediction, jacobian, motion, width, .. } = evaluation;
+        let Evaluation { prediction, jacobian, by_torque, motion, width, .. } = evaluation;
         let (joints, width) = (robot.len(), *width);
         motion.set(robot, state);
         if width > 3 * joints {
@@ -106,9 +93,6 @@ impl<T: Scalar> Kernel for Evaluate<'_, T> {
         }
         jacobian.fill(T::default());
         let view = Driven { links: motion, state, dtheta, springs: &OfDrives };
-        read_all(robot, channels, &view, &mut Jacobian { prediction, rows: jacobian, joints, width });
-        if width > 3 * joints {
-            evaluation.by_disturbances(robot, channels, state);
-        }
+        read_all(robot, channels, &view, &mut Jacobian { prediction, rows: jacobian, joints, width, by_torque });
     }
 }

@@ -19,5 +19,5 @@ pub(crate) use channel::{read, read_all};
 pub use evaluation::Evaluation;
 pub(crate) use low_pass::{low_pass, low_pass_or_none};
 pub(crate) use motion::{LinkMotion, Loading, Sensing};
-pub(crate) use view::{Driven, Elastic, Springs};
+pub(crate) use view::{Driven, Elastic, MotorStand, OfDrives, Springs};
 pub(crate) use wanted::{Chained, Jacobian, Values, Wanted};

@@ -51,6 +51,73 @@ impl<T: Scalar> Springs<T> for OfDrives {
     }
 }
 
+/// Where a motor stands while its spring and damper give the link a torque r.
+pub(crate) struct MotorStand<T> {
+    /// θ [rad].
+    pub(crate) theta: T,
+    /// δ [rad], and how fast it is taken to change [rad/s].
+    pub(crate) torsion: T,
+    pub(crate) slip: T,
+    /// ∂θ/∂r, 1/φ′ where the gear is true.
+    pub(crate) by_torque: T,
+    /// ∂θ/∂q, 1 where the gear is true.
+    pub(crate) by_link: T,
+    /// D, or 0 where the motor's velocity is not known.
+    pub(crate) damping: T,
+}
+
+impl<T: Scalar> MotorStand<T> {
+    /// Of elastic joint `j` with its link at (q, q̇) = `link`, of which `torque` is asked; `dtheta` is the motor's velocity
+    /// for the damping torque, NaN to leave it out.
+    #[inline(always)]
+    pub(crate) fn new<S: Springs<T>>(
+        springs: &S,
+        drive: &Drive,
+        j: usize,
+        link: [T; 2],
+        torque: T,
+        dtheta: f64,
+    ) -> Self {
+        let [q, dq] = link;
+        let (damping, slip) =
+            if dtheta.is_nan() { (T::default(), T::default()) } else { (springs.damping(drive, j), -dq + dtheta) };
+        let (torsion, compliance) = springs.twist(drive, j, torque - slip * damping);
+        let (theta, one) = (q + torsion, T::constant(1.0));
+        let stand = Self { theta, torsion, slip, by_torque: compliance, by_link: one, damping };
+        if drive.ripple.is_none() { stand } else { stand.behind(springs, drive, j, link, torque, dtheta) }
+    }
+
+    /// The same with the gear's error between motor and spring: of θ + ε(θ) = q + φ⁻¹(r − D((1 + ε′) θ̇ − q̇)) by Newton's
+    /// method, ε′ there changing with θ, too.
+    #[inline(always)]
+    fn behind<S: Springs<T>>(
+        self,
+        springs: &S,
+        drive: &Drive,
+        j: usize,
+        [q, dq]: [T; 2],
+        torque: T,
+        dtheta: f64,
+    ) -> Self {
+        let (damping, speed) = (self.damping, if dtheta.is_nan() { 0.0 } else { dtheta });
+        let at = |theta: T| {
+            let gear = drive.ripple.output(theta);
+            let slip = if dtheta.is_nan() { T::default() } else { gear.ratio * speed - dq };
+            let (torsion, compliance) = springs.twist(drive, j, torque - slip * damping);
+            let by_link = T::constant(1.0) / (gear.ratio + compliance * damping * gear.bend * speed);
+            let lacks = q + torsion - gear.angle;
+            (lacks, Self { theta, torsion, slip, by_torque: compliance * by_link, by_link, damping })
+        };
+        let mut theta = drive.ripple.motor(self.theta);
+        // From where ε′ is taken for none in the damper's speed it is a thousandth of its effect away; digits double.
+        for _ in 0..2 {
+            let (lacks, stand) = at(theta);
+            theta += lacks * stand.by_link;
+        }
+        at(theta).1
+    }
+}
+
 /// Links moved by jerk: a motor stands where the torque that its link needs twists the spring to
 /// (Axelsson, Karlsson and Norrlöf 2012, eqs. (12)–(17)).
 pub(crate) struct Driven<'a, T, L, S> {
@@ -77,27 +144,22 @@ impl<T: Scalar, L: Sensing<T> + Loading<T>, S: Springs<T>> View<T> for Driven<'_
         [self.state[j], self.state[robot.len() + j]]
     }
 
-    /// θ = q + φ⁻¹(M q̈ + C q̇ + g + friction − D(θ̇ − q̇)), with the damping that the paper drops.
+    /// θ + ε(θ) = q + φ⁻¹(M q̈ + C q̇ + g + friction − D δ̇), with the damping that the paper drops.
     #[inline(always)]
     fn motor(&self, robot: &Robot, j: usize, row: usize, wanted: &mut impl Wanted<T>) {
-        let ([q, dq], drive) = (self.link(robot, j), &robot.drives[j]);
-        let one = T::constant(1.0);
+        let (link @ [q, dq], drive) = (self.link(robot, j), &robot.drives[j]);
         if !drive.elastic {
             wanted.value(row, q);
-            wanted.add(row, j, [one, T::default()]);
+            wanted.add(row, j, [T::constant(1.0), T::default()]);
             return;
         }
         let (friction, slope) = drive.link_friction(dq);
-        let (damping, rate) = if self.dtheta[j].is_nan() {
-            (T::default(), T::default())
-        } else {
-            (self.springs.damping(drive, j), -dq + self.dtheta[j])
-        };
-        let (torsion, compliance) = self.springs.twist(drive, j, self.links.load(j) + friction - rate * damping);
-        wanted.value(row, q + torsion);
-        // ∂θ/∂x = ∂q/∂x + (∂r/∂x)/φ'(δ), r the torque on the spring; friction and damping add theirs to ∂r/∂q̇.
-        self.links.load_columns(j, compliance, row, wanted);
-        wanted.add(row, j, [one, compliance * (slope + damping)]);
+        let motor = MotorStand::new(self.springs, drive, j, link, self.links.load(j) + friction, self.dtheta[j]);
+        wanted.value(row, motor.theta);
+        // ∂θ/∂x = ∂θ/∂q ∂q/∂x + ∂θ/∂r ∂r/∂x, r the torque on the spring; friction and damping add theirs to ∂r/∂q̇.
+        self.links.load_columns(j, motor.by_torque, row, wanted);
+        wanted.add(row, j, [motor.by_link, motor.by_torque * (slope + motor.damping)]);
+        wanted.torque(row, j, motor.by_torque);
     }
 
     /// The rate of the motor's position, which numbers that carry a derivative along time have: not a row of its own.
@@ -112,6 +174,7 @@ impl<T: Scalar, L: Sensing<T> + Loading<T>, S: Springs<T>> View<T> for Driven<'_
         wanted.value(row, self.links.load(j) + friction);
         self.links.load_columns(j, T::constant(1.0), row, wanted);
         wanted.add(row, j, [T::default(), slope]);
+        wanted.torque(row, j, T::constant(1.0));
     }
 }
 
@@ -163,10 +226,10 @@ impl View<f64> for Elastic<'_> {
         let (drive, n, x, layout) = (&robot.drives[j], robot.len(), self.state, self.layout);
         wanted.value(row, self.dynamics.joint_torque(robot, j));
         if drive.elastic {
-            let stiffness = drive.tangent_stiffness(x[layout.theta[j]] - x[j]);
-            wanted.add(row, j, [-stiffness, -drive.damping]);
-            wanted.entry(row, layout.theta[j], stiffness);
-            wanted.entry(row, layout.dtheta[j], drive.damping);
+            let slopes = drive.transmission_slopes(x[layout.theta[j]], x[layout.dtheta[j]], x[j]);
+            wanted.add(row, j, [slopes.by_q, slopes.by_dq]);
+            wanted.entry(row, layout.theta[j], slopes.by_theta);
+            wanted.entry(row, layout.dtheta[j], slopes.by_dtheta);
             return;
         }
         wanted.add(row, j, [0.0, -drive.motor_friction(x[n + j]).1]);

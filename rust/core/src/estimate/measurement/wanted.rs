@@ -25,6 +25,10 @@ pub(crate) trait Wanted<T: Scalar> {
     #[inline(always)]
     fn add(&mut self, _row: usize, _joint: usize, _by: [T; 2]) {}
 
+    /// ∂h by what the transmission of one joint gives its link.
+    #[inline(always)]
+    fn torque(&mut self, _row: usize, _joint: usize, _by: T) {}
+
     /// ∂h in an entry of the state that is not the links' motion.
     #[inline(always)]
     fn entry(&mut self, _row: usize, _index: usize, _by: T) {}
@@ -49,6 +53,8 @@ pub(crate) struct Jacobian<'a, T> {
     /// n.
     pub(crate) joints: usize,
     pub(crate) width: usize,
+    /// ∂h by what the transmission of the row's joint gives its link (rows); empty if not wanted.
+    pub(crate) by_torque: &'a mut [T],
 }
 
 impl<T: Scalar> Wanted<T> for Jacobian<'_, T> {
@@ -70,6 +76,18 @@ impl<T: Scalar> Wanted<T> for Jacobian<'_, T> {
         let n = self.joints;
         for (part, entry) in by.into_iter().enumerate() {
             self.rows[row * self.width + part * n + joint] += entry;
+        }
+    }
+
+    /// A disturbance torque of the link is taken off what its transmission has to give.
+    #[inline(always)]
+    fn torque(&mut self, row: usize, joint: usize, by: T) {
+        if let Some(out) = self.by_torque.get_mut(row) {
+            *out = by;
+        }
+        let n = self.joints;
+        if self.width > 3 * n {
+            self.rows[row * self.width + 3 * n + joint] = -by;
         }
     }
 }

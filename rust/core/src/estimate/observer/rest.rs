@@ -28,9 +28,9 @@ pub fn link_position_at_rest(robot: &Robot, theta: &[f64]) -> Result<Vec<f64>, D
         loads.inverse_dynamics_into(tree, &kinematics, &mut gravity);
         let mut step: f64 = 0.0;
         for (joint, drive) in robot.drives.iter().enumerate().filter(|(_, d)| d.elastic) {
-            let torsion = drive.torsion(gravity[joint]);
-            step = step.max((theta[joint] - torsion - q[joint]).abs());
-            q[joint] = theta[joint] - torsion;
+            let rest = drive.ripple.output(theta[joint]).angle - drive.torsion(gravity[joint]);
+            step = step.max((rest - q[joint]).abs());
+            q[joint] = rest;
         }
         if step < 1e-15 {
             return Ok(q);
@@ -43,8 +43,7 @@ pub fn link_position_at_rest(robot: &Robot, theta: &[f64]) -> Result<Vec<f64>, D
     kinematics.set(tree, &q, &zero, &zero);
     loads.inverse_dynamics_into(tree, &kinematics, &mut gravity);
     let balanced = robot.drives.iter().enumerate().filter(|(_, d)| d.elastic).all(|(j, d)| {
-        let torsion = theta[j] - q[j];
-        let residual = d.spring_torque(torsion) - gravity[j];
+        let residual = d.spring_torque(d.torsion_between(theta[j], q[j])) - gravity[j];
         residual.abs() <= 1e-9 * (gravity[j].abs() + d.stiffness * theta[j].abs() * 1e-3 + 1.0)
     });
     if balanced { Ok(q) } else { Err(DesignError::NoEquilibrium) }

@@ -3,11 +3,14 @@
 mod backlash;
 mod curve;
 mod motor_friction;
+mod ripple;
 mod soft_windup;
+mod transmission;
 
 pub use backlash::Backlash;
 pub use curve::{Interpolation, SpringCurve};
 pub use motor_friction::MotorFriction;
+pub use ripple::{GearOutput, Harmonic, Ripple};
 pub use soft_windup::SoftWindup;
 
 use crate::check::expect_of;
@@ -18,7 +21,7 @@ use core::ops::{Add, Mul};
 
 /// A joint's drive, reflected through the gear to the link side.
 ///
-/// Torques on link and motor are K δ + k₃ δ³ + soft wind-up + D δ̇ with the torsion δ = θ − q, the motor's friction,
+/// Torques on link and motor are K δ + k₃ δ³ + soft wind-up + D δ̇ with the torsion δ = θ + ε(θ) − q, the motor's friction,
 /// and the link's (Ulrich and Sasiadek 2011, eqs. (10)–(16)). Its law is smooth, so that derivatives exist at
 /// standstill too.
 ///
@@ -48,6 +51,8 @@ pub struct Drive {
     pub curve: SpringCurve,
     /// Play before the spring.
     pub backlash: Backlash,
+    /// Kinematic error of the gear before both; of elastic joints alone.
+    pub ripple: Ripple,
     /// Friction between motor and ground.
     pub motor_friction: MotorFriction,
     /// γ₁ … γ₆ of the link's friction (Ulrich and Sasiadek 2011, eq. (14)).
@@ -106,7 +111,9 @@ impl Drive {
             expect_of(least > 0.0, "least tangent stiffness", owner, least, rising)?;
             self.backlash.check(&owner())?;
         }
-        Ok(())
+        let bare = self.ripple.is_none() || self.elastic;
+        expect_of(bare, "ripple's harmonics", owner, 1.0, "none, as the joint is rigid")?;
+        self.ripple.check(&owner())
     }
 
     /// What the spring's torque has beyond K δ, at torsion δ [rad] [N m].
@@ -313,6 +320,7 @@ mod tests {
             soft_windup: SoftWindup { stiffness: 120.0, shape: 800.0 },
             curve: SpringCurve::default(),
             backlash: Backlash::default(),
+            ripple: Ripple::default(),
             motor_friction: MotorFriction { viscous: 0.1, coulomb: 2.0, stribeck: 1.5, stribeck_velocity: 0.05 },
             link_friction: [0.5, 150.0, 50.0, 2.0, 100.0, 0.5],
         }

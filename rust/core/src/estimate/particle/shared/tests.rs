@@ -3,7 +3,9 @@
 use super::super::{Collapse, Density, Marginalised, ParticleFilter, ParticleSettings, Proposal, Resampling};
 use crate::estimate::kalman::{Inputs, JerkDriven, JerkModel, JerkNoise, KalmanSample};
 use crate::estimate::measurement::Kind;
-use crate::robot::{Backlash, BodySpec, Drive, JointKind, MotorFriction, Robot, Sensor, SoftWindup, SpringCurve, Tree};
+use crate::robot::{
+    Backlash, BodySpec, Drive, JointKind, MotorFriction, Ripple, Robot, Sensor, SoftWindup, SpringCurve, Tree,
+};
 use crate::spatial::{Mat3, Vec3};
 use std::sync::Arc;
 
@@ -31,6 +33,7 @@ fn model() -> JerkDriven {
         soft_windup: SoftWindup::default(),
         curve: SpringCurve::default(),
         backlash: Backlash::default(),
+        ripple: Ripple::default(),
         motor_friction: MotorFriction::default(),
         link_friction: [0.0; 6],
     };

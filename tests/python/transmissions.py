@@ -1,0 +1,131 @@
+"""A second simulator, of robots with imperfect gears: Pinocchio's dynamics, SciPy's integrators, laws as printed."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+from scipy.integrate import solve_ivp
+
+from linkside import Log, Robot
+
+
+@dataclass
+class Gear:
+    """One joint's drive: stiffness, damping, motor inertia, harmonics of ε(θ) as (amplitude, cycles a turn, phase)."""
+
+    stiffness: float
+    damping: float
+    inertia: float
+    waves: list[tuple[float, float, float]] = field(default_factory=list)
+
+    def output(self, theta):
+        """θ + ε, 1 + ε′ and ε″."""
+        parts = [(a, n, n * theta + p) for a, n, p in self.waves]
+        return (
+            theta + sum(a * np.sin(x) for a, _, x in parts),
+            1 + sum(a * n * np.cos(x) for a, n, x in parts),
+            -sum(a * n * n * np.sin(x) for a, n, x in parts),
+        )
+
+
+@dataclass
+class Motion:
+    """A recording without faults, one row a sample."""
+
+    t: np.ndarray
+    q: np.ndarray
+    dq: np.ndarray
+    ddq: np.ndarray
+    theta: np.ndarray
+    dtheta: np.ndarray
+    tau: np.ndarray
+    tool: np.ndarray
+    force: np.ndarray  # what accelerometers read
+
+    def log(self, robot: Robot, encoder: float, noise: float, seed: int = 0) -> Log:
+        """What sensors make of it: encoders of steps, accelerometers with noise, torques as they are."""
+        force = self.force + noise * np.random.default_rng(seed).standard_normal(self.force.shape)
+        theta = np.round(self.theta / encoder) * encoder
+        columns = {"t": self.t}
+        for j, name in enumerate(robot.names):
+            columns |= {f"theta_{name}": theta[:, j], f"tau_{name}": self.tau[:, j]}
+        for k, sensor in enumerate(robot.accelerometers):
+            columns |= {f"{sensor.name}_{axis}": force[:, 3 * k + i] for i, axis in enumerate("xyz")}
+        return Log.from_table(columns, robot)
+
+
+def move(
+    robot: Robot,
+    gears: list[Gear],
+    reference: Callable[[float], tuple[np.ndarray, np.ndarray]],
+    duration: float,
+    rate: float = 1000.0,
+    gains: tuple[float, float] = (3e3, 150.0),
+) -> Motion:
+    """The robot's links behind other gears, motors led along a reference by PD control without steps.
+
+    It begins at rest where springs hold gravity.
+    """
+    model, n = robot.model, len(gears)
+    data = model.createData()
+    constants = np.array([[g.stiffness, g.damping, g.inertia] for g in gears])
+
+    def control(t, theta, dtheta):
+        goal, speed = reference(t)
+        return hold + gains[0] * (goal - theta) + gains[1] * (speed - dtheta)
+
+    def accelerations(t, x):
+        q, dq, theta, dtheta = x.reshape(4, n)
+        angle, ratio, _ = np.transpose([g.output(a) for g, a in zip(gears, theta, strict=True)])
+        load = constants[:, 0] * (angle - q) + constants[:, 1] * (ratio * dtheta - dq)
+        return pin.aba(model, data, q, dq, load), (control(t, theta, dtheta) - ratio * load) / constants[:, 2]
+
+    def slope(t, x):
+        ddq, ddtheta = accelerations(t, x)
+        return np.concatenate([x[n : 2 * n], ddq, x[3 * n :], ddtheta])
+
+    theta = reference(0.0)[0]
+    angle, ratio, _ = np.transpose([g.output(a) for g, a in zip(gears, theta, strict=True)])
+    q = angle.copy()
+    for _ in range(60):
+        q = angle - pin.computeGeneralizedGravity(model, data, q) / constants[:, 0]
+    hold = ratio * pin.computeGeneralizedGravity(model, data, q)
+    t = np.arange(round(duration * rate)) / rate
+    start = np.concatenate([q, np.zeros(n), theta, np.zeros(n)])
+    x = solve_ivp(slope, (0, t[-1]), start, "DOP853", t, rtol=1e-9, atol=1e-11, max_step=1 / rate).y.T
+    told = [(*accelerations(at, row), control(at, *row.reshape(4, n)[2:])) for at, row in zip(t, x, strict=True)]
+    q, dq, theta, dtheta = x.reshape(-1, 4, n).swapaxes(0, 1)
+    ddq = np.array([row[0] for row in told])
+    seen = [_sense(robot, data, *row) for row in zip(q, dq, ddq, strict=True)]
+    tau = np.array([row[2] for row in told])
+    return Motion(t, q, dq, ddq, theta, dtheta, tau, *(np.array(part) for part in zip(*seen, strict=True)))
+
+
+def _sense(robot, data, q, dq, ddq):
+    """The tool's position and what accelerometers read."""
+    model = robot.model
+    pin.forwardKinematics(model, data, q, dq, ddq)
+    pin.updateFramePlacements(model, data)
+    force = []
+    for sensor in robot.accelerometers:
+        frame, pose = _frame(model, sensor)
+        motion = (
+            pose.actInv(pin.getFrameVelocity(model, data, frame)),
+            pose.actInv(pin.getFrameAcceleration(model, data, frame)),
+        )
+        classical = motion[1].linear + np.cross(motion[0].angular, motion[0].linear)
+        axes = data.oMf[frame].rotation @ pose.rotation
+        force.append(classical - axes.T @ model.gravity.linear)
+    frame, pose = _frame(model, robot.config.tool)
+    return (data.oMf[frame] * pose).translation, np.concatenate(force)
+
+
+def _frame(model, mount):
+    return model.getFrameId(mount.link), pin.SE3(pin.rpy.rpyToMatrix(*mount.rpy), np.array(mount.xyz))
+
+
+def tool_error(estimate, motion: Motion, skip: int = 0) -> float:
+    """Root mean square of the tool's error, constant offset out [mm]."""
+    error = (estimate.tool_position - motion.tool)[skip:]
+    return 1e3 * float(np.sqrt(np.mean(np.sum((error - error.mean(0)) ** 2, axis=1))))
