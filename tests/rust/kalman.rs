@@ -25,7 +25,7 @@ fn robot() -> Robot {
         cubic_stiffness: 3e8,
         soft_windup: SoftWindup { stiffness: 3e4, shape: 1e5 },
         link_friction: [0.5, 150.0, 50.0, 2.0, 100.0, 0.5],
-        ripple: Ripple::new(vec![Harmonic { amplitude: 4e-4, frequency: 200.0, phase: 0.3 }]),
+        ripple: Ripple::new(vec![Harmonic { amplitude: 2e-3, frequency: 40.0, phase: 0.3 }]),
         ..drive()
     };
     let rigid = Drive { elastic: false, ..drive() };
