@@ -153,7 +153,7 @@ def test_a_random_arm_comes_right(tmp_path):
 
 @pytest.mark.slow
 def test_random_arms_come_right_or_are_refused(tmp_path):
-    """Two slow arms whose encoders' steps ring their links are accepted and three times worse: 0.01 to 0.08 mm."""
+    """Slow arms whose encoders' steps ring their links are the hardest."""
     ratios, scores = [], []
     for seed in range(20):
         (folder := tmp_path / str(seed)).mkdir()

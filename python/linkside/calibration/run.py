@@ -8,6 +8,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from linkside.arrays import FloatArray
+from linkside.errors import NumericalError
 
 from .parameters import Parameter
 from .problem import Evidence, Problem
@@ -120,9 +121,13 @@ class CalibrationRun(Generic[Objective]):
         others = [other for other in self.problem.free if other is not p]
         held = self.problem.holding({p.name: 0.0}, others)
         search = Search(held, gain=ROUGH)
-        search.maximise(self._at(others))
+        try:
+            there = search.maximise(self._at(others))
+            back = held.log_likelihood(there) - 0.5 * float(there @ there)
+        except NumericalError:  # links fly away: robot.yaml's value is out of the question
+            return 0.0
         self.evaluations += search.evaluations
-        return float(1 / np.sqrt(1 + 2 * max(0.0, best - search.best + 0.5 * z * z) / z**2))
+        return float(1 / np.sqrt(1 + 2 * max(0.0, best - back + 0.5 * z * z) / z**2))
 
 
 def filters(problem: Problem | ResponseProblem) -> dict[str, float]:
