@@ -175,7 +175,7 @@ impl Monitor {
         belief: &Gaussian,
         sample: &KalmanSample<'_>,
         correction: &Correction,
-        mut consider: Option<&mut Consider>,
+        consider: Option<&mut Consider>,
     ) -> u8 {
         // What is known to be wrong goes on, and is no news.
         if self.effect.is_active() {
