@@ -131,8 +131,8 @@ impl Bank {
     /// The channel whose fault explains most of those beyond `bound`, or that of `only` one: of what the parameters do not
     /// explain, within what they may explain yet.
     #[inline(always)]
-    pub(super) fn worst(&mut self, consider: Option<&Consider>, bound: f64, only: Option<usize>) -> Option<Evidence> {
-        let (mut worst, q): (Option<Evidence>, _) = (None, self.parameters);
+    pub(super) fn worst(&mut self, consider: Option<&Consider>, bound: f64, only: Option<usize>) -> Option<StepEvidence> {
+        let (mut worst, q): (Option<StepEvidence>, _) = (None, self.parameters);
         for c in (0..self.channels).filter(|&c| only.is_none_or(|only| only == c)) {
             let shared = &self.shared[c * q..][..q];
             let score = self.score[c] - consider.map_or(0.0, |consider| consider.explained(shared));
@@ -147,7 +147,7 @@ impl Bank {
             let ratio = score * score / (information + doubt);
             if ratio > bound {
                 let variance = (information + doubt) / (information * information);
-                worst = Some(Evidence { channel: c, ratio, drop, size: score / information, variance });
+                worst = Some(StepEvidence { channel: c, ratio, drop, size: score / information, variance });
             }
         }
         worst
@@ -167,7 +167,7 @@ pub(super) struct News<'a> {
 
 /// What a window says of a step in a channel.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Evidence {
+pub(super) struct StepEvidence {
     pub(super) channel: usize,
     /// Likelihood ratio, parameters being free within their tolerances: χ² with one degree without a step.
     pub(super) ratio: f64,

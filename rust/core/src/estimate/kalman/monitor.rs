@@ -5,7 +5,7 @@
 //! step in each channel with its signature in all others ([`Bank`]). Innovations that are correlated or smaller than the
 //! filter says, as those of smooth motions are, make alarms rarer.
 
-use super::bank::{Bank, Evidence, News};
+use super::bank::{Bank, StepEvidence, News};
 use super::consider::Consider;
 use super::correction::Correction;
 use super::effect::{Effect, Step};
@@ -74,7 +74,7 @@ struct Alarm {
 
 /// What a sample comes to.
 #[derive(Clone, Copy, Debug)]
-enum Verdict {
+enum Judgement {
     Good,
     /// Innovations lean to one side for long, and no channel explains it.
     Correlated,
@@ -209,14 +209,14 @@ impl Monitor {
         let beyond = self.windows(nis, used) || jump.is_some();
         self.wrong += self.residuals.iter().filter(|r| r.is_finite()).map(|r| r * r - 1.0).sum::<f64>();
         let verdict = match (self.repetition(stuck), beyond) {
-            (Some(alarm), _) => Verdict::Channel(alarm),
+            (Some(alarm), _) => Judgement::Channel(alarm),
             (None, beyond) => match self.alarm(model, consider.as_deref(), jump) {
-                Verdict::Good | Verdict::Correlated if beyond => Verdict::Contradicted,
+                Judgement::Good | Judgement::Correlated if beyond => Judgement::Contradicted,
                 verdict => verdict,
             },
         };
         let mut flags = self.record(verdict);
-        if let Verdict::Channel(alarm) = verdict
+        if let Judgement::Channel(alarm) = verdict
             && self.is_step(&alarm)
         {
             self.take_step(model, correction, alarm);
@@ -348,7 +348,7 @@ impl Monitor {
 
     /// The channel to name, if one explains what is wrong; while a finding goes on, its channel alone.
     #[inline(always)]
-    fn alarm(&mut self, model: &impl Model, consider: Option<&Consider>, jump: Option<Alarm>) -> Verdict {
+    fn alarm(&mut self, model: &impl Model, consider: Option<&Consider>, jump: Option<Alarm>) -> Judgement {
         let (now, only) = (self.taken - 1, self.open_channel());
         // Where a model was wrong before a fault began, the channel must explain most of all since then.
         let unnamed = self.open.filter(|_| only.is_none()).map(|open| self.findings[open].since);
@@ -356,26 +356,26 @@ impl Monitor {
         if let Some(jump) = jump
             .filter(|jump| only.is_some() || (jump.deviations > GROSS && jump.deviations.powi(2) > MOST_OF * wrong(0)))
         {
-            return Verdict::Channel(jump);
+            return Judgement::Channel(jump);
         }
         if self.onset && self.banks[ONSET].age < LASTS && only.is_none() {
-            return Verdict::Good;
+            return Judgement::Good;
         }
-        let (mut verdict, mut most) = (Verdict::Good, 0.0);
+        let (mut verdict, mut most) = (Judgement::Good, 0.0);
         for (index, bank) in self.banks.iter_mut().enumerate().take(if self.onset { 3 } else { ONSET }) {
-            let Some(Evidence { channel, ratio, drop, size, variance }) = bank.worst(consider, BOUND, only) else {
+            let Some(StepEvidence { channel, ratio, drop, size, variance }) = bank.worst(consider, BOUND, only) else {
                 continue;
             };
             let age = bank.age - 1;
             let explains = drop > MOST_OF * bank.excess.max(wrong(u64::from(age)))
                 && size * size > SMALL * SMALL * model.variance(channel);
             if only.is_none() && !explains {
-                if let Verdict::Good = verdict {
-                    verdict = Verdict::Correlated;
+                if let Judgement::Good = verdict {
+                    verdict = Judgement::Correlated;
                 }
             } else if drop > most {
                 let alarm = Alarm { channel, size, deviations: ratio.sqrt(), age, variance, bank: Some(index) };
-                (verdict, most) = (Verdict::Channel(alarm), drop);
+                (verdict, most) = (Judgement::Channel(alarm), drop);
             }
         }
         verdict
@@ -414,15 +414,15 @@ impl Monitor {
 
     /// Opens, goes on with or ends a finding. While one goes on, what it does to the state is not another's fault.
     #[inline(always)]
-    fn record(&mut self, verdict: Verdict) -> u8 {
-        let calm = matches!(verdict, Verdict::Good) && !self.is_repeating();
+    fn record(&mut self, verdict: Judgement) -> u8 {
+        let calm = matches!(verdict, Judgement::Good) && !self.is_repeating();
         self.calm = if calm { self.calm + 1 } else { 0 };
         if self.calm > CALM {
             self.open = None;
         }
         let now = self.taken - 1;
         match verdict {
-            Verdict::Channel(Alarm { channel, size, deviations, age, .. }) if self.open_channel().is_none() => {
+            Judgement::Channel(Alarm { channel, size, deviations, age, .. }) if self.open_channel().is_none() => {
                 let since = now.saturating_sub(u64::from(age));
                 let fault = self.signals[channel].fault(size, self.turns[channel], now - since);
                 // What was first seen without a name is this.
@@ -432,8 +432,8 @@ impl Monitor {
                 self.push(Finding { channel: Some(channel), since, until: now, size, deviations, fault });
                 self.last_named = self.open;
             }
-            Verdict::Contradicted | Verdict::Correlated if self.open.is_none() => {
-                let fault = if let Verdict::Correlated = verdict { Fault::Correlated } else { Fault::Unknown };
+            Judgement::Contradicted | Judgement::Correlated if self.open.is_none() => {
+                let fault = if let Judgement::Correlated = verdict { Fault::Correlated } else { Fault::Unknown };
                 self.push(Finding { channel: None, since: now, until: now, size: 0.0, deviations: 0.0, fault });
                 self.wrong = self.recent;
             }
