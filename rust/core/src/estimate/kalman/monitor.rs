@@ -175,7 +175,7 @@ impl Monitor {
         belief: &Gaussian,
         sample: &KalmanSample<'_>,
         correction: &Correction,
-        mut consider: Option<&mut Consider>,
+        consider: Option<&mut Consider>,
     ) -> u8 {
         // What is known to be wrong goes on, and is no news.
         if self.effect.is_active() {
@@ -216,13 +216,13 @@ impl Monitor {
             },
         };
         let mut flags = self.record(verdict);
-        if let Verdict::Channel(alarm) = verdict {
-            if self.is_step(&alarm) {
-                self.take_step(model, correction, alarm);
-            }
+        if let Verdict::Channel(alarm) = verdict
+            && self.is_step(&alarm)
+        {
+            self.take_step(model, correction, alarm);
         }
         // 4. A row is not to be believed as long as what faults did to some link is not small.
-        if self.effect.is_active() && self.counts(belief, consider.as_deref_mut()) {
+        if self.effect.is_active() && self.counts(belief, consider) {
             flags |= Status::CONTRADICTED | Status::FAULTY;
         }
         flags
