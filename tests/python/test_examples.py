@@ -116,4 +116,4 @@ def test_coulomb():
     assert (kalman[:, 0] > 80).all()
     assert (wide[:, 0] > 50).all()
     assert (particles[:, 0] < 30).all()
-    assert (particles[:, 1] < kalman[:, 1]).all()  # the EKF's deviations hold tolerances, the particles' do not
+    assert (particles[:, 1] < kalman[:, 1]).all()

@@ -102,7 +102,7 @@ class ParticleFilter(DecidingFilter[_core.ParticleFilter], JerkDrivenFilter[_cor
     resampling
         ``"systematic"``, ``"stratified"``, ``"residual"`` or ``"multinomial"``.
     threshold
-        Particles are resampled when fewer than this share of N is effective.
+        Particles are resampled when fewer than this share of N is effective; None: 0.8, without ``kernel`` 0.5.
     kernel
         Width of the normal density that then spreads copies, relative to the cloud (Liu and West 2001); mean and
         covariance are kept. None leaves copies where they are, and Monte-Carlo error in the mean.
@@ -153,7 +153,7 @@ class ParticleFilter(DecidingFilter[_core.ParticleFilter], JerkDrivenFilter[_cor
         iterations: int = 1,
         proposal_tail: int | None = None,
         resampling: Literal["systematic", "stratified", "residual", "multinomial"] = "systematic",
-        threshold: float = 0.5,
+        threshold: float | None = None,
         kernel: float | None = 0.5,
         outliers: Mapping[str, float | Mixture] | None = None,
         limits: Mapping[str, tuple[float, float]] | None = None,
@@ -192,7 +192,7 @@ class ParticleFilter(DecidingFilter[_core.ParticleFilter], JerkDrivenFilter[_cor
             "iterations": whole("iterations", iterations),
             "proposal_tail": proposal_tail,
             "resampling": resampling,
-            "threshold": threshold,
+            "threshold": threshold if threshold is not None else 0.5 if kernel is None else 0.8,
             "kernel": kernel,
             "limits": _by_joint(robot, limits or {}),
             "initial": _positions(robot, initial),

@@ -134,11 +134,15 @@ impl Kernel for Deviations<'_> {
         let row = |d: usize| &state[d].0[..used];
         let weights = &weights.0[..used];
         let mut products = sums.products.iter_mut();
+        let mut weighted = [Wide::default(); BLOCK / WIDE];
         for a in 0..entries {
+            for ((weighted, w), x) in weighted.iter_mut().zip(weights).zip(row(a)) {
+                *weighted = Lanes(*w) * (Lanes(*x) + -mean[a]);
+            }
             for (b, product) in (a..entries).zip(&mut products) {
                 let mut sum = Wide::default();
-                for ((w, x), y) in weights.iter().zip(row(a)).zip(row(b)) {
-                    sum += Lanes(*w) * (Lanes(*x) + -mean[a]) * (Lanes(*y) + -mean[b]);
+                for (weighted, y) in weighted[..used].iter().zip(row(b)) {
+                    sum += *weighted * (Lanes(*y) + -mean[b]);
                 }
                 *product = total(sum);
             }
