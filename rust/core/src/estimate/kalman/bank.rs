@@ -131,7 +131,12 @@ impl Bank {
     /// The channel whose fault explains most of those beyond `bound`, or that of `only` one: of what the parameters do not
     /// explain, within what they may explain yet.
     #[inline(always)]
-    pub(super) fn worst(&mut self, consider: Option<&Consider>, bound: f64, only: Option<usize>) -> Option<StepEvidence> {
+    pub(super) fn worst(
+        &mut self,
+        consider: Option<&Consider>,
+        bound: f64,
+        only: Option<usize>,
+    ) -> Option<StepEvidence> {
         let (mut worst, q): (Option<StepEvidence>, _) = (None, self.parameters);
         for c in (0..self.channels).filter(|&c| only.is_none_or(|only| only == c)) {
             let shared = &self.shared[c * q..][..q];

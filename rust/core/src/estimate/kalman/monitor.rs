@@ -5,7 +5,7 @@
 //! step in each channel with its signature in all others ([`Bank`]). Innovations that are correlated or smaller than the
 //! filter says, as those of smooth motions are, make alarms rarer.
 
-use super::bank::{Bank, StepEvidence, News};
+use super::bank::{Bank, News, StepEvidence};
 use super::consider::Consider;
 use super::correction::Correction;
 use super::effect::{Effect, Step};
