@@ -58,6 +58,7 @@ DECLARED = {
     },
     "stiffness: unknown": {"drive": {"stiffness": "unknown"}},
     "backlash": {"drive": {"backlash": {"half_gap": 1e-3}}},
+    "hysteresis": {"drive": {"hysteresis": [{"stiffness": 5e3, "limit": 3.0}]}},
     "ripple": {"drive": {"gear_ratio": 100, "ripple": [{"order": 2, "amplitude": 4e-5}]}},
     "link_friction": {"drive": {"link_friction": [0.5, 150.0, 50.0, 2.0, 100.0, 0.5]}},
     "motor_friction": {"drive": {"motor_friction": {"viscous": 40.0, "coulomb": 30.0}}},
@@ -132,7 +133,7 @@ METHODS = {
 
 SENSOR, SPRING = (
     {"corner_frequency", "delay", "bias"},
-    {"cubic_stiffness", "soft_windup", "stiffness_table", "stiffness: unknown", "backlash", "ripple"},
+    {"cubic_stiffness", "soft_windup", "stiffness_table", "stiffness: unknown", "backlash", "hysteresis", "ripple"},
 )
 BEHIND_GEARS = {key for key in DECLARED if "." in key}
 UNCONCERNED = {

@@ -12,12 +12,16 @@ from linkside import Log, Robot
 
 @dataclass
 class Gear:
-    """One joint's drive: stiffness, damping, motor inertia, harmonics of ε(θ) as (amplitude, cycles a turn, phase)."""
+    """One joint's drive: stiffness, damping, motor inertia.
+
+    Harmonics of ε(θ) as (amplitude, cycles a turn, phase), friction elements as (law, stiffness, limit).
+    """
 
     stiffness: float
     damping: float
     inertia: float
     waves: list[tuple[float, float, float]] = field(default_factory=list)
+    elements: list[tuple[str, float, float]] = field(default_factory=list)
 
     def output(self, theta):
         """θ + ε, 1 + ε′ and ε″."""
@@ -27,6 +31,17 @@ class Gear:
             1 + sum(a * n * np.cos(x) for a, n, x in parts),
             -sum(a * n * n * np.sin(x) for a, n, x in parts),
         )
+
+
+def force_rate(law, stiffness, limit, force, speed):
+    """Ḟ of a friction element, as printed."""
+    if law == "dahl":  # Dahl 1968
+        return stiffness * (speed - abs(speed) * force / limit)
+    if law == "bouc-wen":  # Wen 1976, exponent 1, β = γ = ½, of z = F/limit
+        z, rate = force / limit, stiffness * speed / limit
+        return limit * (rate - 0.5 * abs(rate) * z - 0.5 * rate * abs(z))
+    slips = force * np.sign(speed) >= limit  # Iwan 1966
+    return 0.0 if slips else stiffness * speed
 
 
 @dataclass
@@ -65,10 +80,11 @@ def move(
 ) -> Motion:
     """The robot's links behind other gears, motors led along a reference by PD control without steps.
 
-    It begins at rest where springs hold gravity.
+    It begins at rest where springs hold gravity and friction elements are relaxed.
     """
     model, n = robot.model, len(gears)
     data = model.createData()
+    elements = [(j, *element) for j, gear in enumerate(gears) for element in gear.elements]
     constants = np.array([[g.stiffness, g.damping, g.inertia] for g in gears])
 
     def control(t, theta, dtheta):
@@ -76,14 +92,19 @@ def move(
         return hold + gains[0] * (goal - theta) + gains[1] * (speed - dtheta)
 
     def accelerations(t, x):
-        q, dq, theta, dtheta = x.reshape(4, n)
+        q, dq, theta, dtheta = x[: 4 * n].reshape(4, n)
         angle, ratio, _ = np.transpose([g.output(a) for g, a in zip(gears, theta, strict=True)])
-        load = constants[:, 0] * (angle - q) + constants[:, 1] * (ratio * dtheta - dq)
-        return pin.aba(model, data, q, dq, load), (control(t, theta, dtheta) - ratio * load) / constants[:, 2]
+        slip = ratio * dtheta - dq
+        load = constants[:, 0] * (angle - q) + constants[:, 1] * slip
+        for (j, *_), force in zip(elements, x[4 * n :], strict=True):
+            load[j] += force
+        ddtheta = (control(t, theta, dtheta) - ratio * load) / constants[:, 2]
+        return pin.aba(model, data, q, dq, load), ddtheta, slip
 
     def slope(t, x):
-        ddq, ddtheta = accelerations(t, x)
-        return np.concatenate([x[n : 2 * n], ddq, x[3 * n :], ddtheta])
+        ddq, ddtheta, slip = accelerations(t, x)
+        rates = [force_rate(*law, force, slip[j]) for (j, *law), force in zip(elements, x[4 * n :], strict=True)]
+        return np.concatenate([x[n : 2 * n], ddq, x[3 * n : 4 * n], ddtheta, rates])
 
     theta = reference(0.0)[0]
     angle, ratio, _ = np.transpose([g.output(a) for g, a in zip(gears, theta, strict=True)])
@@ -92,13 +113,15 @@ def move(
         q = angle - pin.computeGeneralizedGravity(model, data, q) / constants[:, 0]
     hold = ratio * pin.computeGeneralizedGravity(model, data, q)
     t = np.arange(round(duration * rate)) / rate
-    start = np.concatenate([q, np.zeros(n), theta, np.zeros(n)])
-    x = solve_ivp(slope, (0, t[-1]), start, "DOP853", t, rtol=1e-9, atol=1e-11, max_step=1 / rate).y.T
-    told = [(*accelerations(at, row), control(at, *row.reshape(4, n)[2:])) for at, row in zip(t, x, strict=True)]
-    q, dq, theta, dtheta = x.reshape(-1, 4, n).swapaxes(0, 1)
+    start = np.concatenate([q, np.zeros(n), theta, np.zeros(n + len(elements))])
+    x = solve_ivp(slope, (0, t[-1]), start, "DOP853", t, rtol=1e-8, atol=1e-10, max_step=2 / rate).y.T
+    told = [
+        (*accelerations(at, row), control(at, *row[: 4 * n].reshape(4, n)[2:])) for at, row in zip(t, x, strict=True)
+    ]
+    q, dq, theta, dtheta = x[:, : 4 * n].reshape(-1, 4, n).swapaxes(0, 1)
     ddq = np.array([row[0] for row in told])
     seen = [_sense(robot, data, *row) for row in zip(q, dq, ddq, strict=True)]
-    tau = np.array([row[2] for row in told])
+    tau = np.array([row[3] for row in told])
     return Motion(t, q, dq, ddq, theta, dtheta, tau, *(np.array(part) for part in zip(*seen, strict=True)))
 
 

@@ -20,7 +20,7 @@ use linkside_core::estimate::particle::{
     Collapse, Density, Marginalised, ParticleFilter, ParticleSettings, Proposal, Resampling,
 };
 use linkside_core::estimate::velocity::{self, GainMap, Gains, Logic, Schedule, VelocityObserver};
-use linkside_core::robot::{Drive, Robot};
+use linkside_core::robot::{Drive, FrictionElement, Hysteresis, Robot};
 use linkside_core::simulate::{Adaptive, Plant, StepTolerance};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::Arc;
@@ -122,8 +122,10 @@ fn a_kalman_step_allocates_nothing() {
 }
 
 fn check_kalman_step(disturbed: bool) {
+    let mut robot = robot();
+    robot.drives[1].hysteresis = Hysteresis { elements: vec![FrictionElement::dahl(5e4, 20.0)] };
     let mut model = JerkModel::new(
-        Arc::new(robot()),
+        Arc::new(robot),
         &[Kind::Motor, Kind::Acceleration, Kind::MotorVelocity, Kind::Link, Kind::Torque],
         &[true; 30],
     )

@@ -1,7 +1,8 @@
 //! An industrial arm of any number of joints.
 
 use linkside_core::robot::{
-    Backlash, BodySpec, Drive, JointKind, MotorFriction, Ripple, Robot, Sensor, SoftWindup, SpringCurve, Tree,
+    Backlash, BodySpec, Drive, Hysteresis, JointKind, MotorFriction, Ripple, Robot, Sensor, SoftWindup, SpringCurve,
+    Tree,
 };
 use linkside_core::spatial::{Mat3, Vec3};
 
@@ -25,6 +26,7 @@ pub(crate) fn drive() -> Drive {
         soft_windup: SoftWindup::default(),
         curve: SpringCurve::default(),
         backlash: Backlash::default(),
+        hysteresis: Hysteresis::default(),
         ripple: Ripple::default(),
         motor_friction: MotorFriction { viscous: 10.0, coulomb: 5.0, ..MotorFriction::default() },
         link_friction: [0.0; 6],

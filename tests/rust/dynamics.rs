@@ -4,7 +4,7 @@ mod support;
 
 use linkside_core::error::RobotError;
 use linkside_core::robot::{
-    Backlash, BodySpec, Drive, Frame, JointKind, Ripple, Robot, Sensor, SoftWindup, SpringCurve, Tree,
+    Backlash, BodySpec, Drive, Frame, Hysteresis, JointKind, Ripple, Robot, Sensor, SoftWindup, SpringCurve, Tree,
 };
 use linkside_core::scalar::{Dual, Lanes, Scalar};
 use linkside_core::spatial::{Mat3, Vec3};
@@ -400,6 +400,7 @@ impl Parts {
             soft_windup: SoftWindup::default(),
             curve: SpringCurve::default(),
             backlash: Backlash::default(),
+            hysteresis: Hysteresis::default(),
             ripple: Ripple::default(),
             motor_friction: Default::default(),
             link_friction: [0.0; 6],

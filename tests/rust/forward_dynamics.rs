@@ -6,8 +6,8 @@ mod support;
 use linkside_core::dynamics::{ElasticDynamics, ElasticLayout, check_inertia};
 use linkside_core::error::RobotError;
 use linkside_core::robot::{
-    Backlash, BodySpec, Drive, Harmonic, Interpolation, JointKind, MotorFriction, Ripple, Robot, Rotor, SoftWindup,
-    SpringCurve, Tree,
+    Backlash, BodySpec, Drive, FrictionElement, Harmonic, Hysteresis, Interpolation, JointKind, MotorFriction, Ripple,
+    Robot, Rotor, SoftWindup, SpringCurve, Tree,
 };
 use linkside_core::scalar::{Dual, Lanes, Scalar};
 use linkside_core::spatial::{Mat3, Vec3};
@@ -66,6 +66,7 @@ fn drives() -> impl Strategy<Value = Drive> {
                 soft_windup: SoftWindup { stiffness: missing, shape },
                 curve,
                 backlash,
+                hysteresis: Hysteresis::default(),
                 ripple,
                 motor_friction: MotorFriction { viscous: v, coulomb: c, stribeck: s, stribeck_velocity: speed },
                 link_friction: link,
@@ -296,12 +297,43 @@ fn space_arm() -> Robot {
         soft_windup: SoftWindup { stiffness: 10.0, shape: 3000.0 },
         curve: SpringCurve::default(),
         backlash: Backlash::default(),
+        hysteresis: Hysteresis::default(),
         ripple: Ripple::default(),
         motor_friction: MotorFriction::default(),
         link_friction: [0.5, 150.0, 50.0, 2.0, 100.0, 0.5],
     };
     let tree = Tree::new(Vec3([0.0; 3]), &[rod(0), rod(1)]).unwrap();
     Robot::new(tree, vec![drive; 2], vec![0.0, 1.0, 0.0, 0.0], vec![], vec![], None).unwrap()
+}
+
+/// Links, motors and the elements beside their springs, coupled and behind gears with an error.
+#[test]
+fn rates_of_friction_elements_have_the_derivatives_of_dual_numbers() {
+    const DENSE: usize = 11;
+    let mut robot = space_arm();
+    for (drive, count) in robot.drives.iter_mut().zip([2, 1]) {
+        let elements = [FrictionElement::dahl(200.0, 3.0), FrictionElement::slip(90.0, 2.0, 0.3)];
+        drive.hysteresis = Hysteresis { elements: elements[..count].to_vec() };
+        drive.ripple = Ripple::new(vec![Harmonic { amplitude: 0.01, frequency: 7.0, phase: 0.4 }]);
+        drive.damping = 3.0;
+    }
+    let (layout, tau) = (ElasticLayout::new(&robot, false), [0.7, -2.0]);
+    assert_eq!(layout.dense, DENSE);
+    let mut x = vec![0.3, -0.8, 0.5, -1.1, 0.35, -0.9, 1.4, 0.2, 0.002, -0.021, -0.009];
+    for turn in [1.0, -1.0] {
+        x[2..4].iter_mut().for_each(|dq| *dq *= turn);
+        let a = ElasticDynamics::<f64>::new(&robot, &layout).linearise(&robot, &layout, &x, &tau);
+        let mut dual = ElasticDynamics::<Dual<DENSE>>::new(&robot, &layout);
+        let varied: Vec<_> = x.iter().enumerate().map(|(i, &x)| Dual::variable(x, i)).collect();
+        dual.accelerate(&robot, &layout, &varied, &tau.map(Dual::constant));
+        let mut rate = vec![Dual::default(); DENSE];
+        dual.rate_into(&robot, &layout, &varied, &mut rate);
+        for (row, rate) in a.chunks_exact(DENSE).zip(&rate) {
+            for (found, expected) in row.iter().zip(rate.gradient) {
+                assert!((found - expected).abs() <= 1e-10 * (1.0 + expected.abs()), "{found} {expected}");
+            }
+        }
+    }
 }
 
 /// q̈ and θ̈ of [`space_arm`] by its printed matrices (Ulrich and Sasiadek 2011, eqs. (1)–(16)).

@@ -8,7 +8,7 @@ use linkside_core::estimate::kalman::{
     KalmanSample, Keep, LinkDisturbance, Measurement, Model, Smoother,
 };
 use linkside_core::estimate::measurement::{Evaluation, Kind};
-use linkside_core::robot::{Drive, Harmonic, Ripple, Robot, Sensor, SoftWindup};
+use linkside_core::robot::{Drive, FrictionElement, Harmonic, Hysteresis, Ripple, Robot, Sensor, SoftWindup};
 use linkside_core::scalar::Dual;
 use linkside_core::spatial::{Mat3, Vec3};
 use proptest::prelude::*;
@@ -25,6 +25,7 @@ fn robot() -> Robot {
         cubic_stiffness: 3e8,
         soft_windup: SoftWindup { stiffness: 3e4, shape: 1e5 },
         link_friction: [0.5, 150.0, 50.0, 2.0, 100.0, 0.5],
+        hysteresis: Hysteresis { elements: vec![FrictionElement::dahl(5e4, 20.0)] },
         ripple: Ripple::new(vec![Harmonic { amplitude: 2e-3, frequency: 40.0, phase: 0.3 }]),
         ..drive()
     };

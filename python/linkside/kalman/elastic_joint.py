@@ -146,10 +146,24 @@ class ElasticJoint(KalmanMethod):
         mean = [moving.q, moving.dq, moving.theta[elastic], moving.dtheta[elastic]]
         motors = np.hypot(arrays["reading"][: self.robot.n], self.noise.position)
         std = [moving.q_std, moving.dq_std, motors[elastic], moving.dtheta_std[elastic]]
+        reach = [element.reach for drive in self.robot.drives for element in drive.hysteresis]
+        mean.append(np.zeros(len(reach)))
+        std.append(np.array(reach) / np.sqrt(3))  # anywhere between the limits
         if self._disturbances:
             mean.append(np.zeros(self.robot.n))
             std.append(disturbance)
         return np.concatenate(mean), np.concatenate(std)
+
+    def _tied(self, covariance: FloatArray) -> FloatArray:
+        """Links stand where springs hold what friction elements do not."""
+        k = 2 * (self.robot.n + int(self.robot.elastic.sum()))
+        for j, drive in enumerate(self.robot.drives):
+            for element in drive.hysteresis:
+                nearer = element.stiffness / (drive.stiffness or np.inf) * covariance[k, k]
+                covariance[j, j] += nearer**2 / covariance[k, k]
+                covariance[j, k] = covariance[k, j] = nearer
+                k += 1
+        return covariance
 
     def core(
         self,

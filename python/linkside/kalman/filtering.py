@@ -261,10 +261,14 @@ class KalmanMethod(Described, ABC):
         if moving is not None:
             mean, std = self._state(moving, arrays)
             dense, std = len(std), np.concatenate([std, bias])
-            start = np.concatenate([mean, np.zeros(len(bias))]), np.diag(std**2)
+            start = np.concatenate([mean, np.zeros(len(bias))]), self._tied(np.diag(std**2))
             if law is not None:
                 start = widened(start, dense, law, 1 / stiffness(self.robot))
             core.set_start(*start)
+
+    def _tied(self, covariance: FloatArray) -> FloatArray:
+        """Correlate what depends on each other at the start."""
+        return covariance
 
     @abstractmethod
     def _state(self, moving: Moving, arrays: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:

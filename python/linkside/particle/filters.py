@@ -24,6 +24,7 @@ from linkside.recording.batch import Job, run_each
 from linkside.recording.estimate import Estimate, without_waits
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.requirements import refuse_unsupported
 
 
 @dataclass(frozen=True)
@@ -171,6 +172,7 @@ class ParticleFilter(DecidingFilter[_core.ParticleFilter], JerkDrivenFilter[_cor
         super().__init__()
         one_of("collapse", collapse, ("reseed", "flag", "raise"))
         self.robot = robot
+        refuse_unsupported(robot, "a particle filter")
         self._front = ExtendedKalmanFilter(
             robot,
             noise,

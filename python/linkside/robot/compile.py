@@ -203,6 +203,7 @@ def _drive(joint: JointConfig) -> dict[str, Any]:
             joint.backlash.slope,
             joint.backlash.rounding or 0.1 * joint.backlash.half_gap,
         ],
+        "hysteresis": [element.numbers for element in joint.hysteresis],
         "ripple": joint.harmonics,
         "friction_viscous": joint.motor_friction.viscous,
         "friction_coulomb": joint.motor_friction.coulomb,

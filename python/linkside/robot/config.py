@@ -161,6 +161,38 @@ class Backlash(_Section):
     rounding: Positive | None = None  # rad; of the corners, a tenth of the half gap unless given
 
 
+class FrictionElement(_Section):
+    """Friction inside a transmission, beside its spring: a spring that gives way up to a limit, and remembers its way.
+
+    Dahl (1968); Bouc and Wen (1976) with exponent 1 and β + γ = 1; or an element of Maxwell-slip (Iwan 1966).
+    """
+
+    stiffness: Positive  # N m/rad; at rest
+    limit: Positive  # N m
+    law: Literal["dahl", "bouc-wen", "slip"] = "dahl"
+    beta: Annotated[Number, Field(ge=0.5, le=1)] | None = None  # of bouc-wen: 1 is Dahl's, 0.5 unless given
+    rounding: Annotated[Number, Field(gt=0, le=1)] | None = None  # of slip: the part of its way over which it begins to
+
+    @model_validator(mode="after")
+    def _own_keys(self) -> "FrictionElement":
+        for key, law in (("beta", "bouc-wen"), ("rounding", "slip")):
+            if getattr(self, key) is not None and self.law != law:
+                raise refusal(f"expected none: the law is {self.law}, not {law}", key)
+        return self
+
+    @property
+    def numbers(self) -> list[float]:
+        """Stiffness [N m/rad], limit [N m], recoil and rounding, as the core has them."""
+        beta, rounding = 0.5 if self.beta is None else self.beta, 0.1 if self.rounding is None else self.rounding
+        shape = {"dahl": [1.0, 1.0], "bouc-wen": [2 * beta - 1, 1.0], "slip": [0.0, rounding]}
+        return [self.stiffness, self.limit, *shape[self.law]]
+
+    @property
+    def reach(self) -> float:
+        """Deflection at the limit [rad]."""
+        return self.limit / self.stiffness
+
+
 class Harmonic(_Section):
     """One harmonic of a gear's kinematic error, amplitude·sin(order·turned + phase)."""
 
@@ -188,6 +220,7 @@ class JointConfig(_Section):
     stiffness_known: bool = True  # else `stiffness` is where a calibration begins, to within a factor of 3
     stiffness_table: StiffnessTable | None = None
     backlash: Backlash = Backlash()
+    hysteresis: tuple[FrictionElement, ...] = ()  # friction beside the spring, side by side
     ripple: tuple[Harmonic, ...] = ()  # the gear's output stands at θ + their sum
     damping: NonNegative = 0.0  # D, N m s/rad
     motor_inertia: Positive | None = None  # B, kg m²; required when elastic
@@ -232,8 +265,9 @@ class JointConfig(_Section):
     @model_validator(mode="after")
     def _ripple_turns(self) -> "JointConfig":
         """A gear with an error still turns its output as it turns itself, and behind it is a spring."""
-        if self.ripple and not self.elastic:
-            raise refusal("expected none: the joint is rigid", "ripple")
+        for key in ("ripple", "hysteresis"):
+            if getattr(self, key) and not self.elastic:
+                raise refusal("expected none: the joint is rigid", key)
         for index, harmonic in enumerate(self.ripple):
             if harmonic.of == "motor" and "gear_ratio" not in self.model_fields_set:
                 raise refusal("missing key 'gear_ratio': the motor's turns are counted by it", "ripple", index, "of")

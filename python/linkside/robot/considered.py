@@ -46,9 +46,15 @@ def considered(robot: Robot, *, motors: bool = False) -> list[Uncertain]:
 
     Those that ``tolerances.calibrated`` names have the standard errors that a calibration found.
     Stiffness, and damping and hardening where they are declared, of elastic joints; how much a joint that is taken as
-    rigid gives way; lost motion of transmissions; masses of links; friction of links; mounting of accelerometers.
+    rigid gives way; lost motion of transmissions; masses of links; friction of links; the past of friction elements, which
+    ``motors`` leaves out, as they are then states; mounting of accelerometers.
     """
-    found = [*_of_joints(robot), *_of_sensors(robot), *(_of_motors(robot) if motors else ())]
+    found = [
+        *_of_joints(robot),
+        *(() if motors else _of_pasts(robot)),
+        *_of_sensors(robot),
+        *(_of_motors(robot) if motors else ()),
+    ]
     known = robot.config.tolerances.calibrated
     return [replace(one, std=known.get(one.name, one.std)) for one in found]
 
@@ -70,6 +76,13 @@ def _of_joints(robot: Robot) -> Iterator[Uncertain]:
             if std:
                 name = "mass_scale" if kind == "mass" else kind
                 yield Uncertain(f"{name}_{drive.name}", kind, j, 0, float(std))
+
+
+def _of_pasts(robot: Robot) -> Iterator[Uncertain]:
+    """Give where friction elements were at the start: anywhere between their limits."""
+    for j, drive in enumerate(robot.drives):
+        if drive.hysteresis:
+            yield Uncertain(f"hysteresis_{drive.name}", "hysteresis", j, 0, 3**-0.5)
 
 
 def _of_sensors(robot: Robot) -> Iterator[Uncertain]:

@@ -33,6 +33,7 @@ FEATURES: dict[str, Callable[[Robot], list[str]]] = {
     "stiffness_table": lambda robot: [drive.name for drive in robot.drives if drive.stiffness_table],
     UNKNOWN: lambda robot: [drive.name for drive in robot.drives if drive.elastic and not drive.stiffness_known],
     "backlash": lambda robot: [drive.name for drive in robot.drives if drive.backlash.half_gap],
+    "hysteresis": lambda robot: [drive.name for drive in robot.drives if drive.hysteresis],
     "ripple": lambda robot: [drive.name for drive in robot.drives if drive.ripple],
     **{key: _late("accelerometers", key) for key in LATE},
     **{f"link_encoder.{key}": _late("link_encoder", key) for key in LATE},
@@ -44,8 +45,16 @@ JOINT_SIDE = tuple(f"{carrier}.{key}" for carrier in ("link_encoder", "joint_tor
 """What is inside sensors behind the gears."""
 
 UNSUPPORTED: dict[str, tuple[str, ...]] = {
-    "the acceleration-driven observer": (UNKNOWN, "rotors", "backlash", "ripple", "corner_frequency", "delay"),
-    "the acceleration-driven observer on joint accelerations": (UNKNOWN, "rotors", "backlash", "ripple"),
+    "the acceleration-driven observer": (
+        UNKNOWN,
+        "rotors",
+        "backlash",
+        "hysteresis",
+        "ripple",
+        "corner_frequency",
+        "delay",
+    ),
+    "the acceleration-driven observer on joint accelerations": (UNKNOWN, "rotors", "backlash", "hysteresis", "ripple"),
     "a filter on the jerk-driven model": (UNKNOWN, "coupling", "rotors"),
     "a filter on the elastic-joint model": (UNKNOWN,),
     "a simulation": (UNKNOWN,),
@@ -53,9 +62,10 @@ UNSUPPORTED: dict[str, tuple[str, ...]] = {
     "a velocity observer on the links": ("rotors", *JOINT_SIDE),
     "the momentum residual": ("rotors",),
     "the momentum residual on the links": ("rotors", *JOINT_SIDE),
-    "inverse dynamics along a motion": (UNKNOWN, "rotors"),
-    "state feedback": (UNKNOWN, "rotors"),
-    "calibration": ("rotors", "stiffness_table", "backlash", "ripple"),
+    "a particle filter": ("hysteresis",),
+    "inverse dynamics along a motion": (UNKNOWN, "rotors", "hysteresis"),
+    "state feedback": (UNKNOWN, "rotors", "hysteresis"),
+    "calibration": ("rotors", "stiffness_table", "backlash", "hysteresis", "ripple"),
 }
 """By method: what it does not account for."""
 

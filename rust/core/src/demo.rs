@@ -2,7 +2,8 @@
 
 use crate::error::RobotError;
 use crate::robot::{
-    Backlash, BodySpec, Drive, JointKind, MotorFriction, Ripple, Robot, Sensor, SoftWindup, SpringCurve, Tree,
+    Backlash, BodySpec, Drive, Hysteresis, JointKind, MotorFriction, Ripple, Robot, Sensor, SoftWindup, SpringCurve,
+    Tree,
 };
 use crate::spatial::{Mat3, Vec3};
 
@@ -38,6 +39,7 @@ pub fn arm() -> Result<Robot, RobotError> {
         soft_windup: SoftWindup::default(),
         curve: SpringCurve::default(),
         backlash: Backlash::default(),
+        hysteresis: Hysteresis::default(),
         ripple: Ripple::default(),
         motor_friction: MotorFriction::default(),
         link_friction: [0.0; 6],

@@ -7,8 +7,8 @@ use linkside_core::dynamics::{Batch, DrivenStates, States, check_inertia};
 use linkside_core::error::{DesignError, RobotError};
 use linkside_core::memory;
 use linkside_core::robot::{
-    self, Backlash, BodySpec, Harmonic, Interpolation, JointKind, MotorFriction, Ripple, Rotor, SoftWindup,
-    SpringCurve, Tree,
+    self, Backlash, BodySpec, FrictionElement, Harmonic, Hysteresis, Interpolation, JointKind, MotorFriction, Ripple,
+    Rotor, SoftWindup, SpringCurve, Tree,
 };
 use numpy::{PyArrayDyn, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -42,6 +42,7 @@ struct Drive {
     curve_straight: bool,
     gap: [f64; 3],
     ripple: Vec<[f64; 3]>,
+    hysteresis: Vec<[f64; 4]>,
     friction_viscous: f64,
     friction_coulomb: f64,
     friction_stribeck: f64,
@@ -100,6 +101,9 @@ impl TryFrom<Drive> for robot::Drive {
         let none = d.curve.is_empty();
         let curve = if none { SpringCurve::default() } else { SpringCurve::new(&d.curve, interpolation)? };
         let [half_gap, slope, rounding] = d.gap;
+        let element =
+            |[stiffness, limit, recoil, rounding]: [f64; 4]| FrictionElement { stiffness, limit, recoil, rounding };
+        let elements = d.hysteresis.into_iter().map(element);
         let harmonics =
             d.ripple.into_iter().map(|[amplitude, frequency, phase]| Harmonic { amplitude, frequency, phase });
         Ok(Self {
@@ -111,6 +115,7 @@ impl TryFrom<Drive> for robot::Drive {
             soft_windup: SoftWindup { stiffness: d.soft_windup_stiffness, shape: d.soft_windup_shape },
             curve,
             backlash: Backlash { half_gap, slope, rounding },
+            hysteresis: Hysteresis { elements: elements.collect() },
             ripple: Ripple::new(harmonics.collect()),
             motor_friction: MotorFriction {
                 viscous: d.friction_viscous,

@@ -21,6 +21,7 @@ fn uncertain(kind: &str, i: usize, axis: usize) -> PyResult<Uncertain> {
         "cubic_stiffness" => U::CubicStiffness(i),
         "damping" => U::Damping(i),
         "yielding" => U::Yielding(i),
+        "hysteresis" => U::Hysteresis(i),
         "mass" => U::Mass(i),
         "link_friction" => U::LinkFriction(i),
         "torque_constant" => U::TorqueConstant(i),

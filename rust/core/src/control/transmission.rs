@@ -160,7 +160,7 @@ fn moments(z: f64) -> ExponentialMoments {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::robot::{Backlash, MotorFriction, Ripple, SoftWindup, SpringCurve};
+    use crate::robot::{Backlash, Hysteresis, MotorFriction, Ripple, SoftWindup, SpringCurve};
 
     fn drive(cubic_stiffness: f64, windup: f64) -> Drive {
         Drive {
@@ -172,6 +172,7 @@ mod tests {
             soft_windup: SoftWindup { stiffness: windup, shape: 800.0 },
             curve: SpringCurve::default(),
             backlash: Backlash::default(),
+            hysteresis: Hysteresis::default(),
             ripple: Ripple::default(),
             motor_friction: MotorFriction::default(),
             link_friction: [0.0; 6],

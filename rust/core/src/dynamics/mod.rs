@@ -24,6 +24,7 @@ mod sensing;
 
 pub use batch::{Batch, DrivenStates, States};
 pub use definite::check_inertia;
+pub(crate) use elastic::ElementRow;
 pub use elastic::{ElasticDynamics, ElasticLayout};
 pub use kinematics::Kinematics;
 pub use loads::Loads;

@@ -5,7 +5,10 @@ mod rotor;
 mod tree;
 
 pub(crate) use drive::SpringRates;
-pub use drive::{Backlash, Drive, GearOutput, Harmonic, Interpolation, MotorFriction, Ripple, SoftWindup, SpringCurve};
+pub use drive::{
+    Backlash, Drive, FrictionElement, GearOutput, Harmonic, Hysteresis, Interpolation, MotorFriction, Moved, Ripple,
+    SoftWindup, SpringCurve, Wound,
+};
 pub use rotor::Rotor;
 pub use tree::{Body, BodySpec, Frame, JointKind, Tree};
 
@@ -55,7 +58,7 @@ impl Sensor {
 ///
 /// ```
 /// use linkside_core::robot::{
-///     Backlash, BodySpec, Drive, JointKind, MotorFriction, Robot, Ripple, SoftWindup, SpringCurve, Tree,
+///     Backlash, Hysteresis, BodySpec, Drive, JointKind, MotorFriction, Robot, Ripple, SoftWindup, SpringCurve, Tree,
 /// };
 /// use linkside_core::spatial::{Mat3, Vec3};
 ///
@@ -80,6 +83,7 @@ impl Sensor {
 ///     soft_windup: SoftWindup::default(),
 ///     curve: SpringCurve::default(),
 ///     backlash: Backlash::default(),
+///     hysteresis: Hysteresis::default(),
 ///     ripple: Ripple::default(),
 ///     motor_friction: MotorFriction::default(),
 ///     link_friction: [0.0; 6],

@@ -151,6 +151,7 @@ impl simd::Kernel for Advance<'_> {
             again = !adaptive.judge(length, error, again);
             if !again {
                 x.copy_from_slice(&adaptive.method.end);
+                plant.layout.confine(robot, x);
                 left -= length;
                 // Exactly, as `fit` gives the last step all that is left.
                 if left == 0.0 {

@@ -55,6 +55,7 @@ impl RungeKutta {
             }
         }
         x.copy_from_slice(sum);
+        plant.layout.confine(robot, x);
     }
 }
 

@@ -32,7 +32,7 @@ impl Plant {
     #[inline(always)]
     pub fn rate_into(&mut self, robot: &Robot, x: &[f64], tau: &[f64], out: &mut [f64]) {
         self.dynamics.accelerate(robot, &self.layout, x, tau);
-        self.dynamics.rate_into(&self.layout, x, out);
+        self.dynamics.rate_into(robot, &self.layout, x, out);
     }
 
     /// As [`rate_into`](Self::rate_into), with the derivatives of the accelerations in [`dynamics`](Self::dynamics).

@@ -31,14 +31,19 @@ const SLOPE: [[f64; 5]; 6] = [
 ///
 /// Of ẋ = f, half says that positions change by velocities: with s = 1/(γ h), a stage's positions follow from its
 /// velocities, u_p = (r_p + u_v)/s, which are the solution of (s − V − P/s) u_v = r_v + P r_p/s, half the size. P and
-/// V are the derivatives of accelerations by positions and velocities, those of the drives' friction included.
+/// V are the derivatives of accelerations by positions and velocities, those of the drives' friction included. A friction
+/// element's deflection depends on motion and itself alone, u_z = (r_z + Z_p u_p + Z_v u_v)/(s − Z_z), and goes likewise.
 #[derive(Clone, Debug)]
 pub(super) struct Rosenbrock {
     /// Where in the state the position and the velocity of each degree of freedom are: links, then elastic motors.
     position: Vec<usize>,
     velocity: Vec<usize>,
+    /// The degree of freedom that each number of the state is of.
+    degree: Vec<usize>,
     /// The joint of each degree of freedom.
     joint: Vec<usize>,
+    /// Where friction elements are.
+    elements: Vec<usize>,
     /// Factors of s − V − P/s.
     lu: Lu,
     /// f where the step begins.
@@ -59,9 +64,17 @@ impl Rosenbrock {
         let elastic: Vec<usize> = (0..n).filter(|&j| layout.theta[j] >= n).collect();
         let joint: Vec<usize> = (0..n).chain(elastic.iter().copied()).collect();
         let [start, rate, end] = core::array::from_fn(|_| vec![0.0; d]);
+        let mut degree = vec![0; d];
+        for (i, &j) in joint.iter().enumerate() {
+            let motor = i >= n;
+            degree[if motor { layout.theta[j] } else { j }] = i;
+            degree[if motor { layout.dtheta[j] } else { n + j }] = i;
+        }
         Self {
+            degree,
             position: (0..n).chain(elastic.iter().map(|&j| layout.theta[j])).collect(),
             velocity: (n..2 * n).chain(elastic.iter().map(|&j| layout.dtheta[j])).collect(),
+            elements: plant.dynamics.elements.iter().map(|element| element.state).collect(),
             lu: Lu::new(joint.len()),
             half: vec![0.0; joint.len()],
             joint,
@@ -119,13 +132,17 @@ impl Rosenbrock {
                 worst = (own, joint);
             }
         }
+        for &k in &self.elements {
+            let ratio = self.stages[5][k] / tolerated(x[k].abs().max(self.end[k].abs()));
+            sum += ratio * ratio;
+        }
         ((sum / x.len() as f64).sqrt(), worst.1)
     }
 
     /// s − V − P/s.
     #[inline(always)]
     fn factorise(&mut self, plant: &Plant, s: f64) {
-        let Self { position, velocity, joint, lu, .. } = self;
+        let Self { position, velocity, joint, lu, degree, .. } = self;
         let m = joint.len();
         for (i, row) in lu.matrix.chunks_exact_mut(m).enumerate() {
             let by = derivatives(plant, joint, i);
@@ -133,6 +150,14 @@ impl Rosenbrock {
                 *value = -by[v] - by[p] / s;
             }
             row[i] += s;
+            for element in &plant.dynamics.elements {
+                // θ, θ̇ and q̇ of the element's joint: θ follows from θ̇.
+                let [theta, dtheta, dq, own] = element.entries;
+                let share = by[element.state] / (s - own.1);
+                for (k, entry) in [(theta.0, theta.1 / s), dtheta, dq] {
+                    row[degree[k]] -= share * entry;
+                }
+            }
         }
         lu.factorise();
     }
@@ -146,11 +171,21 @@ impl Rosenbrock {
             // r_v + P r_p/s: positions eliminated, half the size.
             let pull: f64 = position.iter().map(|&p| by[p] * rate[p]).sum();
             *value = rate[v] + pull / s;
+            for element in &plant.dynamics.elements {
+                let [theta, _, _, own] = element.entries;
+                let left = rate[element.state] + theta.1 * rate[theta.0] / s;
+                *value += by[element.state] * left / (s - own.1);
+            }
         }
         lu.solve(half);
         for ((value, &p), &v) in half.iter().zip(&*position).zip(&*velocity) {
             stages[i][v] = *value;
             stages[i][p] = (rate[p] + value) / s;
+        }
+        for element in &plant.dynamics.elements {
+            let [motion @ .., own] = element.entries;
+            let driven: f64 = motion.iter().map(|(k, by)| by * stages[i][*k]).sum();
+            stages[i][element.state] = (rate[element.state] + driven) / (s - own.1);
         }
     }
 }

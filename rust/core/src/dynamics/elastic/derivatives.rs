@@ -5,7 +5,7 @@
 //! the one that gave the accelerations, and its factors are still there. What depends on the posture inside M, C, g and
 //! S is differentiated in one call of the inverse dynamics' derivatives at the accelerations (Singh, Russell and
 //! Wensing 2022); springs, dampers and frictions add a few entries each.
-use super::{ElasticDynamics, ElasticLayout};
+use super::{ElasticDynamics, ElasticLayout, element_row};
 use crate::linear;
 use crate::robot::Robot;
 use crate::scalar::Scalar;
@@ -24,6 +24,9 @@ impl<T: Scalar> ElasticDynamics<T> {
         self.differentiate_loads(robot, layout, x);
         for j in 0..n {
             self.differentiate_motor(robot, layout, x, j);
+        }
+        for (row, of) in self.elements.iter_mut().zip(layout.elements(robot)) {
+            *row = element_row(robot, layout, x, of).1;
         }
         let system = n * n;
         // All columns at once.
@@ -147,6 +150,14 @@ impl<T: Scalar> ElasticDynamics<T> {
         if let Some(k) = disturbance {
             own[k] = one;
         }
+        for (i, element) in drive.hysteresis.elements.iter().enumerate() {
+            let (k, felt) = (layout.deflections[j] + i, ratio[j] * element.stiffness);
+            ddq_by[j * d + k] = T::constant(element.stiffness);
+            own[k] = -felt;
+            for (i, s) in coupling.coupled(j) {
+                ddq_by[i * d + k] += s / T::constant(drive.motor_inertia) * felt;
+            }
+        }
     }
 
     /// What the transmission of joint `j`, rigid, gives its link, by positions and velocities of link `i`, where
@@ -227,6 +238,11 @@ impl<T: Scalar> ElasticDynamics<T> {
             a[(n + j) * d..][..d].copy_from_slice(&self.ddq_by[j * d..][..d]);
             if let Some(first) = layout.link_disturbance {
                 a[(first + j) * (d + 1)] = T::constant(-layout.forgetting);
+            }
+        }
+        for row in &self.elements {
+            for (k, by) in row.entries {
+                a[row.state * d + k] += by;
             }
         }
         a

@@ -1,8 +1,9 @@
 //! Where in a state each joint's numbers are.
 
-use crate::robot::Robot;
+use crate::robot::{FrictionElement, Robot};
 
-/// Where in the state each joint's numbers are: (q, q̇, θ, θ̇ of the elastic joints, disturbance torques of motors, of links).
+/// Where in the state each joint's numbers are: (q, q̇, θ, θ̇ of the elastic joints, deflections of friction elements,
+/// disturbance torques of motors, of links).
 #[derive(Clone, Debug)]
 pub struct ElasticLayout {
     /// Number of joints.
@@ -11,6 +12,8 @@ pub struct ElasticLayout {
     pub theta: Vec<usize>,
     /// θ̇ of each joint; q̇ where the joint is rigid.
     pub dtheta: Vec<usize>,
+    /// The first deflection of each joint's friction elements.
+    pub deflections: Vec<usize>,
     /// The first disturbance torque of a motor.
     pub disturbance: Option<usize>,
     /// The first disturbance torque of a link.
@@ -35,11 +38,17 @@ impl ElasticLayout {
             }
         }
         let dtheta = (0..n).map(|j| if theta[j] < n { n + j } else { theta[j] + elastic }).collect();
-        let first = 2 * (n + elastic);
+        let mut first = 2 * (n + elastic);
+        let mut number = |count: usize| {
+            first += count;
+            first - count
+        };
+        let deflections = robot.drives.iter().map(|d| number(d.hysteresis.elements.len())).collect();
         Self {
             joints: n,
             theta,
             dtheta,
+            deflections,
             disturbance: disturbances.then_some(first),
             link_disturbance: None,
             forgetting: 0.0,
@@ -51,6 +60,27 @@ impl ElasticLayout {
     pub fn with_link_disturbances(self, time: f64) -> Self {
         let dense = self.dense + self.joints;
         Self { link_disturbance: Some(self.dense), forgetting: 1.0 / time, dense, ..self }
+    }
+
+    /// Every friction element with its joint and its state.
+    #[inline(always)]
+    pub(crate) fn elements<'a>(
+        &'a self,
+        robot: &'a Robot,
+    ) -> impl Iterator<Item = (usize, usize, &'a FrictionElement)> {
+        let of = |(j, first): (usize, &usize)| {
+            let first = *first;
+            robot.drives[j].hysteresis.elements.iter().enumerate().map(move |(i, element)| (j, first + i, element))
+        };
+        self.deflections.iter().enumerate().flat_map(of)
+    }
+
+    /// Keeps deflections within their limits, which a step of time or a correction may overshoot.
+    #[inline(always)]
+    pub(crate) fn confine(&self, robot: &Robot, x: &mut [f64]) {
+        for (_, k, element) in self.elements(robot) {
+            x[k] = x[k].clamp(-element.reach(), element.reach());
+        }
     }
 
     /// Puts q, q̇, θ and θ̇ (n each) where they belong in `x`; of a rigid joint θ and θ̇ are not looked at.

@@ -19,7 +19,7 @@ pub use layout::ElasticLayout;
 
 use super::{Kinematics, Loads};
 use crate::linear;
-use crate::robot::{Robot, Tree};
+use crate::robot::{FrictionElement, Robot, Tree};
 use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
 use coupling::Coupling;
@@ -34,7 +34,8 @@ use coupling::Coupling;
 /// Sᵀ q̈ + B θ̈ + f(θ̇)          = τ − (1 + ε′) τ_e
 /// ```
 ///
-/// ε is the kinematic error of each gear, on which power does not depend.
+/// ε is the kinematic error of each gear, on which power does not depend. Beside each spring there may be friction elements,
+/// whose deflections are states: ż = δ̇ g(z, sign δ̇).
 /// θ̈ is eliminated, as B is diagonal: (M − S B⁻¹ Sᵀ) q̈ = τ_e − C q̇ − g − d − S B⁻¹ (τ − f − (1 + ε′) τ_e). A rigid joint's motor
 /// moves with its link: its row and column of S and its B join M. Motors that are [`Rotor`](crate::robot::Rotor)s on
 /// links are bodies of an extended tree, whence S(q) and its velocity terms in both rows. Derivatives: those of the
@@ -87,6 +88,8 @@ pub struct ElasticDynamics<T = f64> {
     ratio: Vec<T>,
     /// Motor torque less friction, and of a rotor less what its carrier's turning takes.
     drive: Vec<T>,
+    /// How each friction element's rate depends on the state, after [`differentiate`](Self::differentiate).
+    pub(crate) elements: Vec<ElementRow<T>>,
 }
 
 impl<T: Scalar> ElasticDynamics<T> {
@@ -116,6 +119,7 @@ impl<T: Scalar> ElasticDynamics<T> {
             spring: room(n),
             ratio: vec![T::constant(1.0); n],
             drive: room(n),
+            elements: layout.elements(robot).map(|(_, state, _)| ElementRow::at(state)).collect(),
         }
     }
 
@@ -189,7 +193,9 @@ impl<T: Scalar> ElasticDynamics<T> {
             self.spring[j] = if drive.elastic {
                 let gear = drive.ripple.output(x[layout.theta[j]]);
                 self.ratio[j] = gear.ratio;
-                drive.spring_torque(gear.angle - q[j]) + (gear.ratio * speed - dq[j]) * drive.damping
+                drive.spring_torque(gear.angle - q[j])
+                    + (gear.ratio * speed - dq[j]) * drive.damping
+                    + drive.hysteresis.force(&x[layout.deflections[j]..])
             } else {
                 self.drive[j]
             };
@@ -270,7 +276,7 @@ impl<T: Scalar> ElasticDynamics<T> {
 
     /// ẋ, after [`accelerate`](Self::accelerate) at state `x`: `out` (dense) is overwritten; motors' disturbances stay.
     #[inline(always)]
-    pub fn rate_into(&self, layout: &ElasticLayout, x: &[T], out: &mut [T]) {
+    pub fn rate_into(&self, robot: &Robot, layout: &ElasticLayout, x: &[T], out: &mut [T]) {
         let n = layout.joints;
         out.fill(T::default());
         for j in 0..n {
@@ -279,10 +285,44 @@ impl<T: Scalar> ElasticDynamics<T> {
             out[j] = x[n + j];
             out[n + j] = self.ddq[j];
         }
+        for (j, k, element) in layout.elements(robot) {
+            out[k] = element_row(robot, layout, x, (j, k, element)).0;
+        }
         if let Some(first) = layout.link_disturbance {
             linear::add_scaled(&mut out[first..][..n], T::constant(-layout.forgetting), &x[first..][..n]);
         }
     }
+}
+
+/// A row of ∂ẋ/∂x: of a friction element's deflection.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ElementRow<T> {
+    /// Which state it is.
+    pub(crate) state: usize,
+    /// Columns and entries: θ, θ̇, q̇ and its own.
+    pub(crate) entries: [(usize, T); 4],
+}
+
+impl<T: Scalar> ElementRow<T> {
+    fn at(state: usize) -> Self {
+        Self { state, entries: [(state, T::default()); 4] }
+    }
+}
+
+/// ż of joint j's element at state k, and how it depends on the state.
+#[inline(always)]
+fn element_row<T: Scalar>(
+    robot: &Robot,
+    layout: &ElasticLayout,
+    x: &[T],
+    (j, k, element): (usize, usize, &FrictionElement),
+) -> (T, ElementRow<T>) {
+    let (theta, dtheta, dq) = (layout.theta[j], layout.dtheta[j], layout.joints + j);
+    let gear = robot.drives[j].ripple.output(x[theta]);
+    let (rate, [by_slip, by_own]) = element.rate(x[k], gear.ratio * x[dtheta] - x[dq]);
+    let turning = by_slip * gear.bend * x[dtheta];
+    let entries = [(theta, turning), (dtheta, by_slip * gear.ratio), (dq, -by_slip), (k, by_own)];
+    (rate, ElementRow { state: k, entries })
 }
 
 /// [`ElasticDynamics::accelerate`], to be compiled for each instruction set.

@@ -1,7 +1,9 @@
 //! Both rows of the model, and derivatives against differences.
 
 use super::*;
-use crate::robot::{Backlash, BodySpec, Drive, JointKind, MotorFriction, Ripple, SoftWindup, SpringCurve, Tree};
+use crate::robot::{
+    Backlash, BodySpec, Drive, Hysteresis, JointKind, MotorFriction, Ripple, SoftWindup, SpringCurve, Tree,
+};
 use crate::spatial::{Mat3, Vec3};
 
 /// Four joints, one of them sliding, one rigid, coupled, with everything nonlinear.
@@ -15,6 +17,7 @@ fn robot() -> Robot {
         soft_windup: SoftWindup { stiffness: 120.0, shape: 80.0 },
         curve: SpringCurve::default(),
         backlash: Backlash::default(),
+        hysteresis: Hysteresis::default(),
         ripple: Ripple::default(),
         motor_friction: MotorFriction { viscous: 0.4, coulomb: 1e-3, ..MotorFriction::default() },
         link_friction: [0.5, 1.5, 0.5, 0.2, 1.0, 0.5],

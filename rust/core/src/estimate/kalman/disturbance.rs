@@ -94,7 +94,7 @@ pub(super) fn hold(robot: &Robot, theta: &[f64], first: usize, belief: &mut Gaus
 }
 
 /// Adds `factor` times state `d`, which nothing depended on, to state `j`.
-fn depend(p: &mut Symmetric, j: usize, d: usize, factor: f64) {
+pub(super) fn depend(p: &mut Symmetric, j: usize, d: usize, factor: f64) {
     let variance = p.at(d, d);
     p.put(j, j, p.at(j, j) + factor * factor * variance);
     p.put(j, d, factor * variance);

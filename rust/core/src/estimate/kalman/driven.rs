@@ -12,7 +12,7 @@ use super::model::{Linearised, Measurement, Paired, Report};
 use super::motor_velocity::MotorVelocity;
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample};
-use super::uncertain::Tolerance;
+use super::uncertain::{MotorsAt, Tolerance};
 use crate::error::DesignError;
 use crate::estimate::measurement::{Channel, Evaluation};
 use crate::scalar::Dual;
@@ -157,6 +157,19 @@ impl Measurement for JerkMeasurement {
         }
     }
 
+    /// Friction elements are no states here: they follow the torsion that the estimate has.
+    #[inline(always)]
+    fn follow(&mut self, state: &[f64], anew: bool) {
+        let Self { model, evaluation, motors, dtheta, .. } = self;
+        if evaluation.wound.is_empty() {
+            return;
+        }
+        evaluation.follow(&model.robot, &model.channels, state, dtheta, anew);
+        if let Some(motors) = motors {
+            motors.evaluation.wound.clone_from_slice(&evaluation.wound);
+        }
+    }
+
     fn channels(&self) -> &[Channel] {
         &self.model.channels
     }
@@ -169,7 +182,9 @@ impl Measurement for JerkMeasurement {
     fn signatures(&mut self, stride: usize, out: &mut [f64]) {
         let Self { model, evaluation, reference, dtheta, tolerances, .. } = self;
         let (n, channels) = (model.joints(), &model.channels);
-        evaluation.motion.signatures(&model.robot, channels, tolerances, &reference[..2 * n], dtheta, stride, out);
+        let Evaluation { motion, wound, .. } = evaluation;
+        let at = MotorsAt { links: &reference[..2 * n], dtheta, wound };
+        motion.signatures(&model.robot, channels, tolerances, at, stride, out);
         if let Some(motors) = &mut self.motors {
             motors.signatures(model, tolerances, dtheta, stride, out);
         }
@@ -329,7 +344,9 @@ impl Motors {
         let n = self.channels.len();
         let Self { channels, evaluation, state, rates } = self;
         rates.resize(n * stride, Dual::default());
-        evaluation.motion.signatures(&model.robot, channels, tolerances, &state[..2 * n], dtheta, stride, rates);
+        let Evaluation { motion, wound, .. } = evaluation;
+        let at = MotorsAt { links: &state[..2 * n], dtheta, wound };
+        motion.signatures(&model.robot, channels, tolerances, at, stride, rates);
         for (out, channel) in out.chunks_exact_mut(stride).zip(&model.channels) {
             let Channel::MotorVelocity(j) = *channel else { continue };
             for (out, rate) in out.iter_mut().zip(&rates[j * stride..]) {

@@ -9,7 +9,7 @@
 //! `transition`, what sensors read is `elastic_measurement`, and what parameters do is `elastic_sensitivity`. A torque that
 //! is missing wanders from its last reading until the next, as a disturbance of its own.
 
-use super::disturbance::{LinkDisturbance, hold};
+use super::disturbance::{LinkDisturbance, depend, hold};
 use super::drift::Biases;
 use super::elastic_measurement::ElasticMeasurement;
 use super::elastic_sensitivity::ElasticSensitivity;
@@ -76,7 +76,7 @@ pub struct ElasticSettings {
     pub discretization: Discretization,
 }
 
-/// State (q, q̇, θ, θ̇, disturbance torques of motors, of links, biases) of an elastic-joint robot under measured motor torques
+/// State (q, q̇, θ, θ̇, deflections of friction elements, disturbance torques of motors, of links, biases) of an elastic-joint robot under measured motor torques
 /// (Ulrich and Sasiadek 2011, with every sensor that a log can have).
 ///
 /// θ and θ̇ are those of the elastic joints: the motor of a rigid one moves as its link.
@@ -287,6 +287,10 @@ impl ElasticProcess {
                 std[first + j] = disturbance[j];
             }
         }
+        // A friction element may be anywhere between its limits.
+        for (_, k, element) in layout.elements(&self.robot) {
+            std[k] = element.reach() / 3.0_f64.sqrt();
+        }
         for (bias, s) in self.biases.iter().zip(&self.noise.initial_bias) {
             if let Some(b) = *bias {
                 std[b] = *s;
@@ -297,6 +301,12 @@ impl ElasticProcess {
         }
         let mut belief = Gaussian::independent(&std);
         belief.mean.copy_from_slice(&mean);
+        for (j, k, element) in layout.elements(&self.robot) {
+            // What it holds the spring need not: the link is nearer to its motor.
+            let drive = &self.robot.drives[j];
+            let compliance = drive.compliance(drive.torsion_between(theta[j], mean[j]));
+            depend(&mut belief.covariance, j, k, element.stiffness * compliance);
+        }
         if let Some(first) = layout.link_disturbance {
             hold(&self.robot, theta, first, &mut belief);
         }

@@ -128,7 +128,12 @@ impl ElasticSensitivity {
             match parameter {
                 U::LinkFriction(_) => links[at] = -drive.link_friction(dq).0,
                 U::Stiffness(_) | U::CubicStiffness(_) | U::Damping(_) if drive.elastic => transmitted[at] = motor,
-                U::Stiffness(_) | U::CubicStiffness(_) | U::Damping(_) | U::EncoderZero(_) | U::LostMotion(_) => {}
+                U::Stiffness(_)
+                | U::CubicStiffness(_)
+                | U::Damping(_)
+                | U::EncoderZero(_)
+                | U::LostMotion(_)
+                | U::Hysteresis(_) => {}
                 _ => motors[at] = motor,
             }
         }
@@ -189,8 +194,8 @@ mod tests {
     };
     use crate::estimate::measurement::Kind;
     use crate::robot::{
-        Backlash, BodySpec, Drive, Frame, JointKind, MotorFriction, Ripple, Rotor, Sensor, SoftWindup, SpringCurve,
-        Tree,
+        Backlash, BodySpec, Drive, Frame, Hysteresis, JointKind, MotorFriction, Ripple, Rotor, Sensor, SoftWindup,
+        SpringCurve, Tree,
     };
     use crate::spatial::{Mat3, Vec3};
     use Uncertain as U;
@@ -212,6 +217,7 @@ mod tests {
             soft_windup: SoftWindup { stiffness: 120.0 * log(U::Stiffness(j)), shape: 80.0 },
             curve: SpringCurve::default(),
             backlash: Backlash::default(),
+            hysteresis: Hysteresis::default(),
             ripple: Ripple::default(),
             motor_friction: MotorFriction {
                 viscous: 0.4 * log(U::MotorFriction(j)),

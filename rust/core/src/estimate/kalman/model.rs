@@ -114,6 +114,10 @@ pub trait Measurement: Clone + Send + Sync {
     /// h alone, without bias (channels), at a state's first [`dense`](Self::dense) entries.
     fn evaluate(&mut self, state: &[f64]) -> &[f64];
 
+    /// Lets what depends on the past, and is no state, follow to the estimate of the last sample, before time goes on; `anew` at
+    /// a first sample.
+    fn follow(&mut self, _state: &[f64], _anew: bool) {}
+
     /// h and its derivatives.
     fn linearise(&mut self, reference: &[f64]);
 
@@ -339,6 +343,7 @@ impl<P: Process, M: Measurement> Paired<P, M> {
     /// Takes over a first sample, and what the late sensors' states are at `belief`.
     fn begin(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
         self.measurement.take(sample, true);
+        self.measurement.follow(&belief.mean[..self.measurement.dense()], true);
         self.settle(belief);
     }
 
@@ -407,6 +412,7 @@ impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
 
     #[inline(always)]
     fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
+        self.measurement.follow(&belief.mean[..self.measurement.dense()], false);
         self.process.predict(sample, belief);
         self.measurement.take(sample, false);
         if let Some(late) = &mut self.late {

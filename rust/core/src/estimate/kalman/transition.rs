@@ -18,7 +18,7 @@ use super::elastic::Discretization;
 use super::elastic_sensitivity::ElasticSensitivity;
 use super::gaussian::{Gaussian, Symmetric};
 use super::step_noise::StepNoise;
-use crate::dynamics::{ElasticDynamics, ElasticLayout};
+use crate::dynamics::{ElasticDynamics, ElasticLayout, ElementRow};
 use crate::linear;
 use crate::robot::Robot;
 
@@ -132,6 +132,7 @@ impl Transition {
     #[inline(always)]
     pub(super) fn advance(&mut self, robot: &Robot, belief: &mut Gaussian, torques: Torques<'_>, dt: f64) {
         let d = self.layout.dense;
+        self.layout.confine(robot, &mut belief.mean[..d]);
         self.start.copy_from_slice(&belief.mean[..d]);
         if self.discretization == Discretization::FirstOrder {
             self.probe.copy_from_slice(&self.start);
@@ -197,7 +198,8 @@ impl Transition {
         if !sensitivity.is_empty() {
             sensitivity.set(robot, layout, dynamics, probe, tau);
         }
-        self.fastest = self.bound();
+        let give = |row: &ElementRow<f64>| row.entries[3].1.abs();
+        self.fastest = self.dynamics.elements.iter().map(give).fold(self.bound(), f64::max);
     }
 
     /// Of ẍ = −P x − V ẋ, |λ|² ≤ ‖P‖ + ‖V‖ |λ| in the norm of absolute row sums.
@@ -208,7 +210,11 @@ impl Transition {
         for row in dynamics.ddq_by.chunks_exact(*d).chain(dynamics.ddtheta_by.chunks_exact(*d)) {
             let sum = |first: usize, motors: &[usize]| -> f64 {
                 let links: f64 = row[first..first + n].iter().map(|x| x.abs()).sum();
-                links + motors.iter().filter(|&&k| k >= 2 * n).map(|&k| row[k].abs()).sum::<f64>()
+                // An element follows its torsion at no more than twice its rate.
+                let elements: f64 = dynamics.elements.iter().map(|e| 2.0 * row[e.state].abs()).sum();
+                links
+                    + elements * f64::from(first == 0)
+                    + motors.iter().filter(|&&k| k >= 2 * n).map(|&k| row[k].abs()).sum::<f64>()
             };
             stiff = stiff.max(sum(0, theta));
             damped = damped.max(sum(*n, dtheta));
@@ -227,11 +233,12 @@ impl Transition {
             self.interpolate(torques, part + node * length);
             let Self { layout, dynamics, probe, tau, slopes, .. } = self;
             dynamics.accelerate(robot, layout, probe, tau);
-            dynamics.rate_into(layout, probe, &mut slopes[stage]);
+            dynamics.rate_into(robot, layout, probe, &mut slopes[stage]);
         }
         for (stage, weight) in [1.0, 2.0, 2.0, 1.0].into_iter().enumerate() {
             linear::add_scaled(x, weight * h / 6.0, &self.slopes[stage]);
         }
+        self.layout.confine(robot, x);
     }
 
     /// Φ = Σ (A h)ᵏ/k!, k up to `terms`, and what noise does meanwhile.
@@ -388,6 +395,11 @@ fn apply(layout: &ElasticLayout, dynamics: &ElasticDynamics, right: &[f64], stri
         let (theta, dtheta) = (layout.theta[j] * stride, layout.dtheta[j] * stride);
         linear::product(&dynamics.ddtheta_by[j * d..][..d], d, right, stride, &mut out[dtheta..]);
         out[theta..theta + stride].copy_from_slice(&right[dtheta..dtheta + stride]);
+    }
+    for row in &dynamics.elements {
+        for (k, by) in row.entries {
+            linear::add_scaled(&mut out[row.state * stride..][..stride], by, &right[k * stride..][..stride]);
+        }
     }
     if let Some(first) = layout.link_disturbance.filter(|_| layout.forgetting > 0.0) {
         let rows = first * stride..(first + n) * stride;

@@ -2,7 +2,7 @@
 
 use crate::dynamics::Kinematics;
 use crate::estimate::measurement::{Channel, LinkMotion, MotorStand, OfDrives};
-use crate::robot::{Robot, Tree};
+use crate::robot::{Robot, Tree, Wound};
 use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
 use crate::spatial::Vec3;
@@ -35,6 +35,8 @@ pub enum Uncertain {
     EncoderZero(usize),
     /// How far a joint's transmission is from its spring's curve [rad]: hysteresis, play, teeth. It changes as the robot moves.
     LostMotion(usize),
+    /// Where a joint's friction elements were at the start, as a share of their way; a state of the elastic-joint model.
+    Hysteresis(usize),
     /// Rotation of an accelerometer about one of its own axes [rad].
     Rotation(usize, usize),
     /// Displacement of an accelerometer along one of its own axes [m].
@@ -56,7 +58,8 @@ impl Uncertain {
             | Self::MotorFriction(j)
             | Self::MotorInertia(j)
             | Self::EncoderZero(j)
-            | Self::LostMotion(j) => Some(j),
+            | Self::LostMotion(j)
+            | Self::Hysteresis(j) => Some(j),
             _ => None,
         }
     }
@@ -74,6 +77,7 @@ impl Uncertain {
                 | Self::Yielding(_)
                 | Self::EncoderZero(_)
                 | Self::LostMotion(_)
+                | Self::Hysteresis(_)
                 | Self::Rotation(..)
                 | Self::Translation(..)
         )
@@ -99,6 +103,17 @@ impl Tolerance {
     }
 }
 
+/// Links and motors where motor positions are looked at.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct MotorsAt<'a, T> {
+    /// (q, q̇).
+    pub(crate) links: &'a [T],
+    /// Motor velocities for the damping torque (n), NaN to leave it out.
+    pub(crate) dtheta: &'a [f64],
+    /// Friction elements as they were left.
+    pub(crate) wound: &'a [Wound],
+}
+
 impl<T: Scalar> LinkMotion<T> {
     /// N = ∂h/∂p at the state that was last evaluated, into `out` (channels × `stride`, one column a parameter).
     ///
@@ -111,19 +126,19 @@ impl<T: Scalar> LinkMotion<T> {
         robot: &Robot,
         channels: &[Channel],
         tolerances: &[Tolerance],
-        links: &[T],
-        dtheta: &[f64],
+        at: MotorsAt<'_, T>,
         stride: usize,
         out: &mut [T],
     ) {
-        simd::phase(Signatures { motion: self, robot, channels, tolerances, links, dtheta, stride, out });
+        simd::phase(Signatures { motion: self, robot, channels, tolerances, at, stride, out });
     }
 
-    /// Where elastic joint `j`'s motor stands at the state that was last evaluated, links being at (q, q̇) = `links`.
+    /// Where elastic joint `j`'s motor stands at the state that was last evaluated.
     #[inline(always)]
-    fn motor(&self, robot: &Robot, j: usize, links: &[T], dtheta: &[f64]) -> MotorStand<T> {
-        let (drive, link) = (&robot.drives[j], [links[j], links[robot.len() + j]]);
-        MotorStand::new(&OfDrives, drive, j, link, self.tau[j] + drive.link_friction(link[1]).0, dtheta[j])
+    fn motor(&self, robot: &Robot, j: usize, at: MotorsAt<'_, T>) -> MotorStand<T> {
+        let (drive, link) = (&robot.drives[j], [at.links[j], at.links[robot.len() + j]]);
+        let torque = self.tau[j] + drive.link_friction(link[1]).0;
+        MotorStand::new(&OfDrives(at.wound), drive, j, link, torque, at.dtheta[j])
     }
 
     /// A number of a drive shows between motor and link, or on a joint torque sensor.
@@ -136,8 +151,7 @@ impl<T: Scalar> LinkMotion<T> {
         robot: &Robot,
         channels: &[Channel],
         parameter: Uncertain,
-        links: &[T],
-        dtheta: &[f64],
+        at: MotorsAt<'_, T>,
         mut put: impl FnMut(usize, T),
     ) {
         use Uncertain as U;
@@ -148,12 +162,13 @@ impl<T: Scalar> LinkMotion<T> {
         | U::Yielding(j)
         | U::LinkFriction(j)
         | U::EncoderZero(j)
-        | U::LostMotion(j)) = parameter
+        | U::LostMotion(j)
+        | U::Hysteresis(j)) = parameter
         else {
             return;
         };
         let drive = &robot.drives[j];
-        let friction = drive.link_friction(links[n + j]).0;
+        let friction = drive.link_friction(at.links[n + j]).0;
         if let (Some(row), U::LinkFriction(_)) = (position(channels, Channel::Torque(j)), parameter) {
             put(row, friction);
         }
@@ -167,12 +182,16 @@ impl<T: Scalar> LinkMotion<T> {
             }
             return;
         }
-        let MotorStand { torsion, slip, by_torque, .. } = self.motor(robot, j, links, dtheta);
+        let MotorStand { torsion, slip, by_torque, .. } = self.motor(robot, j, at);
         match parameter {
             U::Stiffness(_) => put(row, -by_torque * drive.spring_torque(torsion)),
             U::CubicStiffness(_) => put(row, -by_torque * drive.hardening(torsion)),
             U::Damping(_) => put(row, -by_torque * slip * drive.damping),
             U::LinkFriction(_) => put(row, by_torque * friction),
+            U::Hysteresis(_) => {
+                let Some(wound) = at.wound.get(j) else { return };
+                put(row, -by_torque * torsion.map(|x| wound.inherited(drive, x)));
+            }
             _ => {}
         }
     }
@@ -184,8 +203,7 @@ impl<T: Scalar> LinkMotion<T> {
         robot: &Robot,
         channels: &[Channel],
         link: usize,
-        links: &[T],
-        dtheta: &[f64],
+        at: MotorsAt<'_, T>,
         mut put: impl FnMut(usize, T),
     ) {
         shares_of_link(&self.kinematics, &robot.tree, link, |j, share| {
@@ -194,7 +212,7 @@ impl<T: Scalar> LinkMotion<T> {
                 put(row, share);
             }
             if let Some(row) = position(channels, Channel::Motor(j)).filter(|_| drive.elastic) {
-                put(row, self.motor(robot, j, links, dtheta).by_torque * share);
+                put(row, self.motor(robot, j, at).by_torque * share);
             }
         });
     }
@@ -281,8 +299,7 @@ struct Signatures<'a, T> {
     robot: &'a Robot,
     channels: &'a [Channel],
     tolerances: &'a [Tolerance],
-    links: &'a [T],
-    dtheta: &'a [f64],
+    at: MotorsAt<'a, T>,
     stride: usize,
     out: &'a mut [T],
 }
@@ -293,14 +310,14 @@ impl<T: Scalar> Kernel for Signatures<'_, T> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { motion, robot, channels, tolerances, links, dtheta, stride, out } = self;
+        let Self { motion, robot, channels, tolerances, at, stride, out } = self;
         out.fill(T::default());
         for (column, tolerance) in tolerances.iter().enumerate() {
             let put = |row: usize, value: T| out[row * stride + column] = value;
             match tolerance.parameter {
-                Uncertain::Mass(j) => motion.mass_signature(robot, channels, j, links, dtheta, put),
+                Uncertain::Mass(j) => motion.mass_signature(robot, channels, j, at, put),
                 parameter if parameter.joint().is_some() => {
-                    motion.drive_signature(robot, channels, parameter, links, dtheta, put);
+                    motion.drive_signature(robot, channels, parameter, at, put);
                 }
                 parameter => of_sensor(&motion.kinematics, robot, channels, parameter, put),
             }

@@ -3,7 +3,7 @@
 use super::motion::PlainMotion;
 use super::view::OfDrives;
 use super::{Channel, Driven, Jacobian, LinkMotion, read_all};
-use crate::robot::Robot;
+use crate::robot::{Robot, Wound};
 use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
 
@@ -29,6 +29,8 @@ pub struct Evaluation<T> {
     pub jacobian: Vec<T>,
     /// ∂h by what a joint's transmission gives its link, of the channels that depend on it [unit/(N m)].
     pub(crate) by_torque: Vec<T>,
+    /// Friction elements as the last sample left them (n); empty where no joint has them.
+    pub(crate) wound: Vec<Wound>,
     /// Numbers of a row.
     width: usize,
     /// Motion and loads with derivatives, and without for values alone.
@@ -45,10 +47,12 @@ impl<T: Scalar> Evaluation<T> {
     /// The same where the state goes on with `disturbances` torques of the links, one each or none.
     pub fn disturbed(robot: &Robot, channels: usize, disturbances: usize) -> Self {
         let width = 3 * robot.len() + disturbances;
+        let plain = robot.drives.iter().all(|drive| drive.hysteresis.is_none());
         Self {
             prediction: vec![T::default(); channels],
             jacobian: vec![T::default(); channels * width],
             by_torque: vec![T::default(); channels],
+            wound: if plain { Vec::new() } else { robot.drives.iter().map(Wound::new).collect() },
             width,
             motion: LinkMotion::new(robot),
             plain: PlainMotion::new(robot),
@@ -65,7 +69,29 @@ impl<T: Scalar> Evaluation<T> {
     /// Predictions alone, as [`evaluate`](Self::evaluate) but for rounding.
     #[inline]
     pub fn predict(&mut self, robot: &Robot, channels: &[Channel], state: &[T], dtheta: &[f64]) {
-        self.plain.predict(robot, channels, &state[..self.width], dtheta, &mut self.prediction);
+        self.plain.predict(robot, channels, &state[..self.width], (dtheta, &self.wound), &mut self.prediction);
+    }
+}
+
+impl Evaluation<f64> {
+    /// Lets friction elements go on to where a `state` winds them, from rest there if `anew`; the first of `channels` are
+    /// the motors'.
+    pub(crate) fn follow(&mut self, robot: &Robot, channels: &[Channel], state: &[f64], dtheta: &[f64], anew: bool) {
+        let state = &state[..self.width];
+        if anew {
+            let loads = self.plain.loads(robot, state);
+            for ((wound, drive), load) in self.wound.iter_mut().zip(&robot.drives).zip(loads) {
+                wound.rest(drive, *load);
+            }
+            return;
+        }
+        let n = robot.len();
+        self.plain.predict(robot, &channels[..n], state, (dtheta, &self.wound), &mut self.prediction);
+        for (j, (wound, drive)) in self.wound.iter_mut().zip(&robot.drives).enumerate() {
+            if drive.elastic {
+                wound.follow(drive, drive.torsion_between(self.prediction[j], state[j]));
+            }
+        }
     }
 }
 
@@ -85,14 +111,14 @@ impl<T: Scalar> Kernel for Evaluate<'_, T> {
     #[inline(always)]
     fn run(self) {
         let Self { evaluation, robot, channels, state, dtheta } = self;
-        let Evaluation { prediction, jacobian, by_torque, motion, width, .. } = evaluation;
+        let Evaluation { prediction, jacobian, by_torque, motion, width, wound, .. } = evaluation;
         let (joints, width) = (robot.len(), *width);
         motion.set(robot, state);
         if width > 3 * joints {
             motion.relieve(&state[3 * joints..width]);
         }
         jacobian.fill(T::default());
-        let view = Driven { links: motion, state, dtheta, springs: &OfDrives };
+        let view = Driven { links: motion, state, dtheta, springs: &OfDrives(wound) };
         read_all(robot, channels, &view, &mut Jacobian { prediction, rows: jacobian, joints, width, by_torque });
     }
 }

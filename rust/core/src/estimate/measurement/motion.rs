@@ -6,7 +6,7 @@
 use super::view::OfDrives;
 use super::{Channel, Driven, Values, Wanted, read_all};
 use crate::dynamics::{Kinematics, Loads, NewtonEuler};
-use crate::robot::{Robot, Sensor};
+use crate::robot::{Robot, Sensor, Wound};
 use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
 use crate::spatial::{Inertia, Vec3};
@@ -191,18 +191,27 @@ impl<T: Scalar> PlainMotion<T> {
         self.motion.inverse_dynamics_into(tree, &mut self.tau);
     }
 
+    /// Torques that the transmissions give the links at `state` (n), disturbance torques taken off.
+    pub(super) fn loads(&mut self, robot: &Robot, state: &[T]) -> &[T] {
+        self.set(robot, state);
+        for (tau, &by) in self.tau.iter_mut().zip(&state[3 * robot.len()..]) {
+            *tau -= by;
+        }
+        &self.tau
+    }
+
     /// `channels` at `state` = (q, q̇, q̈) with the links' disturbance torques if any, links moved by jerk; `dtheta` (n) is each motor's velocity for the damping torque, NaN to
-    /// leave it out.
+    /// leave it out, friction elements being `wound`.
     #[inline]
     pub(crate) fn predict(
         &mut self,
         robot: &Robot,
         channels: &[Channel],
         state: &[T],
-        dtheta: &[f64],
+        (dtheta, wound): (&[f64], &[Wound]),
         prediction: &mut [T],
     ) {
-        simd::phase(PredictReadings { motion: self, robot, channels, state, dtheta, prediction });
+        simd::phase(PredictReadings { motion: self, robot, channels, state, dtheta, wound, prediction });
     }
 }
 
@@ -213,6 +222,7 @@ struct PredictReadings<'a, T> {
     channels: &'a [Channel],
     state: &'a [T],
     dtheta: &'a [f64],
+    wound: &'a [Wound],
     prediction: &'a mut [T],
 }
 
@@ -222,12 +232,12 @@ impl<T: Scalar> Kernel for PredictReadings<'_, T> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { motion, robot, channels, state, dtheta, prediction } = self;
+        let Self { motion, robot, channels, state, dtheta, wound, prediction } = self;
         motion.set(robot, state);
         for (tau, &by) in motion.tau.iter_mut().zip(&state[3 * robot.len()..]) {
             *tau -= by;
         }
-        let view = Driven { links: motion, state, dtheta, springs: &OfDrives };
+        let view = Driven { links: motion, state, dtheta, springs: &OfDrives(wound) };
         read_all(robot, channels, &view, &mut Values(prediction));
     }
 }

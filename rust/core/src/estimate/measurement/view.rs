@@ -2,7 +2,7 @@
 
 use super::{Loading, Sensing, Wanted};
 use crate::dynamics::{ElasticDynamics, ElasticLayout};
-use crate::robot::{Drive, Robot};
+use crate::robot::{Drive, Robot, Wound};
 use crate::scalar::Scalar;
 
 /// A model in one state, as channels look at it.
@@ -35,12 +35,15 @@ pub(crate) trait Springs<T> {
     fn damping(&self, drive: &Drive, j: usize) -> T;
 }
 
-/// As the robot says.
-pub(crate) struct OfDrives;
+/// As the robot says, friction elements being as they were left (n, or none where no joint has them).
+pub(crate) struct OfDrives<'a>(pub(crate) &'a [Wound]);
 
-impl<T: Scalar> Springs<T> for OfDrives {
+impl<T: Scalar> Springs<T> for OfDrives<'_> {
     #[inline(always)]
-    fn twist(&self, drive: &Drive, _: usize, torque: T) -> (T, T) {
+    fn twist(&self, drive: &Drive, j: usize, torque: T) -> (T, T) {
+        if let Some(wound) = self.0.get(j).filter(|_| !drive.hysteresis.is_none()) {
+            return wound.twist(drive, torque);
+        }
         let torsion = drive.torsion(torque);
         (torsion, drive.compliance(torsion))
     }
@@ -230,6 +233,9 @@ impl View<f64> for Elastic<'_> {
             wanted.add(row, j, [slopes.by_q, slopes.by_dq]);
             wanted.entry(row, layout.theta[j], slopes.by_theta);
             wanted.entry(row, layout.dtheta[j], slopes.by_dtheta);
+            for (i, element) in drive.hysteresis.elements.iter().enumerate() {
+                wanted.entry(row, layout.deflections[j] + i, element.stiffness);
+            }
             return;
         }
         wanted.add(row, j, [0.0, -drive.motor_friction(x[n + j]).1]);

@@ -56,11 +56,11 @@ impl JointModel {
 ///
 /// ```
 /// use linkside_core::estimate::observer::{closed_form_gains, Complex, JointModel, Poles};
-/// use linkside_core::robot::{Backlash, Drive, MotorFriction, Ripple, SoftWindup, SpringCurve};
+/// use linkside_core::robot::{Backlash, Hysteresis, Drive, MotorFriction, Ripple, SoftWindup, SpringCurve};
 /// let drive = Drive {
 ///     elastic: true, stiffness: 1.2e5, damping: 60.0, motor_inertia: 30.0, cubic_stiffness: 0.0,
 ///     soft_windup: SoftWindup::default(),
-///     curve: SpringCurve::default(), backlash: Backlash::default(), ripple: Ripple::default(), motor_friction: MotorFriction::default(), link_friction: [0.0; 6],
+///     curve: SpringCurve::default(), backlash: Backlash::default(), hysteresis: Hysteresis::default(), ripple: Ripple::default(), motor_friction: MotorFriction::default(), link_friction: [0.0; 6],
 /// };
 /// let pair = |zeta: f64| [1.0, -1.0].map(|s| 250.0 * Complex::new(-zeta, s * (1.0 - zeta * zeta).sqrt()));
 /// let poles = Poles::new(0, &[pair(0.9), pair(0.75)].concat(), 4)?;

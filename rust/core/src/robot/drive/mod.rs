@@ -2,6 +2,7 @@
 
 mod backlash;
 mod curve;
+mod hysteresis;
 mod motor_friction;
 mod ripple;
 mod soft_windup;
@@ -9,6 +10,7 @@ mod transmission;
 
 pub use backlash::Backlash;
 pub use curve::{Interpolation, SpringCurve};
+pub use hysteresis::{FrictionElement, Hysteresis, Moved, Wound};
 pub use motor_friction::MotorFriction;
 pub use ripple::{GearOutput, Harmonic, Ripple};
 pub use soft_windup::SoftWindup;
@@ -51,6 +53,8 @@ pub struct Drive {
     pub curve: SpringCurve,
     /// Play before the spring.
     pub backlash: Backlash,
+    /// Friction elements beside the spring, with states of their own; of elastic joints alone.
+    pub hysteresis: Hysteresis,
     /// Kinematic error of the gear before both; of elastic joints alone.
     pub ripple: Ripple,
     /// Friction between motor and ground.
@@ -111,8 +115,11 @@ impl Drive {
             expect_of(least > 0.0, "least tangent stiffness", owner, least, rising)?;
             self.backlash.check(&owner())?;
         }
-        let bare = self.ripple.is_none() || self.elastic;
-        expect_of(bare, "ripple's harmonics", owner, 1.0, "none, as the joint is rigid")?;
+        let none = "none, as the joint is rigid";
+        for (what, absent) in [("ripple", self.ripple.is_none()), ("hysteresis", self.hysteresis.is_none())] {
+            expect_of(absent || self.elastic, what, owner, 1.0, none)?;
+        }
+        self.hysteresis.check(&owner())?;
         self.ripple.check(&owner())
     }
 
@@ -320,6 +327,7 @@ mod tests {
             soft_windup: SoftWindup { stiffness: 120.0, shape: 800.0 },
             curve: SpringCurve::default(),
             backlash: Backlash::default(),
+            hysteresis: Hysteresis::default(),
             ripple: Ripple::default(),
             motor_friction: MotorFriction { viscous: 0.1, coulomb: 2.0, stribeck: 1.5, stribeck_velocity: 0.05 },
             link_friction: [0.5, 150.0, 50.0, 2.0, 100.0, 0.5],

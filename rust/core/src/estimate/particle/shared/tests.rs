@@ -4,7 +4,8 @@ use super::super::{Collapse, Density, Marginalised, ParticleFilter, ParticleSett
 use crate::estimate::kalman::{Inputs, JerkDriven, JerkModel, JerkNoise, KalmanSample};
 use crate::estimate::measurement::Kind;
 use crate::robot::{
-    Backlash, BodySpec, Drive, JointKind, MotorFriction, Ripple, Robot, Sensor, SoftWindup, SpringCurve, Tree,
+    Backlash, BodySpec, Drive, Hysteresis, JointKind, MotorFriction, Ripple, Robot, Sensor, SoftWindup, SpringCurve,
+    Tree,
 };
 use crate::spatial::{Mat3, Vec3};
 use std::sync::Arc;
@@ -33,6 +34,7 @@ fn model() -> JerkDriven {
         soft_windup: SoftWindup::default(),
         curve: SpringCurve::default(),
         backlash: Backlash::default(),
+        hysteresis: Hysteresis::default(),
         ripple: Ripple::default(),
         motor_friction: MotorFriction::default(),
         link_friction: [0.0; 6],
