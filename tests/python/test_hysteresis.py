@@ -165,9 +165,9 @@ def test_estimates_know_the_friction_that_robot_yaml_declares(recordings):
         return {name: tool_error(method(told).run(log), motion, 200) for name, method in KALMAN.items()}
 
     right, wrong, exact = errors(sticky, motion), errors(plain, motion), errors(plain, clean)
-    for method in KALMAN:
-        assert right[method] < 2 * exact[method], method
-        assert wrong[method] > 10 * right[method], method
+    # The elbow's elements never slip wholly, so that nothing tells what they held at the start.
+    assert all(wrong[method] > 30 * right[method] for method in KALMAN)
+    assert right["EKF"] < 2 * exact["EKF"]
 
 
 def test_estimates_are_as_uncertain_as_they_say(recordings):

@@ -46,8 +46,8 @@ def considered(robot: Robot, *, motors: bool = False) -> list[Uncertain]:
 
     Those that ``tolerances.calibrated`` names have the standard errors that a calibration found.
     Stiffness, and damping and hardening where they are declared, of elastic joints; how much a joint that is taken as
-    rigid gives way; lost motion of transmissions; masses of links; friction of links; the past of friction elements, which
-    ``motors`` leaves out, as they are then states; mounting of accelerometers.
+    rigid gives way; lost motion of transmissions; masses of links; friction of links; the past of friction elements,
+    which ``motors`` leaves out, as they are then states; mounting of accelerometers.
     """
     found = [
         *_of_joints(robot),
