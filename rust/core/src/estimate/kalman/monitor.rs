@@ -35,6 +35,8 @@ const ONSET: usize = 2;
 const LASTS: u32 = 4;
 /// So many times fewer degrees of freedom than readings, as neighbours are correlated.
 const CORRELATED: f64 = 4.0;
+/// A contradiction without a name that began at most so many samples before a fault is the fault itself, as it begins.
+const LEAD: u64 = 32;
 /// Part of a sample's contradiction that the channel must explain that is named: where many channels contradict, it is the
 /// model.
 const MOST_OF: f64 = 0.5;
@@ -352,7 +354,7 @@ impl Monitor {
         let (now, only) = (self.taken - 1, self.open_channel());
         // Where a model was wrong before a fault began, the channel must explain most of all since then.
         let unnamed = self.open.filter(|_| only.is_none()).map(|open| self.findings[open].since);
-        let wrong = |age: u64| if unnamed.is_some_and(|since| since + age < now) { self.wrong } else { 0.0 };
+        let wrong = |age: u64| if unnamed.is_some_and(|since| since + age + LEAD < now) { self.wrong } else { 0.0 };
         if let Some(jump) = jump
             .filter(|jump| only.is_some() || (jump.deviations > GROSS && jump.deviations.powi(2) > MOST_OF * wrong(0)))
         {
@@ -426,7 +428,10 @@ impl Monitor {
                 let since = now.saturating_sub(u64::from(age));
                 let fault = self.signals[channel].fault(size, self.turns[channel], now - since);
                 // What was first seen without a name is this.
-                if self.open.is_some_and(|open| open + 1 == self.findings.len() && self.findings[open].since >= since) {
+                if self
+                    .open
+                    .is_some_and(|open| open + 1 == self.findings.len() && self.findings[open].since + LEAD >= since)
+                {
                     self.findings.pop();
                 }
                 self.push(Finding { channel: Some(channel), since, until: now, size, deviations, fault });
