@@ -212,7 +212,7 @@ impl Wound {
         self.elements.fill((0.0, 1.0));
     }
 
-    /// Moves on to an estimate of the torsion [rad], of which some noise is no motion: it has to be left behind by [`PLAY`].
+    /// Moves on to an estimate of the torsion [rad], of which some noise is no motion: it has to be left behind by `PLAY`.
     pub fn follow(&mut self, drive: &Drive, torsion: f64) {
         let reach = drive.hysteresis.elements.iter().map(FrictionElement::reach).fold(f64::INFINITY, f64::min);
         let lag = torsion - self.torsion;
