@@ -40,7 +40,7 @@ def bench() -> Iterator[Result]:
 def loops(robot: Robot, desired: Desired, log: Log) -> Iterator[Result]:
     """Observer, feedback and feedforward: from Python, and within the simulator."""
     gains, samples = pole_placement(robot, desired.q[0]), list(zip(log.theta, log.acceleration, strict=True))
-    controller = StateFeedback(robot, desired, gains, AccelerationObserver(robot, period=PERIOD))
+    controller = StateFeedback(robot, desired, gains, AccelerationObserver(robot, period=PERIOD, start="rest"))
 
     def live() -> None:
         controller.observer.reset()

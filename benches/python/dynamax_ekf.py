@@ -20,9 +20,8 @@ KEPT = ["filtered_means", "filtered_covariances"]
 
 def run(problem: Problem) -> tuple[Array, Array]:
     """Means (T, 10) and covariances (T, 10, 10)."""
-    f, by_jerk, by_noise = transition(problem.period)
-    process = by_noise @ np.diag(problem.process) @ by_noise.T + np.diag(np.r_[np.zeros(6), problem.walk])
-    moments = problem.start, np.diag(problem.initial), process
+    f, by_jerk = transition(problem.period)
+    moments = problem.start, np.diag(problem.initial), problem.process
     std, inputs = np.sqrt(problem.variance), np.hstack([problem.dtheta, problem.jerk])
     means, covariances = _run(*moments, f, by_jerk, std, problem.readings / std, inputs, arm=problem.arm)
     return np.asarray(means), np.asarray(covariances)

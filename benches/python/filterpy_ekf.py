@@ -9,8 +9,8 @@ from two_link import Array, Problem, transition
 def run(problem: Problem) -> tuple[Array, Array]:
     """Means (T, 10) and covariances (T, 10, 10)."""
     ekf = ExtendedKalmanFilter(dim_x=10, dim_z=4, dim_u=2)
-    ekf.F, ekf.B, by_noise = transition(problem.period)
-    ekf.Q = by_noise @ np.diag(problem.process) @ by_noise.T + np.diag(np.r_[np.zeros(6), problem.walk])
+    ekf.F, ekf.B = transition(problem.period)
+    ekf.Q = problem.process
     ekf.R, ekf.P, ekf.x = np.diag(problem.variance), np.diag(problem.initial), problem.start.copy()
     prediction, jacobian = np.zeros(4), np.hstack([np.zeros((4, 6)), np.eye(4)])
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from timing import Result, microseconds
@@ -12,7 +13,8 @@ from linkside import ExtendedKalmanFilter, Log, Noise, RauchTungStriebelSmoother
 
 DATA = Path(__file__).parents[2] / "tests/data"
 AGREE = 1e-9  # rad
-NOISE = Noise(torsion=0.0)  # so that a reading's noise is a constant, as the peers have it
+# A reading's noise is a constant, and biases are random walks, as the peers have it.
+NOISE = Noise(torsion=0.0, motor_bias_time=np.inf, acceleration_bias_time=np.inf)
 
 PEERS = {"numba": "numba_ekf", "filterpy": "filterpy_ekf", "dynamax": "dynamax_ekf"}
 """What has to be installed, and the file that uses it; each has `run(problem)`, which gives the means (T, 10)."""
@@ -29,6 +31,10 @@ def bench() -> Iterator[Result]:
     yield step("EKF step from Python, 6 joints", *six)
 
 
+PLAIN: dict[str, Any] = {"start": "rest", "tolerances": False}
+"""What peers have as well: no tolerances, and a start at rest."""
+
+
 def load(name: str, axes: str = "xyz") -> tuple[Robot, Log, Noise]:
     """A robot, its recording, and the noise with the jerk that was read off it."""
     settings = Robot.load(DATA / name / "robot.yaml").config.model_dump(exclude={"urdf"})
@@ -36,13 +42,13 @@ def load(name: str, axes: str = "xyz") -> tuple[Robot, Log, Noise]:
         sensor["axes"] = axes
     robot = Robot.from_urdf(DATA / name / "robot.urdf", **settings)
     log = Log.read(DATA / name / "log.parquet", robot)
-    return robot, log, NOISE.for_log(log)
+    return robot, log, NOISE.for_log(log, robot)
 
 
 def against_peers(what: str, robot: Robot, log: Log, noise: Noise) -> Iterator[Result]:
     """Recordings; each peer that is installed is first made sure to compute the same."""
     ours = timed(ExtendedKalmanFilter, robot, log, noise)
-    expected = ExtendedKalmanFilter(robot, noise).run(log).q
+    expected = ExtendedKalmanFilter(robot, noise, **PLAIN).run(log).q
     problem = Problem.of(robot, log, noise)
     for name, file in PEERS.items():
         most = 0.35 if name == "numba" else None
@@ -60,7 +66,7 @@ def against_peers(what: str, robot: Robot, log: Log, noise: Noise) -> Iterator[R
 
 def timed(method: type[ExtendedKalmanFilter], robot: Robot, log: Log, noise: Noise) -> float:
     """A recording, mean and covariance of the state kept."""
-    estimator = method(robot, noise)
+    estimator = method(robot, noise, **PLAIN)
     return microseconds(lambda: estimator.run(log, covariance=True), len(log), repeats=25)
 
 
@@ -72,7 +78,7 @@ def smoother(what: str, robot: Robot, log: Log, noise: Noise) -> Result:
 
 def step(what: str, robot: Robot, log: Log, noise: Noise, most: float | None = None) -> Result:
     """One sample after the other, as a control loop would."""
-    ekf = ExtendedKalmanFilter(robot, noise)
+    ekf = ExtendedKalmanFilter(robot, noise, **PLAIN)
     dt = log.period
     samples = list(zip(log.theta, log.acceleration, log.dtheta, log.ddqref, strict=True))
 

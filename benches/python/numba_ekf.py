@@ -48,12 +48,11 @@ def predict(problem: Problem, x: Array, p: Array, jerk: Array) -> None:
             p[i, j] += t * p[i, 2 + j] + half * p[i, 4 + j]
             p[i, 2 + j] += t * p[i, 4 + j]
     for j in range(JOINTS):
-        effect = (half, t, 1.0)
         for a in range(3):
             for b in range(3):
-                p[2 * a + j, 2 * b + j] += effect[a] * effect[b] * problem.process[j]
+                p[2 * a + j, 2 * b + j] += problem.process[2 * a + j, 2 * b + j]
     for i in range(READINGS):
-        p[MOVING + i, MOVING + i] += problem.walk[i]
+        p[MOVING + i, MOVING + i] += problem.process[MOVING + i, MOVING + i]
 
 
 @njit

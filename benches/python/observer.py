@@ -37,7 +37,7 @@ def variant(robot: Robot, elastic: int, sensors: int, joints: int = 6) -> Robot:
 def run(what: str, robot: Robot) -> Result:
     """Whole recordings; first made sure that both compute the same."""
     log = Log.read(FOLDER / "log.parquet", robot)
-    ours = AccelerationObserver(robot, POLES)
+    ours = AccelerationObserver(robot, POLES, start="rest")
     theirs = NumpyObserver(FOLDER / "robot.urdf", robot, POLES.poles, 1 / robot.config.rate_hz)
     arrays = log.theta, log.tau, log.acceleration
     apart = np.abs(ours.run(log).q - theirs.run(*arrays)["q"]).max()
@@ -51,10 +51,11 @@ def run(what: str, robot: Robot) -> Result:
 def step(what: str, robot: Robot) -> Result:
     """One sample after the other, as a control loop would."""
     log = Log.read(FOLDER / "log.parquet", robot)
-    observer = AccelerationObserver(robot, POLES)
+    observer = AccelerationObserver(robot, POLES, start="rest")
     samples = list(zip(log.theta, log.tau, log.acceleration, strict=True))
 
     def loop() -> None:
+        observer.reset()
         for theta, tau, acceleration in samples:
             observer.step(theta=theta, tau=tau, acceleration=acceleration)
 

@@ -42,7 +42,7 @@ def timed(method: type[ParticleFilter], proposal: str, count: int) -> float:
     """A step."""
     robot, log, noise = load("arm2_square", axes="xz")
     kernel = 0.5 if proposal == "linearised" else None
-    estimator = method(robot, noise, particles=count, proposal=proposal, kernel=kernel)
+    estimator = method(robot, noise, particles=count, proposal=proposal, kernel=kernel, start="rest", tolerances=False)
     samples = SAMPLES * COUNT // count
     return microseconds(lambda: estimator.run(log[:samples]), samples, repeats=5)
 

@@ -101,8 +101,7 @@ class Problem(NamedTuple):
     jerk: Array  # (T, 2), commanded since the sample before
     start: Array  # (10,)
     initial: Array  # (10,), variances at the start
-    process: Array  # (2,), variance of each joint's acceleration a step
-    walk: Array  # (4,), variance of each bias a step
+    process: Array  # (10, 10), covariance of what a step adds
     variance: Array  # (4,), of readings
 
     @classmethod
@@ -111,21 +110,29 @@ class Problem(NamedTuple):
         arm, stds = Arm.of(robot), noise.arrays(robot, ("motor", "acceleration"))
         jerk = np.diff(log.ddqref, axis=0, prepend=log.ddqref[:1]) / log.period
         initial = np.concatenate([stds["initial"], stds["initial_bias"]])
-        process, walk = (np.square(stds[name]) * log.period for name in ("jerk", "bias_walk"))
+        process = _process(log.period, np.square(stds["jerk"]), np.square(stds["bias_walk"]))
         readings = np.hstack([log.theta, log.acceleration])
         start = np.concatenate([_at_rest(arm, log.theta[0]), np.zeros(8)])
-        squares = np.square(initial), process, walk, np.square(stds["reading"])
+        squares = np.square(initial), process, np.square(stds["reading"])
         return cls(arm, log.period, readings, np.ascontiguousarray(log.dtheta), jerk, start, *squares)
 
 
-def transition(period: float) -> tuple[Array, Array, Array]:
-    """F (10, 10), and what jerk (10, 2) and a change of acceleration (10, 2) do to the state."""
+def _process(t: float, jerk: Array, walk: Array) -> Array:
+    """The exact integral of white jerk over a step, and of the walks of biases."""
+    of_jerk = np.array([[t**5 / 20, t**4 / 8, t**3 / 6], [t**4 / 8, t**3 / 3, t**2 / 2], [t**3 / 6, t**2 / 2, t]])
+    out = np.zeros((10, 10))
+    out[:6, :6] = np.kron(of_jerk, np.diag(jerk))
+    out[6:, 6:] = np.diag(walk * t)
+    return out
+
+
+def transition(period: float) -> tuple[Array, Array]:
+    """F (10, 10), and what jerk (10, 2) does to the state."""
     t, joints = period, np.eye(2)
     f = np.eye(10)
     f[:2, 2:4], f[2:4, 4:6], f[:2, 4:6] = t * joints, t * joints, t * t / 2 * joints
     by_jerk = np.vstack([t**3 / 6 * joints, t * t / 2 * joints, t * joints, np.zeros((4, 2))])
-    by_noise = np.vstack([t * t / 2 * joints, t * joints, joints, np.zeros((4, 2))])
-    return f, by_jerk, by_noise
+    return f, by_jerk
 
 
 def _at_rest(arm: Arm, theta: Array) -> Array:
