@@ -25,14 +25,14 @@ const WINDOWS: [usize; 3] = [1, 8, 64];
 /// Windows of the steps' signatures, in samples: two that follow each other all the time, and one that begins when a sample
 /// contradicts what was predicted.
 const BANKS: [u32; 3] = [32, 256, 64];
-/// A fault below so many standard deviations of a reading is not told from a wrong model, nor from an encoder's steps.
-const SMALL: f64 = 3.5;
-/// A jump by so many standard deviations is named at once: what it does to a filter is not linear any more.
-const GROSS: f64 = 20.0;
 /// Which that is.
 const ONSET: usize = 2;
 /// Samples of it after which a channel may be named: what lasts is told from what does not, and from a wrong model.
 const LASTS: u32 = 4;
+/// A fault below so many standard deviations of a reading is not told from a wrong model, nor from an encoder's steps.
+const SMALL: f64 = 3.5;
+/// A jump by so many standard deviations is named at once: what it does to a filter is not linear any more.
+const GROSS: f64 = 20.0;
 /// So many times fewer degrees of freedom than readings, as neighbours are correlated.
 const CORRELATED: f64 = 4.0;
 /// A contradiction without a name that began at most so many samples before a fault is the fault itself, as it begins.
@@ -209,7 +209,9 @@ impl Monitor {
         }
         // 3. All channels together, over one sample and over windows; then the one to name.
         let beyond = self.windows(nis, used) || jump.is_some();
-        self.wrong += self.residuals.iter().filter(|r| r.is_finite()).map(|r| r * r - 1.0).sum::<f64>();
+        if self.open.is_some() {
+            self.wrong += self.residuals.iter().filter(|r| r.is_finite()).map(|r| r * r - 1.0).sum::<f64>();
+        }
         let verdict = match (self.repetition(stuck), beyond) {
             (Some(alarm), _) => Judgement::Channel(alarm),
             (None, beyond) => match self.alarm(model, consider.as_deref(), jump) {
