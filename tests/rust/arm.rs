@@ -1,9 +1,6 @@
 //! An industrial arm of any number of joints.
 
-use linkside_core::robot::{
-    Backlash, BodySpec, Drive, Hysteresis, JointKind, MotorFriction, Ripple, Robot, Sensor, SoftWindup, SpringCurve,
-    Tree,
-};
+use linkside_core::robot::{BodySpec, Drive, JointKind, MotorFriction, Robot, Sensor, Tree};
 use linkside_core::spatial::{Mat3, Vec3};
 
 /// An accelerometer on body `body`, at `at` in its frame.
@@ -18,18 +15,8 @@ pub(crate) struct Mounting {
 /// A drive of round figures.
 pub(crate) fn drive() -> Drive {
     Drive {
-        elastic: true,
-        stiffness: 1.2e5,
-        damping: 60.0,
-        motor_inertia: 30.0,
-        cubic_stiffness: 0.0,
-        soft_windup: SoftWindup::default(),
-        curve: SpringCurve::default(),
-        backlash: Backlash::default(),
-        hysteresis: Hysteresis::default(),
-        ripple: Ripple::default(),
         motor_friction: MotorFriction { viscous: 10.0, coulomb: 5.0, ..MotorFriction::default() },
-        link_friction: [0.0; 6],
+        ..Drive::spring(1.2e5, 60.0, 30.0)
     }
 }
 

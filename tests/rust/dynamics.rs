@@ -3,9 +3,7 @@
 mod support;
 
 use linkside_core::error::RobotError;
-use linkside_core::robot::{
-    Backlash, BodySpec, Drive, Frame, Hysteresis, JointKind, Ripple, Robot, Sensor, SoftWindup, SpringCurve, Tree,
-};
+use linkside_core::robot::{BodySpec, Drive, Frame, JointKind, Robot, Sensor, Tree};
 use linkside_core::scalar::{Dual, Lanes, Scalar};
 use linkside_core::spatial::{Mat3, Vec3};
 use nalgebra::{DMatrix, DVector};
@@ -391,20 +389,7 @@ struct Parts {
 
 impl Parts {
     fn new() -> Self {
-        let drive = Drive {
-            elastic: true,
-            stiffness: 1e4,
-            damping: 5.0,
-            motor_inertia: 1.5,
-            cubic_stiffness: 0.0,
-            soft_windup: SoftWindup::default(),
-            curve: SpringCurve::default(),
-            backlash: Backlash::default(),
-            hysteresis: Hysteresis::default(),
-            ripple: Ripple::default(),
-            motor_friction: Default::default(),
-            link_friction: [0.0; 6],
-        };
+        let drive = Drive::spring(1e4, 5.0, 1.5);
         Self { drives: vec![drive; 2], coupling: vec![0.0, 0.1, 0.0, 0.0], noise_std: 0.05 }
     }
 

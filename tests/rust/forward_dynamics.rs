@@ -59,17 +59,14 @@ fn drives() -> impl Strategy<Value = Drive> {
             let ripple = Ripple::new(waves.into_iter().filter(|w| elastic && w.1.abs() > 0.1).map(harmonic).collect());
             Drive {
                 elastic,
-                stiffness,
-                damping,
-                motor_inertia,
                 cubic_stiffness,
                 soft_windup: SoftWindup { stiffness: missing, shape },
                 curve,
                 backlash,
-                hysteresis: Hysteresis::default(),
                 ripple,
                 motor_friction: MotorFriction { viscous: v, coulomb: c, stribeck: s, stribeck_velocity: speed },
                 link_friction: link,
+                ..Drive::spring(stiffness, damping, motor_inertia)
             }
         },
     )
@@ -289,18 +286,10 @@ fn space_arm() -> Robot {
         inertia: Mat3::from_rows([[0.0; 3], [0.0, spin, 0.0], [0.0, 0.0, spin]]),
     };
     let drive = Drive {
-        elastic: true,
-        stiffness: 500.0,
-        damping: 0.0,
-        motor_inertia: 1.0,
         cubic_stiffness: 500.0,
         soft_windup: SoftWindup { stiffness: 10.0, shape: 3000.0 },
-        curve: SpringCurve::default(),
-        backlash: Backlash::default(),
-        hysteresis: Hysteresis::default(),
-        ripple: Ripple::default(),
-        motor_friction: MotorFriction::default(),
         link_friction: [0.5, 150.0, 50.0, 2.0, 100.0, 0.5],
+        ..Drive::spring(500.0, 0.0, 1.0)
     };
     let tree = Tree::new(Vec3([0.0; 3]), &[rod(0), rod(1)]).unwrap();
     Robot::new(tree, vec![drive; 2], vec![0.0, 1.0, 0.0, 0.0], vec![], vec![], None).unwrap()

@@ -1,10 +1,7 @@
 //! A robot to try things on; the examples of this documentation run on it.
 
 use crate::error::RobotError;
-use crate::robot::{
-    Backlash, BodySpec, Drive, Hysteresis, JointKind, MotorFriction, Ripple, Robot, Sensor, SoftWindup, SpringCurve,
-    Tree,
-};
+use crate::robot::{BodySpec, Drive, JointKind, Robot, Sensor, Tree};
 use crate::spatial::{Mat3, Vec3};
 
 /// An arm of one joint: 5 kg on a metre that turn about the vertical, so that gravity does nothing, behind a spring that
@@ -30,20 +27,7 @@ pub fn arm() -> Result<Robot, RobotError> {
         com: Vec3([0.5, 0.0, 0.0]),
         inertia: Mat3::from_rows([[0.01, 0.0, 0.0], [0.0, 0.4, 0.0], [0.0, 0.0, 0.4]]),
     };
-    let drive = Drive {
-        elastic: true,
-        stiffness: 1.2e4,
-        damping: 20.0,
-        motor_inertia: 3.0,
-        cubic_stiffness: 0.0,
-        soft_windup: SoftWindup::default(),
-        curve: SpringCurve::default(),
-        backlash: Backlash::default(),
-        hysteresis: Hysteresis::default(),
-        ripple: Ripple::default(),
-        motor_friction: MotorFriction::default(),
-        link_friction: [0.0; 6],
-    };
+    let drive = Drive::spring(1.2e4, 20.0, 3.0);
     let tree = Tree::new(Vec3([0.0, 0.0, -9.81]), &[link])?;
     let tip = tree.frame("the tip", 0, &Mat3::IDENTITY, &Vec3([1.0, 0.0, 0.0]))?;
     let accelerometer = Sensor { frame: tip.clone(), axes: vec![0, 1, 2], noise_std: 0.05 };

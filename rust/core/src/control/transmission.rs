@@ -160,22 +160,13 @@ fn moments(z: f64) -> ExponentialMoments {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::robot::{Backlash, Hysteresis, MotorFriction, Ripple, SoftWindup, SpringCurve};
+    use crate::robot::SoftWindup;
 
     fn drive(cubic_stiffness: f64, windup: f64) -> Drive {
         Drive {
-            elastic: true,
-            stiffness: 1e4,
-            damping: 20.0,
-            motor_inertia: 1.0,
             cubic_stiffness,
             soft_windup: SoftWindup { stiffness: windup, shape: 800.0 },
-            curve: SpringCurve::default(),
-            backlash: Backlash::default(),
-            hysteresis: Hysteresis::default(),
-            ripple: Ripple::default(),
-            motor_friction: MotorFriction::default(),
-            link_friction: [0.0; 6],
+            ..Drive::spring(1e4, 20.0, 1.0)
         }
     }
 

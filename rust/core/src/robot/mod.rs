@@ -57,9 +57,7 @@ impl Sensor {
 /// lent to all kernels; it does not change, so that threads share it.
 ///
 /// ```
-/// use linkside_core::robot::{
-///     Backlash, Hysteresis, BodySpec, Drive, JointKind, MotorFriction, Robot, Ripple, SoftWindup, SpringCurve, Tree,
-/// };
+/// use linkside_core::robot::{BodySpec, Drive, JointKind, Robot, Tree};
 /// use linkside_core::spatial::{Mat3, Vec3};
 ///
 /// // A pendulum of 2 kg on half a metre, hanging behind a spring of 500 N m/rad.
@@ -74,20 +72,7 @@ impl Sensor {
 ///     com: Vec3([0.0, 0.0, -0.5]),
 ///     inertia: Mat3::from_rows([[0.02, 0.0, 0.0], [0.0, 0.02, 0.0], [0.0, 0.0, 0.001]]),
 /// };
-/// let drive = Drive {
-///     elastic: true,
-///     stiffness: 500.0,
-///     damping: 1.0,
-///     motor_inertia: 0.3, // of the rotor times the gear ratio squared
-///     cubic_stiffness: 0.0,
-///     soft_windup: SoftWindup::default(),
-///     curve: SpringCurve::default(),
-///     backlash: Backlash::default(),
-///     hysteresis: Hysteresis::default(),
-///     ripple: Ripple::default(),
-///     motor_friction: MotorFriction::default(),
-///     link_friction: [0.0; 6],
-/// };
+/// let drive = Drive::spring(500.0, 1.0, 0.3); // the motor's inertia is the rotor's times the gear ratio squared
 /// let tree = Tree::new(Vec3([0.0, 0.0, -9.81]), &[link])?;
 /// let robot = Robot::new(tree, vec![drive], vec![0.0], vec![], vec![], None)?;
 /// assert_eq!(robot.len(), 1);

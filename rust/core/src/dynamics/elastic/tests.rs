@@ -1,26 +1,18 @@
 //! Both rows of the model, and derivatives against differences.
 
 use super::*;
-use crate::robot::{
-    Backlash, BodySpec, Drive, Hysteresis, JointKind, MotorFriction, Ripple, SoftWindup, SpringCurve, Tree,
-};
+use crate::robot::{BodySpec, Drive, JointKind, MotorFriction, SoftWindup, Tree};
 use crate::spatial::{Mat3, Vec3};
 
 /// Four joints, one of them sliding, one rigid, coupled, with everything nonlinear.
 fn robot() -> Robot {
     let drive = |elastic| Drive {
         elastic,
-        stiffness: 500.0,
-        damping: 2.0,
-        motor_inertia: 3.0,
         cubic_stiffness: 3e3,
         soft_windup: SoftWindup { stiffness: 120.0, shape: 80.0 },
-        curve: SpringCurve::default(),
-        backlash: Backlash::default(),
-        hysteresis: Hysteresis::default(),
-        ripple: Ripple::default(),
         motor_friction: MotorFriction { viscous: 0.4, coulomb: 1e-3, ..MotorFriction::default() },
         link_friction: [0.5, 1.5, 0.5, 0.2, 1.0, 0.5],
+        ..Drive::spring(500.0, 2.0, 3.0)
     };
     let body = |index: usize| BodySpec {
         parent: index.checked_sub(1),

@@ -193,10 +193,7 @@ mod tests {
         Model, Process,
     };
     use crate::estimate::measurement::Kind;
-    use crate::robot::{
-        Backlash, BodySpec, Drive, Frame, Hysteresis, JointKind, MotorFriction, Ripple, Rotor, Sensor, SoftWindup,
-        SpringCurve, Tree,
-    };
+    use crate::robot::{BodySpec, Drive, Frame, JointKind, MotorFriction, Rotor, Sensor, SoftWindup, Tree};
     use crate::spatial::{Mat3, Vec3};
     use Uncertain as U;
     use std::sync::Arc;
@@ -210,15 +207,8 @@ mod tests {
         let log = |p: Uncertain| if p == parameter { error.exp() } else { 1.0 };
         let drive = |j: usize| Drive {
             elastic: j != 2,
-            stiffness: 500.0 * log(U::Stiffness(j)),
-            damping: 2.0 * log(U::Damping(j)),
-            motor_inertia: 3.0 * log(U::MotorInertia(j)),
             cubic_stiffness: 3e3 * log(U::Stiffness(j)) + if parameter == U::CubicStiffness(j) { error } else { 0.0 },
             soft_windup: SoftWindup { stiffness: 120.0 * log(U::Stiffness(j)), shape: 80.0 },
-            curve: SpringCurve::default(),
-            backlash: Backlash::default(),
-            hysteresis: Hysteresis::default(),
-            ripple: Ripple::default(),
             motor_friction: MotorFriction {
                 viscous: 0.4 * log(U::MotorFriction(j)),
                 coulomb: 0.1 * log(U::MotorFriction(j)),
@@ -228,6 +218,7 @@ mod tests {
                 let share = log(U::LinkFriction(j));
                 [0.5 * share, 1.5, 0.5, 0.2 * share, 1.0, 0.5 * share]
             },
+            ..Drive::spring(500.0 * log(U::Stiffness(j)), 2.0 * log(U::Damping(j)), 3.0 * log(U::MotorInertia(j)))
         };
         let body = |j: usize| BodySpec {
             parent: j.checked_sub(1),

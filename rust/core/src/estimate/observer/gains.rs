@@ -56,12 +56,8 @@ impl JointModel {
 ///
 /// ```
 /// use linkside_core::estimate::observer::{closed_form_gains, Complex, JointModel, Poles};
-/// use linkside_core::robot::{Backlash, Hysteresis, Drive, MotorFriction, Ripple, SoftWindup, SpringCurve};
-/// let drive = Drive {
-///     elastic: true, stiffness: 1.2e5, damping: 60.0, motor_inertia: 30.0, cubic_stiffness: 0.0,
-///     soft_windup: SoftWindup::default(),
-///     curve: SpringCurve::default(), backlash: Backlash::default(), hysteresis: Hysteresis::default(), ripple: Ripple::default(), motor_friction: MotorFriction::default(), link_friction: [0.0; 6],
-/// };
+/// use linkside_core::robot::Drive;
+/// let drive = Drive::spring(1.2e5, 60.0, 30.0);
 /// let pair = |zeta: f64| [1.0, -1.0].map(|s| 250.0 * Complex::new(-zeta, s * (1.0 - zeta * zeta).sqrt()));
 /// let poles = Poles::new(0, &[pair(0.9), pair(0.75)].concat(), 4)?;
 /// let gains = closed_form_gains(JointModel::Elastic, &drive, &poles);

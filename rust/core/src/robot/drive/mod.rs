@@ -79,6 +79,24 @@ pub(crate) trait Over<C>: Scalar + Mul<C, Output = Self> + Add<C, Output = Self>
 impl<C, T: Scalar + Mul<C, Output = T> + Add<C, Output = T>> Over<C> for T {}
 
 impl Drive {
+    /// A linear spring K [N m/rad] and damper D [N m s/rad] behind a motor B [kg m²], and nothing else.
+    pub fn spring(stiffness: f64, damping: f64, motor_inertia: f64) -> Self {
+        Self {
+            elastic: true,
+            stiffness,
+            damping,
+            motor_inertia,
+            cubic_stiffness: 0.0,
+            soft_windup: SoftWindup::default(),
+            curve: SpringCurve::default(),
+            backlash: Backlash::default(),
+            hysteresis: Hysteresis::default(),
+            ripple: Ripple::default(),
+            motor_friction: MotorFriction::default(),
+            link_friction: [0.0; 6],
+        }
+    }
+
     /// # Errors
     /// A number that is not finite, and of an elastic joint a stiffness or motor inertia that is not positive, or a
     /// negative damping.
@@ -319,18 +337,11 @@ mod tests {
 
     fn drive() -> Drive {
         Drive {
-            elastic: true,
-            stiffness: 500.0,
-            damping: 1.0,
-            motor_inertia: 1.0,
             cubic_stiffness: 3e4,
             soft_windup: SoftWindup { stiffness: 120.0, shape: 800.0 },
-            curve: SpringCurve::default(),
-            backlash: Backlash::default(),
-            hysteresis: Hysteresis::default(),
-            ripple: Ripple::default(),
             motor_friction: MotorFriction { viscous: 0.1, coulomb: 2.0, stribeck: 1.5, stribeck_velocity: 0.05 },
             link_friction: [0.5, 150.0, 50.0, 2.0, 100.0, 0.5],
+            ..Drive::spring(500.0, 1.0, 1.0)
         }
     }
 

@@ -3,10 +3,7 @@
 use super::super::{Collapse, Density, Marginalised, ParticleFilter, ParticleSettings, Proposal, Resampling};
 use crate::estimate::kalman::{Inputs, JerkDriven, JerkModel, JerkNoise, KalmanSample};
 use crate::estimate::measurement::Kind;
-use crate::robot::{
-    Backlash, BodySpec, Drive, Hysteresis, JointKind, MotorFriction, Ripple, Robot, Sensor, SoftWindup, SpringCurve,
-    Tree,
-};
+use crate::robot::{BodySpec, Drive, JointKind, Robot, Sensor, Tree};
 use crate::spatial::{Mat3, Vec3};
 use std::sync::Arc;
 
@@ -25,20 +22,7 @@ fn model() -> JerkDriven {
     };
     let tree = Tree::new(Vec3([0.0, 0.0, -9.81]), &[body]).unwrap();
     let frame = tree.frame("end", 0, &Mat3::IDENTITY, &Vec3([0.0, 0.0, 1.0])).unwrap();
-    let drive = Drive {
-        elastic: true,
-        stiffness: 1e5,
-        damping: 50.0,
-        motor_inertia: 10.0,
-        cubic_stiffness: 0.0,
-        soft_windup: SoftWindup::default(),
-        curve: SpringCurve::default(),
-        backlash: Backlash::default(),
-        hysteresis: Hysteresis::default(),
-        ripple: Ripple::default(),
-        motor_friction: MotorFriction::default(),
-        link_friction: [0.0; 6],
-    };
+    let drive = Drive::spring(1e5, 50.0, 10.0);
     let sensor = Sensor { frame, axes: vec![0, 2], noise_std: 0.05 };
     let robot = Robot::new(tree, vec![drive], vec![0.0], vec![sensor], vec![], None).unwrap();
     let noise = JerkNoise {
