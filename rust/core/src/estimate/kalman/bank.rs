@@ -3,6 +3,7 @@
 use super::consider::Consider;
 use super::correction::Correction;
 use super::model::Model;
+use super::sensitivity::Sensitivity;
 use crate::linear;
 
 /// Generalised likelihood ratios of a step in each channel (A. S. Willsky and H. L. Jones, IEEE Trans. Automatic Control
@@ -19,12 +20,10 @@ pub(super) struct Bank {
     pub(super) age: u32,
     /// Σ r² less its mean over the window, r being residuals that parameters and known faults leave.
     pub(super) excess: f64,
-    /// Numbers between rows: channels, padded.
-    pub(super) stride: usize,
-    /// Σ: what a unit fault of each channel, since the window began, has done to the state (states × stride).
-    pub(super) columns: Vec<f64>,
-    /// s: what it does to the channel at hand.
-    own: Vec<f64>,
+    /// Σ and s of a unit fault of each channel that began with the window.
+    pub(super) sensitivity: Sensitivity,
+    /// s of each reading over the variance of its noise.
+    weighted: Vec<f64>,
     /// Σ s r and Σ s² of each channel.
     score: Vec<f64>,
     /// Σ s² of each channel: one over the variance with which the window tells the size of its fault.
@@ -43,21 +42,20 @@ pub(super) struct Bank {
 
 impl Bank {
     pub(super) fn new(model: &impl Model, parameters: usize, length: u32) -> Self {
-        let stride = model.channels().next_multiple_of(linear::LANES);
-        let row = || vec![0.0; stride];
+        let sensitivity = Sensitivity::new(model, model.channels());
+        let (stride, parameters) = (sensitivity.stride, parameters.next_multiple_of(linear::LANES));
         Self {
             length,
             age: 0,
             excess: 0.0,
-            stride,
-            columns: vec![0.0; model.states() * stride],
-            own: row(),
-            score: row(),
-            information: row(),
+            weighted: vec![0.0; sensitivity.signatures.len()],
+            sensitivity,
+            score: vec![0.0; stride],
+            information: vec![0.0; stride],
             channels: model.channels(),
-            parameters: parameters.next_multiple_of(linear::LANES),
-            shared: vec![0.0; stride * parameters.next_multiple_of(linear::LANES)],
-            gain: vec![0.0; parameters.next_multiple_of(linear::LANES)],
+            parameters,
+            shared: vec![0.0; stride * parameters],
+            gain: vec![0.0; parameters],
             noise: vec![1.0; model.channels()],
         }
     }
@@ -65,7 +63,7 @@ impl Bank {
     /// A new window: a fault may begin at its first sample.
     pub(super) fn restart(&mut self) {
         (self.age, self.excess) = (0, 0.0);
-        self.columns.fill(0.0);
+        self.sensitivity.columns.fill(0.0);
         self.score.fill(0.0);
         self.information.fill(0.0);
         self.shared.fill(0.0);
@@ -93,38 +91,29 @@ impl Bank {
             self.noise.iter_mut().enumerate().for_each(|(i, noise)| *noise = consider.peak(i));
         }
         self.age += 1;
-        let (p, d) = (self.stride, model.dense());
-        model.carry_noise_free(&mut self.columns, p, dt);
-        let width = correction.gains.len() / self.channels;
-        for (i, innovation) in correction.innovations.iter().enumerate().filter(|(_, v)| v.variance.is_finite()) {
-            // e_c + H Σ⁻: a fault of channel c is in its own reading, and by way of the state in those of all others.
-            self.own.fill(0.0);
-            self.own[i] = 1.0;
-            let row = &model.linearised().jacobian[i * d..][..d];
-            for (h, column) in row.iter().zip(self.columns.chunks_exact(p)) {
-                linear::add_scaled(&mut self.own, *h, column);
-            }
-            if let Some(b) = model.biases()[i] {
-                linear::add_scaled(&mut self.own, 1.0, &self.columns[b * p..][..p]);
-            }
-            let gain = &correction.gains[i * width..][..width];
-            for (k, column) in gain.iter().zip(self.columns.chunks_exact_mut(p)) {
-                linear::add_scaled(column, -k, &self.own);
-            }
+        let p = self.sensitivity.stride;
+        model.carry_noise_free(&mut self.sensitivity.columns, p, dt);
+        // A fault is in its own reading, and by way of the state in those of all others.
+        self.sensitivity.signatures.fill(0.0);
+        (0..self.channels).for_each(|c| self.sensitivity.signatures[c * p + c] = 1.0);
+        self.sensitivity.update(model, correction);
+        let rows = self.sensitivity.signatures.chunks_exact(p).zip(self.weighted.chunks_exact_mut(p));
+        for (i, ((signature, weighted), innovation)) in rows.zip(&correction.innovations).enumerate() {
             // A coarse encoder's readings are one as long as they are the same: their error is that of its step.
             let noise = self.noise[i] * runs[i];
             let precision = 1.0 / (innovation.variance * noise);
-            let value = innovation.value - known[i];
-            self.excess += residuals[i] * residuals[i] / noise - 1.0;
-            for (c, s) in self.own.iter().take(self.channels).enumerate() {
-                self.score[c] += s * value * precision;
-                self.information[c] += s * s * precision;
-                if let Some(consider) = consider {
-                    let q = self.parameters;
-                    let signature = &consider.signatures[i * q..][..q];
-                    linear::add_scaled(&mut self.shared[c * q..][..q], s * precision, signature);
-                }
+            for ((weighted, information), s) in weighted.iter_mut().zip(&mut self.information).zip(signature) {
+                *weighted = s * precision;
+                *information += *weighted * s;
             }
+            if innovation.variance.is_finite() {
+                linear::add_scaled(&mut self.score, innovation.value - known[i], weighted);
+                self.excess += residuals[i] * residuals[i] / noise - 1.0;
+            }
+        }
+        if let Some(consider) = consider {
+            let Sensitivity { stride, signatures, .. } = &consider.sensitivity;
+            linear::add_outer(1.0, (&self.weighted, p), signatures, *stride, &mut self.shared);
         }
     }
 

@@ -7,6 +7,7 @@
 use super::correction::Correction;
 use super::gaussian::Symmetric;
 use super::model::Model;
+use super::sensitivity::Sensitivity;
 use super::uncertain::{Tolerance, Uncertain};
 use crate::linear;
 
@@ -35,12 +36,8 @@ const STRANGE: f64 = 5.0;
 pub(super) struct Consider {
     /// Parameters.
     pub(super) count: usize,
-    /// Numbers between rows.
-    pub(super) stride: usize,
-    /// Σ, states × stride.
-    pub(super) columns: Vec<f64>,
-    /// s of each channel after those before it, channels × stride.
-    pub(super) signatures: Vec<f64>,
+    /// Σ and s.
+    pub(super) sensitivity: Sensitivity,
     /// Variances of the parameters as robot.yaml's tolerances have them.
     prior: Vec<f64>,
     /// Share of each prior variance that no reading takes away, and the square root of the rest.
@@ -63,9 +60,6 @@ pub(super) struct Consider {
     taken: u32,
     /// Scratch: Cov[p] s, and Σ E[p pᵀ].
     gain: Vec<f64>,
-    /// H Σ⁻ (channels × stride), and the gains (states × channels).
-    products: Vec<f64>,
-    gains: Vec<f64>,
     wide: Vec<f64>,
     /// See [`swings`](super::model::Measurement::swings).
     pub(super) swings: Vec<f64>,
@@ -92,9 +86,7 @@ impl Consider {
             open: kept.iter().map(|kept| (1.0 - kept).sqrt()).collect(),
             kept,
             count,
-            stride,
-            columns: vec![0.0; states * stride],
-            signatures: vec![0.0; m * stride],
+            sensitivity: Sensitivity::new(model, count),
             prior: tolerances.iter().map(|t| t.counted() * t.counted()).collect(),
             mean: vec![0.0; stride],
             spread: Symmetric::zeros(stride),
@@ -105,8 +97,6 @@ impl Consider {
             sums: vec![0.0; m],
             taken: 0,
             gain: vec![0.0; stride],
-            products: vec![0.0; m * stride],
-            gains: vec![0.0; states * m],
             wide: vec![0.0; states * stride],
             swings: vec![0.0; model.robot().len()],
             blur: (0..model.robot().len()).map(|j| blur(tolerances, j)).collect(),
@@ -122,7 +112,7 @@ impl Consider {
 
     /// Forgets all that readings said.
     pub(super) fn reset(&mut self) {
-        self.columns.fill(0.0);
+        self.sensitivity.columns.fill(0.0);
         self.held.reset();
         self.elapsed = 0.0;
         self.mean.fill(0.0);
@@ -142,61 +132,34 @@ impl Consider {
     /// Σ where a filter starts: links are where the motors' readings and the predicted torsion put them, so that an error of
     /// either is one of the link, the other way round.
     pub(super) fn start(&mut self, model: &mut impl Model) {
-        model.start_columns(self.stride, &mut self.signatures, &mut self.columns);
+        let Sensitivity { stride, columns, signatures, .. } = &mut self.sensitivity;
+        model.start_columns(*stride, signatures, columns);
     }
 
     /// Σ through the step last predicted, vibrations damped by [`blur`].
     #[inline(always)]
     pub(super) fn carry(&mut self, model: &mut impl Model, dt: f64) {
-        let (p, n) = (self.stride, self.swings.len());
+        let Sensitivity { stride: p, columns, .. } = &mut self.sensitivity;
+        let (p, n) = (*p, self.swings.len());
         self.elapsed += dt;
-        model.carry(&mut self.columns, p, dt);
+        model.carry(columns, p, dt);
         for j in (0..n).filter(|&j| self.swings[j] > 0.0) {
             let share = self.blur[j] * dt / (self.swings[j] + self.blur[j] * dt);
             let motor = model.motor_velocity(j);
             for k in 0..p {
-                let beside = motor.map_or(0.0, |motor| self.columns[motor * p + k]);
-                let link = &mut self.columns[(n + j) * p + k];
+                let beside = motor.map_or(0.0, |motor| columns[motor * p + k]);
+                let link = &mut columns[(n + j) * p + k];
                 *link -= share * (*link - beside);
             }
         }
     }
 
     /// Σ through the update that `correction` has done, and what it says of the parameters.
-    ///
-    /// Channel i's signature after those before it is h Σ⁻ + N less (h k) s of each of these, and all of them together take
-    /// Σ⁻ to Σ⁻ − Σ k s: products of whole matrices, which keep sums in registers.
     #[inline(always)]
     pub(super) fn update(&mut self, model: &mut impl Model, correction: &Correction) {
-        let (p, m, d) = (self.stride, correction.innovations.len(), model.dense());
-        model.signatures(p, &mut self.signatures);
+        model.signatures(self.sensitivity.stride, &mut self.sensitivity.signatures);
         model.swings(&mut self.swings);
-        linear::product(model.linearised().jacobian, d, &self.columns, p, &mut self.products);
-        for (i, innovation) in correction.innovations.iter().enumerate() {
-            let (before, own) = self.signatures.split_at_mut(i * p);
-            let own = &mut own[..p];
-            if innovation.variance.is_infinite() {
-                own.fill(0.0);
-                continue;
-            }
-            linear::add_scaled(own, 1.0, &self.products[i * p..][..p]);
-            if let Some(b) = model.biases()[i] {
-                linear::add_scaled(own, 1.0, &self.columns[b * p..][..p]);
-            }
-            for (j, earlier) in before.chunks_exact(p).enumerate() {
-                if correction.innovations[j].variance.is_finite() {
-                    linear::add_scaled(own, -correction.factors[i * m + j], earlier);
-                }
-            }
-        }
-        let states = self.columns.len() / p;
-        for (i, gain) in correction.gains.chunks_exact(correction.gains.len() / m).enumerate() {
-            for (row, k) in self.gains.chunks_exact_mut(m).zip(&gain[..states]) {
-                row[i] = *k;
-            }
-        }
-        linear::product(&self.gains, m, &self.signatures, p, &mut self.wide);
-        linear::add_scaled(&mut self.columns, -1.0, &self.wide);
+        self.sensitivity.update(model, correction);
         self.weigh(correction);
     }
 
@@ -204,6 +167,7 @@ impl Consider {
     #[inline(always)]
     fn weigh(&mut self, correction: &Correction) {
         self.taken += 1;
+        let stride = self.sensitivity.stride;
         let learn = self.taken.is_multiple_of(THIN);
         for (i, innovation) in correction.innovations.iter().enumerate() {
             if innovation.variance.is_infinite() {
@@ -211,7 +175,7 @@ impl Consider {
                 continue;
             }
             let weight = 1.0 / innovation.variance.sqrt();
-            let signature = &self.signatures[i * self.stride..][..self.stride];
+            let signature = &self.sensitivity.signatures[i * stride..][..stride];
             // What the parameters' estimates leave of the innovation. For white residuals their sum over a block has
             // the block's length for a variance; whatever lasts makes it larger, and must not be taken for news of the
             // parameters.
@@ -221,7 +185,7 @@ impl Consider {
                 // Friedland's second stage (1969): the innovation is a reading of p by s, of the filter's variance and
                 // what lasts.
                 let noise = self.lasting[i].max(1.0) * innovation.variance;
-                for (g, row) in self.gain.iter_mut().zip(self.spread.data.chunks_exact(self.stride)) {
+                for (g, row) in self.gain.iter_mut().zip(self.spread.data.chunks_exact(self.spread.stride)) {
                     *g = linear::dot(row, signature);
                 }
                 let known = linear::dot(&self.gain, signature);
@@ -245,13 +209,13 @@ impl Consider {
         if learn {
             self.moment.data.copy_from_slice(&self.spread.data);
             let doubt = self.doubt_of_model();
-            let rows = self.moment.data.chunks_exact_mut(self.stride);
+            let rows = self.moment.data.chunks_exact_mut(stride);
             for ((m, row), open) in self.mean.iter().zip(rows).zip(&self.open) {
                 linear::add_scaled(row, *m, &self.mean);
                 row.iter_mut().zip(&self.open).for_each(|(x, other)| *x *= open * other * doubt);
             }
             for (i, (prior, kept)) in self.prior.iter().zip(&self.kept).enumerate() {
-                self.moment.data[i * self.stride + i] += kept * prior;
+                self.moment.data[i * stride + i] += kept * prior;
             }
         }
     }
@@ -271,7 +235,7 @@ impl Consider {
     #[inline(always)]
     fn learn(&mut self, residual: f64, variance: f64) {
         linear::add_scaled(&mut self.mean, residual / variance, &self.gain);
-        for (g, row) in self.gain.iter().zip(self.spread.data.chunks_exact_mut(self.stride)) {
+        for (g, row) in self.gain.iter().zip(self.spread.data.chunks_exact_mut(self.spread.stride)) {
             linear::add_scaled(row, -g / variance, &self.gain);
         }
     }
@@ -280,7 +244,7 @@ impl Consider {
     /// vibration.
     #[inline(always)]
     pub(super) fn sum_up(&mut self, rows: usize) {
-        let Self { columns, moment, wide, total, swings, held, elapsed, .. } = self;
+        let Self { sensitivity: Sensitivity { columns, .. }, moment, wide, total, swings, held, elapsed, .. } = self;
         spread_of(columns, swings, moment, rows, wide, total);
         held.raise(swings, core::mem::take(elapsed), total, rows);
     }
@@ -305,7 +269,7 @@ impl Consider {
     /// Var[s · p] for a signature s.
     #[inline(always)]
     pub(super) fn doubt(&self, signature: &[f64], gain: &mut [f64]) -> f64 {
-        for (g, row) in gain.iter_mut().zip(self.spread.data.chunks_exact(self.stride)) {
+        for (g, row) in gain.iter_mut().zip(self.spread.data.chunks_exact(self.spread.stride)) {
             *g = linear::dot(row, signature);
         }
         linear::dot(gain, signature)

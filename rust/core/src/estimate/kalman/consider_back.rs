@@ -18,12 +18,12 @@ pub(super) struct ConsiderHistory {
 impl ConsiderHistory {
     /// After a sample's time update.
     pub(super) fn push_prediction(&mut self, consider: &Consider) {
-        self.columns.extend_from_slice(&consider.columns);
+        self.columns.extend_from_slice(&consider.sensitivity.columns);
     }
 
     /// After its measurement update.
     pub(super) fn push_update(&mut self, consider: &Consider) {
-        self.signatures.extend_from_slice(&consider.signatures);
+        self.signatures.extend_from_slice(&consider.sensitivity.signatures);
         self.swings.extend_from_slice(&consider.swings);
     }
 }
@@ -42,8 +42,8 @@ pub(super) struct ConsiderBack {
     columns: Vec<f64>,
     /// E[p pᵀ] by the whole recording.
     moment: Option<Symmetric>,
-    /// Scratch: what a reading adds to ∂λ/∂p, and Σˢ E[p pᵀ].
-    pull: Vec<f64>,
+    /// Scratch: what each reading takes from ∂λ/∂p (channels × stride), and Σˢ E[p pᵀ].
+    pulls: Vec<f64>,
     wide: Vec<f64>,
     /// Σˢ E[p pᵀ] Σˢᵀ of the first states.
     pub(super) total: Vec<f64>,
@@ -52,14 +52,14 @@ pub(super) struct ConsiderBack {
 
 impl ConsiderBack {
     pub(super) fn new(consider: &Consider, states: usize) -> Self {
-        let room = || vec![0.0; states * consider.stride];
+        let room = || vec![0.0; states * consider.sensitivity.stride];
         Self {
-            stride: consider.stride,
+            stride: consider.sensitivity.stride,
             joints: consider.swings.len(),
             lambda: room(),
             columns: room(),
             moment: None,
-            pull: vec![0.0; consider.stride],
+            pulls: vec![0.0; consider.sensitivity.signatures.len()],
             wide: room(),
             total: vec![0.0; states * states],
             held: Held::new(consider.swings.len()),
@@ -90,20 +90,19 @@ impl ConsiderBack {
     ) {
         let (p, m) = (self.stride, innovations.len());
         let width = rows.len() / m;
+        // k ∂λ/∂p of all readings at once; each is then short of what the readings after it have taken.
+        linear::product(gains, width, &self.lambda, p, &mut self.pulls);
         for a in (0..m).rev().filter(|&a| innovations[a].variance.is_finite()) {
+            let (before, after) = self.pulls.split_at_mut((a + 1) * p);
+            let own = &mut before[a * p..];
+            // In λ's recursion the innovation ν stands where s stands here: ∂ν/∂p = s as readings do not depend on p.
             let signature = &history.signatures[(i * m + a) * p..][..p];
-            for (pull, s) in self.pull.iter_mut().zip(signature) {
-                // In λ's recursion the innovation ν stands where s stands here: ∂ν/∂p = s as readings do not depend on
-                // p.
-                *pull = s / innovations[a].variance;
-            }
-            for (k, lambda) in gains[a * width..][..width].iter().zip(self.lambda.chunks_exact(p)) {
-                linear::add_scaled(&mut self.pull, *k, lambda);
-            }
-            for (h, lambda) in rows[a * width..][..width].iter().zip(self.lambda.chunks_exact_mut(p)) {
-                linear::add_scaled(lambda, -h, &self.pull);
+            linear::add_scaled(own, 1.0 / innovations[a].variance, signature);
+            for (later, row) in after.chunks_exact(p).zip(rows[(a + 1) * width..].chunks_exact(width)) {
+                linear::add_scaled(own, -linear::dot(row, &gains[a * width..][..width]), later);
             }
         }
+        linear::add_outer(-1.0, (rows, width), &self.pulls, p, &mut self.lambda);
     }
 
     /// The parameters' share of the smoothed covariance of the first `rows` states at sample `i`, `predicted` being

@@ -12,24 +12,25 @@ use crate::scalar::log;
 
 /// Scratch and outcome of a measurement update.
 ///
-/// One channel after the other equals all at once where their noise is independent, and needs no inverse of S; a
-/// channel that is missing or shut out is a turn of the loop that does nothing.
+/// Everything of a channel is what the channels before it leave: L⁻¹ H P and L⁻¹ e with S = L D Lᵀ. That needs no inverse
+/// of S, and a channel that is missing or shut out is a row of zeros.
 #[derive(Clone, Debug)]
 pub(super) struct Correction {
     /// Where the channels are linearised.
     pub(super) reference: Vec<f64>,
-    /// H P, each row after the channels before it (channels × states, padded).
+    /// H P, then rows g/√s, g being the row after the channels before it (channels × states, padded).
     projections: Vec<f64>,
-    /// k and m = g − s k/2 of each channel (channels × states, padded).
+    /// k = g/s of each channel (channels × states, padded).
     pub(super) gains: Vec<f64>,
-    halves: Vec<f64>,
     /// One channel's row of H, padded.
     row: Vec<f64>,
-    /// Whether P is updated reading by reading.
-    sharp: bool,
+    /// Innovations before any channel is used.
+    raw: Vec<f64>,
+    /// [S, H P, e] and then D^(−1/2) L⁻¹ times that (channels × all of these, padded).
+    joint: Vec<f64>,
     /// Each after the channels before it.
     pub(super) innovations: Vec<Innovation>,
-    /// Innovations before any is used are this, lower triangular with a diagonal of 1, times `innovations`.
+    /// Lᵀ, upper triangular with a diagonal of 1: innovations before any is used are L times `innovations`.
     pub(super) factors: Vec<f64>,
     /// Channels left out at this sample by the gate.
     pub(super) gated: Vec<bool>,
@@ -47,9 +48,9 @@ impl Correction {
             reference: vec![0.0; model.dense()],
             projections: vec![0.0; m * stride],
             gains: vec![0.0; m * stride],
-            halves: vec![0.0; m * stride],
             row: vec![0.0; stride],
-            sharp: false,
+            raw: vec![0.0; m],
+            joint: vec![0.0; m * (m.next_multiple_of(linear::LANES) + stride + linear::LANES)],
             innovations: vec![Innovation::NONE; m],
             factors: vec![0.0; m * m],
             gated: vec![false; m],
@@ -62,38 +63,41 @@ impl Correction {
 
     /// Uses `readings`, all channels linearised at the reference.
     ///
-    /// For one row h, with g = P hᵀ, s = h g + r and any gain k, Joseph's form (1 − k h) P (1 − k h)ᵀ + k r kᵀ is
-    /// P − k mᵀ − m kᵀ with m = g − s k/2: symmetric by construction, an error of k entering squared, nothing inverted.
-    /// P itself is touched once, when all channels are through; until then each g is corrected by those before it. Where a
-    /// reading tells far more than is known, that difference has no digits: then P is updated reading by reading, by products.
+    /// P is touched once: it loses g gᵀ/s of every channel. Where a reading tells far more than is known, that difference
+    /// has no digits: then P is updated reading by reading, by Joseph's form.
     #[inline(always)]
     pub(super) fn update(&mut self, model: &impl Model, belief: &mut Gaussian, readings: &[f64], gate: Option<f64>) {
         (self.status, self.nis, self.used, self.log_likelihood) = (0, 0.0, 0, 0.0);
-        // All of H P in one product: a channel's own g is then its row less what the channels before it took.
         self.project(model, belief);
-        self.sharp = self.is_sharp(model, belief, readings);
-        for (i, &reading) in readings.iter().enumerate() {
-            if self.sharp {
-                self.project_anew(model, belief, i);
+        self.read(model, belief, readings);
+        if self.is_sharp(model, belief) {
+            for i in 0..readings.len() {
+                self.use_one(model, belief, i, gate);
             }
-            self.innovations[i] = if reading.is_nan() {
-                self.status |= Status::BRIDGED;
-                Innovation::NONE
-            } else {
-                self.innovate(model, belief, i, reading, gate)
-            };
-            self.use_channel(belief, i);
-            if self.sharp && self.innovations[i].variance.is_finite() {
-                let stride = belief.covariance.stride;
-                let (projection, variance) = (&self.projections[i * stride..][..stride], self.innovations[i].variance);
-                belief.covariance.condition(&self.row, projection, variance, model.variance(i));
-            }
+        } else {
+            while !self.use_all(model, belief.covariance.stride, gate) {}
+            belief.covariance.add_squares(-1.0, &self.projections);
         }
-        if !self.sharp {
-            belief.covariance.subtract_outer(&self.gains, &self.halves);
-        }
+        self.move_mean(belief);
         if self.used == 0 {
             self.status |= Status::PREDICTED;
+        }
+    }
+
+    /// Innovations before any channel is used; NaN of those that are not read.
+    #[inline(always)]
+    fn read(&mut self, model: &impl Model, belief: &Gaussian, readings: &[f64]) {
+        // The channels stay linearised at the reference while the mean moves: h(x₀) + H (x̂ − x₀).
+        for ((moved, x), x0) in self.row.iter_mut().zip(&belief.mean).zip(&self.reference) {
+            *moved = x - x0;
+        }
+        for (i, (raw, reading)) in self.raw.iter_mut().zip(readings).enumerate() {
+            let row = row(model, i);
+            let bias = row.bias.map_or(0.0, |b| belief.mean[b]);
+            *raw = reading - model.linearised().prediction[i] - bias - linear::dot(row.dense, &self.row);
+            if raw.is_nan() {
+                self.status |= Status::BRIDGED;
+            }
         }
     }
 
@@ -111,10 +115,90 @@ impl Correction {
 
     /// Whether some reading's noise is lost beside the variance of its prediction.
     #[inline(always)]
-    fn is_sharp(&self, model: &impl Model, belief: &Gaussian, readings: &[f64]) -> bool {
-        let rows = self.projections.chunks_exact(belief.covariance.stride).zip(readings).enumerate();
-        rows.filter(|(_, (_, reading))| !reading.is_nan())
+    fn is_sharp(&self, model: &impl Model, belief: &Gaussian) -> bool {
+        let rows = self.projections.chunks_exact(belief.covariance.stride).zip(&self.raw).enumerate();
+        rows.filter(|(_, (_, raw))| !raw.is_nan())
             .any(|(i, (projection, _))| row(model, i).dot(projection) > SHARP * model.variance(i))
+    }
+
+    /// Whether channel `i` is read and not shut out.
+    #[inline(always)]
+    fn is_open(&self, i: usize) -> bool {
+        !self.raw[i].is_nan() && !self.gated[i]
+    }
+
+    /// All channels at once, by one factor; false where the gate has just shut one out, and all is to be done anew.
+    #[inline(always)]
+    fn use_all(&mut self, model: &impl Model, stride: usize, gate: Option<f64>) -> bool {
+        let m = self.raw.len();
+        let own = m.next_multiple_of(linear::LANES);
+        let width = own + stride + linear::LANES;
+        for i in 0..m {
+            let (row, open) = (row(model, i), self.is_open(i));
+            for j in 0..=i {
+                let both = open && self.is_open(j);
+                let share = if both { row.dot(&self.projections[j * stride..][..stride]) } else { 0.0 };
+                self.joint[j * width + i] = share;
+            }
+            self.joint[i * width + i] += if open { model.variance(i) } else { 1.0 };
+            let (projection, last) = self.joint[i * width + own..][..stride + 1].split_at_mut(stride);
+            if open {
+                projection.copy_from_slice(&self.projections[i * stride..][..stride]);
+                last[0] = self.raw[i];
+            } else {
+                projection.fill(0.0);
+                last[0] = 0.0;
+            }
+        }
+        linear::upper_factor(&mut self.joint, m, width);
+        let beyond = |row: &[f64]| gate.is_some_and(|gate| row[own + stride].abs() > gate);
+        if let Some(i) = self.joint.chunks_exact(width).position(beyond) {
+            self.gated[i] = true;
+            return false;
+        }
+        for (i, row) in self.joint.chunks_exact(width).enumerate() {
+            let root = row[i];
+            for (factor, share) in self.factors[i * m..][i..m].iter_mut().zip(&row[i..m]) {
+                *factor = share / root;
+            }
+            self.projections[i * stride..][..stride].copy_from_slice(&row[own..][..stride]);
+            self.innovations[i] = if self.raw[i].is_nan() || self.gated[i] {
+                Innovation::NONE
+            } else {
+                Innovation { value: row[own + stride] * root, variance: root * root }
+            };
+        }
+        true
+    }
+
+    /// Channel `i` by itself, after those before it: P ← (1 − k h) P (1 − k h)ᵀ + k r kᵀ.
+    #[inline(always)]
+    fn use_one(&mut self, model: &impl Model, belief: &mut Gaussian, i: usize, gate: Option<f64>) {
+        let (m, stride) = (self.raw.len(), belief.covariance.stride);
+        let row = row(model, i);
+        let mut value = self.raw[i];
+        for j in 0..i {
+            let Innovation { value: earlier, variance } = self.innovations[j];
+            let share = row.dot(&self.projections[j * stride..][..stride]);
+            let factor = if self.is_open(i) { share / variance.sqrt() } else { 0.0 };
+            self.factors[j * m + i] = factor;
+            value -= factor * earlier;
+        }
+        self.factors[i * m + i] = 1.0;
+        self.project_anew(model, belief, i);
+        let projection = &mut self.projections[i * stride..][..stride];
+        let variance = row.dot(projection) + model.variance(i);
+        self.gated[i] |= gate.is_some_and(|gate| value * value > gate * gate * variance);
+        if value.is_nan() || self.gated[i] {
+            projection.fill(0.0);
+            (0..i).for_each(|j| self.factors[j * m + i] = 0.0);
+            self.innovations[i] = Innovation::NONE;
+            return;
+        }
+        belief.covariance.condition(&self.row, projection, variance, model.variance(i));
+        let scale = 1.0 / variance.sqrt();
+        projection.iter_mut().for_each(|g| *g *= scale);
+        self.innovations[i] = Innovation { value, variance };
     }
 
     /// Channel `i`'s row of H P, by the covariance as it is now.
@@ -132,68 +216,27 @@ impl Correction {
         }
     }
 
-    /// Channel `i`'s innovation after the channels before it; none when the gate shuts it out.
+    /// Moves the mean by all innovations.
     #[inline(always)]
-    fn innovate(
-        &mut self,
-        model: &impl Model,
-        belief: &Gaussian,
-        i: usize,
-        reading: f64,
-        gate: Option<f64>,
-    ) -> Innovation {
+    fn move_mean(&mut self, belief: &mut Gaussian) {
         let stride = belief.covariance.stride;
-        let row = row(model, i);
-        let (before, own) = self.projections.split_at_mut(i * stride);
-        let own = &mut own[..stride];
-        for (j, earlier) in before.chunks_exact(stride).enumerate() {
-            let variance = self.innovations[j].variance;
-            if variance.is_finite() {
-                // gᵢ ← gᵢ − (hᵢ gⱼ / sⱼ) gⱼ: the factors are also those of L in S = L D Lᵀ, which isolating a fault
-                // wants.
-                let factor = row.dot(earlier) / variance;
-                self.factors[i * self.innovations.len() + j] = factor;
-                if !self.sharp {
-                    linear::add_scaled(own, -factor, earlier);
-                }
+        let rows = self.projections.chunks_exact(stride).zip(self.gains.chunks_exact_mut(stride));
+        for (i, ((projection, gain), &Innovation { value, variance })) in rows.zip(&self.innovations).enumerate() {
+            if variance.is_infinite() {
+                gain.fill(0.0);
+                self.status |= if self.raw[i].is_nan() { 0 } else { Status::GATED };
+                continue;
             }
+            let scale = 1.0 / variance.sqrt();
+            for (gain, g) in gain.iter_mut().zip(projection) {
+                *gain = scale * g;
+            }
+            linear::add_scaled(&mut belief.mean, value, gain);
+            let squared = value * value / variance;
+            self.nis += squared;
+            self.used += 1;
+            self.log_likelihood -= 0.5 * (squared + log(core::f64::consts::TAU * variance));
         }
-        let variance = row.dot(own) + model.variance(i);
-        let mut value = reading - model.linearised().prediction[i] - row.bias.map_or(0.0, |b| belief.mean[b]);
-        // The channels stay linearised at the reference while the mean moves: h(x₀) + H (x̂ − x₀).
-        for (k, h) in row.dense.iter().enumerate() {
-            value -= h * (belief.mean[k] - self.reference[k]);
-        }
-        self.gated[i] |= gate.is_some_and(|g| value * value > g * g * variance);
-        if self.gated[i] {
-            self.status |= Status::GATED;
-            return Innovation::NONE;
-        }
-        Innovation { value, variance }
-    }
-
-    /// Moves the mean by channel `i`'s innovation and readies what the covariance loses.
-    #[inline(always)]
-    fn use_channel(&mut self, belief: &mut Gaussian, i: usize) {
-        let Innovation { value, variance } = self.innovations[i];
-        let stride = belief.covariance.stride;
-        let projection = &self.projections[i * stride..][..stride];
-        let (gain, half) = (&mut self.gains[i * stride..][..stride], &mut self.halves[i * stride..][..stride]);
-        if variance.is_infinite() {
-            gain.fill(0.0);
-            half.fill(0.0);
-            return;
-        }
-        let precision = 1.0 / variance;
-        for k in 0..stride {
-            gain[k] = projection[k] * precision;
-            half[k] = projection[k] - 0.5 * variance * gain[k];
-        }
-        linear::add_scaled(&mut belief.mean, value, gain);
-        let squared = value * value / variance;
-        self.nis += squared;
-        self.used += 1;
-        self.log_likelihood -= 0.5 * (squared + log(core::f64::consts::TAU * variance));
     }
 
     /// What is predicted against what is read, before any reading is used: differences and their standard deviations.
@@ -206,13 +249,10 @@ impl Correction {
         std: &mut [f64],
     ) {
         self.project(model, belief);
-        let stride = belief.covariance.stride;
-        for (i, reading) in readings.iter().enumerate() {
-            let row = row(model, i);
-            let variance = row.dot(&self.projections[i * stride..][..stride]) + model.variance(i);
-            let bias = row.bias.map_or(0.0, |b| belief.mean[b]);
-            innovation[i] = reading - model.linearised().prediction[i] - bias;
-            std[i] = variance.sqrt();
+        self.read(model, belief, readings);
+        innovation.copy_from_slice(&self.raw);
+        for (i, projection) in self.projections.chunks_exact(belief.covariance.stride).enumerate() {
+            std[i] = (row(model, i).dot(projection) + model.variance(i)).sqrt();
         }
     }
 }

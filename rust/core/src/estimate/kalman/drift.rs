@@ -18,10 +18,14 @@ impl Biases<'_> {
     /// State, decay and variance of each bias over `dt` [s].
     #[inline(always)]
     fn steps(&self, dt: f64) -> impl Iterator<Item = (usize, f64, f64)> {
+        // Channels of a kind forget over the same time: a hyperbolic tangent for each time and not for each channel.
+        let mut of_one = (f64::NAN, bias_step(1.0, 1.0, dt));
         self.states.iter().zip(self.walk).zip(self.time).filter_map(move |((state, &walk), &time)| {
             let b = (*state)?;
-            let step = bias_step(walk, time, dt);
-            Some((b, step.decay, step.variance))
+            if time != of_one.0 {
+                of_one = (time, bias_step(1.0, time, dt));
+            }
+            Some((b, of_one.1.decay, walk * walk * of_one.1.variance))
         })
     }
 

@@ -7,6 +7,7 @@
 use super::correction::Correction;
 use super::gaussian::Innovation;
 use super::model::Model;
+use super::sensitivity::Sensitivity;
 use crate::linear;
 
 /// A fault below so many standard deviations of what is known of it is none: the channel has returned.
@@ -104,11 +105,11 @@ impl Effect {
         self.update(model, correction);
     }
 
-    /// A step that began earlier, by what one of size 1 has done since (state × `stride`, a column a channel).
+    /// A step that began earlier, by what one of size 1 in each channel has done since.
     #[inline(always)]
-    pub(super) fn join(&mut self, columns: &[f64], stride: usize, step: Step, variance: f64) {
+    pub(super) fn join(&mut self, since: &Sensitivity, step: Step, variance: f64) {
         self.add(step, variance);
-        for (error, column) in self.error.iter_mut().zip(columns.chunks_exact(stride)) {
+        for (error, column) in self.error.iter_mut().zip(since.columns.chunks_exact(since.stride)) {
             *error += step.size * column[step.channel];
         }
     }

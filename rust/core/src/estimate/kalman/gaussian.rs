@@ -72,10 +72,10 @@ impl Symmetric {
         linear::mirror(&mut self.data, self.n, self.stride);
     }
 
-    /// `self −= Σᵢ aᵢ bᵢᵀ + bᵢ aᵢᵀ`, one padded row of `a` and `b` for each i.
+    /// `self += factor · Σᵢ aᵢ aᵢᵀ`, one padded row of `a` for each i.
     #[inline(always)]
-    pub(crate) fn subtract_outer(&mut self, a: &[f64], b: &[f64]) {
-        linear::subtract_outer(&mut self.data, self.n, self.stride, a, b);
+    pub(crate) fn add_squares(&mut self, factor: f64, a: &[f64]) {
+        linear::add_squares(factor, a, self.n, self.stride, &mut self.data);
     }
 
     /// The matrix with its rows padded to a common length.
@@ -87,7 +87,7 @@ impl Symmetric {
     /// `projection` is self h.
     ///
     /// Joseph's form as the product that it is: where s is 10⁶ times r and more, as after a long time without readings, the
-    /// differences of [`subtract_outer`](Self::subtract_outer) would leave few digits or none. At three times its cost.
+    /// differences of [`add_squares`](Self::add_squares) would leave few digits or none. At three times its cost.
     #[inline(always)]
     pub(crate) fn condition(&mut self, row: &[f64], projection: &[f64], s: f64, r: f64) {
         let Self { n, stride, data } = self;

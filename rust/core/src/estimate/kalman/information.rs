@@ -17,17 +17,16 @@ pub(super) struct Information {
     pub(super) matrix: Symmetric,
     /// Rows of the root of a step's noise, at most one a state (states, padded).
     pub(super) noise: Vec<f64>,
-    /// Λ g of each row of noise over the root of its s, and half of that.
+    /// Λ g of each row of noise, then what Λ loses by it.
     projections: Vec<f64>,
-    halves: Vec<f64>,
-    /// S with S Sᵀ = P.
+    /// U with Uᵀ U = P.
     root: Vec<f64>,
-    /// Sᵀ, and Sᵀ Λ.
+    /// Scratch: Uᵀ, and rows of U Λ.
     turned: Vec<f64>,
     product: Vec<f64>,
-    /// 1 + Sᵀ Λ S, then its root.
+    /// 1 + U Λ Uᵀ or 1 + G Λ Gᵀ, then its root.
     gram: Vec<f64>,
-    /// Rows of S C⁻ᵀ.
+    /// C⁻ᵀ U, for some columns.
     solved: Vec<f64>,
 }
 
@@ -39,7 +38,6 @@ impl Information {
         Self {
             noise: square(),
             projections: square(),
-            halves: square(),
             root: square(),
             turned: square(),
             product: square(),
@@ -54,42 +52,34 @@ impl Information {
         self.matrix.data.fill(0.0);
     }
 
-    /// Λ ← Σ hᵀh/r + Λ, one padded row h and one −h/2r of `halves` for each reading.
+    /// Λ ← Λ + Σ hᵀh/r, one padded row h/√r for each reading.
     #[inline(always)]
-    pub(super) fn learn(&mut self, rows: &[f64], halves: &[f64]) {
-        self.matrix.subtract_outer(rows, halves);
+    pub(super) fn learn(&mut self, rows: &[f64]) {
+        self.matrix.add_squares(1.0, rows);
     }
 
-    /// Λ ← (Λ⁻¹ + G Gᵀ)⁻¹ for the rows of Gᵀ that are in `noise`, which are cleared.
+    /// Λ ← (Λ⁻¹ + Gᵀ G)⁻¹ for the rows of G that are in `noise`, which are cleared.
     ///
-    /// As a filter takes readings: for one g, Λ − k mᵀ − m kᵀ with k = Λg/s, s = 1 + gᵀΛg and m = Λg − s k/2; Λ is touched
-    /// once, and until then each Λg is corrected by those before it.
+    /// As a filter takes all its readings at once: Λ − (G Λ)ᵀ (1 + G Λ Gᵀ)⁻¹ G Λ, by the root C of the matrix in between.
     #[inline(always)]
     pub(super) fn blur(&mut self) {
-        let Self { matrix, noise, projections, halves, .. } = self;
+        let Self { matrix, noise, projections, gram, .. } = self;
         let Symmetric { n, stride, .. } = *matrix;
-        let mut sharp = false;
-        for c in 0..n {
-            let g = &noise[c * stride..][..stride];
-            let (before, own) = projections.split_at_mut(c * stride);
-            let own = &mut own[..stride];
-            own.fill(0.0);
-            for (k, factor) in g.iter().enumerate().filter(|(_, x)| **x != 0.0) {
-                linear::add_scaled(own, *factor, &matrix.data[k * stride..][..stride]);
+        projections.fill(0.0);
+        gram.fill(0.0);
+        // Rows of G have a few entries each.
+        for (c, g) in noise.chunks_exact(stride).enumerate().take(n) {
+            for (k, x) in g.iter().enumerate().filter(|(_, x)| **x != 0.0) {
+                linear::add_scaled(&mut projections[c * stride..][..stride], *x, &matrix.data[k * stride..][..stride]);
+                for i in 0..c {
+                    gram[i * stride + c] += projections[i * stride + k] * x;
+                }
             }
-            // Rows before this one were left as they are over the root of their s.
-            for earlier in before.chunks_exact(stride) {
-                linear::add_scaled(own, -linear::dot(g, earlier), earlier);
-            }
-            let variance = 1.0 + linear::dot(g, own);
-            sharp |= variance > SHARP;
-            let scale = 1.0 / variance.sqrt();
-            for (half, x) in halves[c * stride..][..stride].iter_mut().zip(own) {
-                *x *= scale;
-                *half = 0.5 * *x;
-            }
+            gram[c * stride + c] = 1.0 + linear::dot(g, &projections[c * stride..][..stride]);
         }
-        if sharp {
+        linear::upper_factor(gram, n, stride);
+        // Where noise is that much larger than what is known, the difference has no digits: row by row, by products.
+        if (0..n).any(|c| gram[c * stride + c].powi(2) > SHARP) {
             for g in noise.chunks_exact(stride).take(n) {
                 let own = &mut projections[..stride];
                 for (own, row) in own.iter_mut().zip(matrix.data.chunks_exact(stride)) {
@@ -99,45 +89,41 @@ impl Information {
                 matrix.condition(g, own, variance, 1.0);
             }
         } else {
-            matrix.subtract_outer(&projections[..n * stride], &halves[..n * stride]);
+            linear::forward(gram, stride, &mut projections[..n * stride], stride);
+            matrix.add_squares(-1.0, &projections[..n * stride]);
         }
         noise.fill(0.0);
     }
 
-    /// The first `rows` rows and columns of (P⁻¹ + Λ)⁻¹ = S (1 + Sᵀ Λ S)⁻¹ Sᵀ into `out`, for P = S Sᵀ, which may be
+    /// The first `rows` rows and columns of (P⁻¹ + Λ)⁻¹ = Uᵀ (1 + U Λ Uᵀ)⁻¹ U into `out`, for P = Uᵀ U, which may be
     /// singular.
     #[inline(always)]
     pub(super) fn smooth(&mut self, predicted: &[f64], rows: usize, out: &mut [f64]) {
         let Self { matrix, root, turned, product, gram, solved, .. } = self;
         let Symmetric { n, stride, ref data } = *matrix;
-        // P = S Sᵀ; a state without variance leaves a column of zeros and stays without.
+        // A state without variance leaves a row of zeros and stays without.
         root[..n * stride].copy_from_slice(&predicted[..n * stride]);
-        linear::cholesky(root, n, stride);
+        linear::upper_factor(root, n, stride);
+        linear::congruence(root, data, stride, turned, product, gram);
+        // 1 + U Λ Uᵀ has eigenvalues of 1 and more: its root C exists whatever P and Λ are.
         for i in 0..n {
-            for k in 0..n {
-                turned[i * stride + k] = root[k * stride + i];
+            for k in 0..i {
+                gram[k * stride + i] = gram[i * stride + k];
             }
-        }
-        linear::product(&turned[..n * stride], stride, data, stride, product);
-        linear::product(&product[..n * stride], stride, root, stride, gram);
-        // 1 + Sᵀ Λ S has eigenvalues of 1 and more: its root exists whatever P and Λ are.
-        for i in 0..n {
             gram[i * stride + i] += 1.0;
         }
-        linear::cholesky(gram, n, stride);
-        for r in 0..rows {
-            // C y = Sᵀ e_r; then P̂ is the Gram matrix of these, positive by construction.
-            let y = &mut solved[r * stride..][..stride];
-            for i in 0..n {
-                let known = linear::dot(&gram[i * stride..][..i], &y[..i]);
-                y[i] = (root[r * stride + i] - known) / gram[i * stride + i];
-            }
+        linear::upper_factor(gram, n, stride);
+        // The Gram matrix of the columns of C⁻ᵀ U is positive by construction.
+        let width = rows.next_multiple_of(linear::LANES);
+        for (own, row) in solved.chunks_exact_mut(width).zip(root.chunks_exact(stride)) {
+            own.copy_from_slice(&row[..width]);
         }
-        for r in 0..rows {
-            for c in r..rows {
-                let entry = linear::dot(&solved[r * stride..][..n], &solved[c * stride..][..n]);
-                (out[r * stride + c], out[c * stride + r]) = (entry, entry);
-            }
+        linear::forward(gram, stride, &mut solved[..n * width], width);
+        let gramian = &mut product[..rows * width];
+        gramian.fill(0.0);
+        linear::add_squares(1.0, &solved[..n * width], rows, width, gramian);
+        for (out, row) in out.chunks_exact_mut(stride).zip(gramian.chunks_exact(width)) {
+            out[..rows].copy_from_slice(&row[..rows]);
         }
     }
 }

@@ -36,6 +36,7 @@ mod motor_velocity;
 mod output;
 mod phases;
 mod recording;
+mod sensitivity;
 mod signal;
 mod smoother;
 mod step_noise;

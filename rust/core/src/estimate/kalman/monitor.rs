@@ -105,7 +105,7 @@ pub(super) struct Monitor {
     recent: f64,
     wrong: f64,
     /// Normalised innovations squared and readings of the last samples, in a ring.
-    ring: Vec<(f64, u32)>,
+    ring: Vec<(f64, f64)>,
     /// Innovations in their standard deviations, less what parameters explain; NaN where not used (channels).
     residuals: Vec<f64>,
     /// Standard deviations of the innovations, with what parameters may do to them (channels).
@@ -138,7 +138,7 @@ impl Monitor {
             recent: 0.0,
             wrong: 0.0,
             banks: BANKS.map(|length| Bank::new(model, model.tolerances().len(), length)),
-            ring: vec![(0.0, 0); WINDOWS[2]],
+            ring: vec![(0.0, 0.0); WINDOWS[2]],
             residuals: vec![f64::NAN; m],
             std: vec![1.0; m],
             pull: vec![0.0; m],
@@ -162,7 +162,7 @@ impl Monitor {
     pub(super) fn reset(&mut self) {
         self.signals.fill(Signal::NEW);
         self.banks.iter_mut().for_each(Bank::restart);
-        self.ring.fill((0.0, 0));
+        self.ring.fill((0.0, 0.0));
         self.effect.reset();
         (self.onset, self.wrong) = (false, 0.0);
         (self.taken, self.calm, self.open, self.last_named, self.script) = (0, 0, None, None, None);
@@ -252,7 +252,7 @@ impl Monitor {
         let now = self.taken - 1;
         let step = Step { channel, since: now.saturating_sub(u64::from(age)), found: now, size };
         match bank {
-            Some(bank) => self.effect.join(&self.banks[bank].columns, self.banks[bank].stride, step, variance),
+            Some(bank) => self.effect.join(&self.banks[bank].sensitivity, step, variance),
             None => self.effect.begin(model, correction, step, variance),
         }
         self.banks.iter_mut().for_each(Bank::restart);
@@ -301,7 +301,7 @@ impl Monitor {
     fn whole_innovation(&self, correction: &Correction, i: usize) -> f64 {
         let m = self.signals.len();
         let earlier = (0..i).filter(|&j| correction.innovations[j].variance.is_finite());
-        let shared: f64 = earlier.map(|j| correction.factors[i * m + j] * correction.innovations[j].value).sum();
+        let shared: f64 = earlier.map(|j| correction.factors[j * m + i] * correction.innovations[j].value).sum();
         correction.innovations[i].value + shared
     }
 
@@ -310,16 +310,13 @@ impl Monitor {
     fn windows(&mut self, nis: f64, used: u32) -> bool {
         let size = self.ring.len();
         let at = ((self.taken - 1) % size as u64) as usize;
-        self.ring[at] = (nis, used);
+        self.ring[at] = (nis, f64::from(used));
         WINDOWS.iter().fold(false, |beyond, &length| {
-            let (mut sum, mut count) = (0.0, 0);
-            for k in 0..length.min(self.taken as usize) {
-                let (nis, used) = self.ring[(at + size - k) % size];
-                sum += nis;
-                count += used;
-            }
-            self.recent = sum - f64::from(count);
-            beyond | (sum > bound(f64::from(count), if length == 1 { 1.0 } else { CORRELATED }))
+            let (wrapped, last) = (length.saturating_sub(at + 1), &self.ring[(at + 1).saturating_sub(length)..=at]);
+            let samples = last.iter().chain(&self.ring[size - wrapped..]);
+            let (sum, count) = samples.fold((0.0, 0.0), |(sum, count), (nis, used)| (sum + nis, count + used));
+            self.recent = sum - count;
+            beyond | (sum > bound(count, if length == 1 { 1.0 } else { CORRELATED }))
         })
     }
 
@@ -393,7 +390,7 @@ impl Monitor {
         for i in (0..m).rev() {
             self.pull[i] = if self.residuals[i].is_finite() { self.residuals[i] / self.std[i] } else { 0.0 };
             for k in (i + 1..m).filter(|&k| self.residuals[k].is_finite()) {
-                self.pull[i] -= factors[k * m + i] * self.pull[k];
+                self.pull[i] -= factors[i * m + k] * self.pull[k];
             }
         }
         let mut worst = Alarm { channel: 0, size: 0.0, deviations: 0.0, age: 0, variance: 0.0, bank: None };
@@ -403,7 +400,7 @@ impl Monitor {
             for k in (c..m).filter(|&k| self.residuals[k].is_finite()) {
                 self.solution[k] = if k == c { 1.0 } else { 0.0 };
                 for j in (c..k).filter(|&j| self.residuals[j].is_finite()) {
-                    self.solution[k] -= factors[k * m + j] * self.solution[j];
+                    self.solution[k] -= factors[j * m + k] * self.solution[j];
                 }
                 precision += (self.solution[k] / self.std[k]).powi(2);
             }

@@ -154,9 +154,9 @@ pub struct Smoother<M> {
     lambda: Vec<f64>,
     /// Λ, what this and later readings say of the state.
     information: Information,
-    /// One padded row for each reading: h, and −h/2r.
+    /// One padded row for each reading: h, and h/√r.
     rows: Vec<f64>,
-    halves: Vec<f64>,
+    whitened: Vec<f64>,
     /// x̂ (states).
     mean: Vec<f64>,
     /// P̂, of q or of the whole state (states × stride).
@@ -231,7 +231,7 @@ impl<M: Phases> Smoother<M> {
         Self {
             lambda: vec![0.0; stride],
             rows: vec![0.0; m * stride],
-            halves: vec![0.0; m * stride],
+            whitened: vec![0.0; m * stride],
             mean: vec![0.0; states],
             smoothed: vec![0.0; states * stride],
             information,
@@ -350,7 +350,7 @@ impl<M: Phases> Smoother<M> {
                 linear::add_scaled(&mut self.lambda, -pull, &self.rows[a * stride..][..stride]);
             }
         }
-        self.information.learn(&self.rows, &self.halves);
+        self.information.learn(&self.whitened);
         if let Some(consider) = &mut self.consider {
             consider.back(&history.consider, i, &history.innovations[i * m..][..m], &self.rows, gains);
         }
@@ -366,12 +366,12 @@ impl<M: Phases> Smoother<M> {
             && self.effect.counts(&history.effect, i, m, history.covariance(i), &self.smoothed, stride)
     }
 
-    /// Whole rows of H at sample `i`, and each over −2r; zero where a reading was not used. Returns how many.
+    /// Whole rows of H at sample `i`, and each over √r; zero where a reading was not used. Returns how many.
     #[inline(always)]
     fn load_rows(&mut self, history: &History, i: usize) -> usize {
-        let Self { filter: ExtendedKalmanFilter { model, .. }, rows, halves, lambda, .. } = self;
+        let Self { filter: ExtendedKalmanFilter { model, .. }, rows, whitened, lambda, .. } = self;
         let (m, d, stride) = (model.channels(), model.dense(), lambda.len());
-        for (c, (row, half)) in rows.chunks_exact_mut(stride).zip(halves.chunks_exact_mut(stride)).enumerate() {
+        for (c, (row, white)) in rows.chunks_exact_mut(stride).zip(whitened.chunks_exact_mut(stride)).enumerate() {
             row.fill(0.0);
             let at = i * m + c;
             // A gated or missing reading said nothing: a row of zeros leaves λ and Λ alone.
@@ -381,9 +381,9 @@ impl<M: Phases> Smoother<M> {
                     row[b] = 1.0;
                 }
             }
-            let factor = -0.5 / history.variances[at];
-            for (half, h) in half.iter_mut().zip(row.iter()) {
-                *half = factor * h;
+            let factor = 1.0 / history.variances[at].sqrt();
+            for (white, h) in white.iter_mut().zip(row.iter()) {
+                *white = factor * h;
             }
         }
         m

@@ -23,8 +23,6 @@ pub(super) struct StepNoise {
     covariance: Symmetric,
     /// One row for each node and source, of the quadrature's factor.
     rows: Vec<f64>,
-    /// The same rows, each times −h/2 of its node's weight: `subtract_outer` then adds w h l lᵀ.
-    halves: Vec<f64>,
     /// ∫ e^(As) ds over the substep.
     integral: Vec<f64>,
     /// Ψ, one row an input; torques are the first.
@@ -40,7 +38,6 @@ impl StepNoise {
         let stride = covariance.stride;
         Self {
             rows: vec![0.0; NODES.len() * sources.len() * stride],
-            halves: vec![0.0; NODES.len() * sources.len() * stride],
             integral: vec![0.0; dense * stride],
             inputs: vec![0.0; inputs * stride],
             before: vec![0.0; stride],
@@ -95,14 +92,12 @@ impl StepNoise {
     #[inline(always)]
     pub(super) fn substep(&mut self, h: f64, mut rate: impl FnMut(usize, &mut [f64])) {
         let (d, stride, sources) = (self.covariance.n, self.covariance.stride, self.sources.len());
-        for (at, (row, half)) in self.rows.chunks_exact(stride).zip(self.halves.chunks_exact_mut(stride)).enumerate() {
-            let weight = -0.5 * h * NODES[at / sources].1;
-            for (half, x) in half.iter_mut().zip(row) {
-                *half = weight * x;
-            }
+        for (at, row) in self.rows.chunks_exact_mut(stride).enumerate() {
+            let root = (h * NODES[at / sources].1).sqrt();
+            row.iter_mut().for_each(|x| *x *= root);
         }
         self.covariance.data.fill(0.0);
-        self.covariance.subtract_outer(&self.rows, &self.halves);
+        self.covariance.add_squares(1.0, &self.rows);
         for (j, out) in self.inputs.chunks_exact_mut(stride).enumerate() {
             self.before.fill(0.0);
             rate(j, &mut self.before[..d]);

@@ -317,12 +317,10 @@ impl Transition {
         for (row, values) in self.term.chunks_exact_mut(stride).zip(memory[d * d..].chunks_exact(d)) {
             row[..d].copy_from_slice(values);
         }
-        // Q of a step may be singular, where a state has no noise of its own: such a column is zero.
-        linear::cholesky(&mut self.term, d, stride);
-        for (i, row) in self.term.chunks_exact(stride).enumerate() {
-            for (c, value) in row[..=i].iter().enumerate() {
-                rows[c * width + i] = *value;
-            }
+        // Q of a step may be singular, where a state has no noise of its own: such a row is zero.
+        linear::upper_factor(&mut self.term, d, stride);
+        for (out, row) in rows.chunks_exact_mut(width).zip(self.term.chunks_exact(stride)) {
+            out[..d].copy_from_slice(&row[..d]);
         }
     }
 

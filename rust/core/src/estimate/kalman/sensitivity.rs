@@ -1,0 +1,55 @@
+//! What errors that a filter does not estimate do to its state: columns that ride along with it.
+
+use super::correction::Correction;
+use super::model::Model;
+use crate::linear;
+
+/// Σ = ∂(x − x̂)/∂e for errors e that last, and what they do to the innovations.
+///
+/// Predicted by the model's [`carry`](Model::carry), corrected by Σ = (1 − K H) Σ⁻ − K N, N being what the errors do to the
+/// readings themselves. As products of whole matrices, which keep sums in registers.
+#[derive(Clone, Debug)]
+pub(super) struct Sensitivity {
+    /// Numbers between rows: errors, padded.
+    pub(super) stride: usize,
+    /// Σ (states × stride).
+    pub(super) columns: Vec<f64>,
+    /// N before an update; after it s = L⁻¹ (H Σ⁻ + N), of each channel after those before it (channels × stride).
+    pub(super) signatures: Vec<f64>,
+    /// H Σ⁻.
+    products: Vec<f64>,
+}
+
+impl Sensitivity {
+    /// To so many errors; zero.
+    pub(super) fn new(model: &impl Model, errors: usize) -> Self {
+        let stride = errors.next_multiple_of(linear::LANES);
+        Self {
+            stride,
+            columns: vec![0.0; model.states() * stride],
+            signatures: vec![0.0; model.channels() * stride],
+            products: vec![0.0; model.channels() * stride],
+        }
+    }
+
+    /// Through the update that `correction` has done.
+    #[inline(always)]
+    pub(super) fn update(&mut self, model: &impl Model, correction: &Correction) {
+        let Self { stride: p, columns, signatures, products } = self;
+        let (p, m) = (*p, correction.innovations.len());
+        linear::product(model.linearised().jacobian, model.dense(), columns, p, products);
+        let rows = signatures.chunks_exact_mut(p).zip(products.chunks_exact(p));
+        for (((own, product), innovation), bias) in rows.zip(&correction.innovations).zip(model.biases()) {
+            if innovation.variance.is_infinite() {
+                own.fill(0.0);
+                continue;
+            }
+            linear::add_scaled(own, 1.0, product);
+            if let Some(b) = *bias {
+                linear::add_scaled(own, 1.0, &columns[b * p..][..p]);
+            }
+        }
+        linear::forward(&correction.factors, m, signatures, p);
+        linear::add_outer(-1.0, (&correction.gains, correction.gains.len() / m), signatures, p, columns);
+    }
+}
