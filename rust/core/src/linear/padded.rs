@@ -6,6 +6,7 @@
 
 use super::LANES;
 use crate::simd::{self, Kernel};
+use core::ops::Range;
 
 /// Rows that share what is loaded.
 const ROWS: usize = LANES;
@@ -73,15 +74,16 @@ macro_rules! by_rows {
     };
 }
 
-/// `out[i] = Σⱼ left[i][j] · right[j]`: `left` has rows of `inner` numbers, `right` at least `inner` rows of `stride`.
-pub(crate) fn product(left: &[f64], inner: usize, right: &[f64], stride: usize, out: &mut [f64]) {
-    simd::phase(Product { left, inner, right, stride, out });
+/// `out[i] = Σⱼ left[i][j] · right[j]`: `left` has rows of `width` numbers, of which the first meet the rows of `right`, each
+/// of `stride`.
+pub(crate) fn product(left: &[f64], width: usize, right: &[f64], stride: usize, out: &mut [f64]) {
+    simd::phase(Product { left, width, right, stride, out });
 }
 
 /// [`product`], to be compiled for each instruction set.
 struct Product<'a> {
     left: &'a [f64],
-    inner: usize,
+    width: usize,
     right: &'a [f64],
     stride: usize,
     out: &'a mut [f64],
@@ -92,37 +94,39 @@ impl Kernel for Product<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { left, inner, right, stride, out } = self;
-        let rows = left.len() / inner;
-        by_rows!(rows, |i, R| {
-            by_columns!(0, stride / LANES, |c, W| product_block::<R, W>(&left[i * inner..], inner, 0, right, stride, c)
-                .put(&mut out[i * stride..], stride, c));
+        let Self { left, width, right, stride, out } = self;
+        let inner = width.min(right.len() / stride);
+        by_rows!(left.len() / width, |i, R| {
+            let left = (&left[i * width..], width);
+            by_columns!(0, stride / LANES, |c, W| product_block::<R, W>(left, 0..inner, right, stride, c).put(
+                &mut out[i * stride..],
+                stride,
+                c
+            ));
         });
     }
 }
 
-/// R rows by W registers of a product, from register `c` on; the inner loop begins at `first` and ends with `right`.
+/// R rows by W registers of a product, from register `c` on, over the rows `inner` of `right`.
 #[inline(always)]
 fn product_block<const R: usize, const W: usize>(
-    left: &[f64],
-    inner: usize,
-    first: usize,
+    (left, width): (&[f64], usize),
+    inner: Range<usize>,
     right: &[f64],
     stride: usize,
     c: usize,
 ) -> Block<R, W> {
-    let (right, step) = (lanes(right), stride / LANES);
-    let left: [&[f64]; R] = core::array::from_fn(|r| &left[r * inner..][..inner]);
+    let step = stride / LANES;
+    let left: [&[f64]; R] = core::array::from_fn(|r| &left[r * width..][inner.clone()]);
+    let right = &lanes(right)[inner.start * step + c..];
     let mut sums = [[[0.0; LANES]; W]; R];
-    let mut at = first * step + c;
-    for j in first..inner {
-        let Some(row) = right.get(at..at + W) else { break };
+    for j in 0..inner.len() {
+        let row = &right[j * step..][..W];
         for r in 0..R {
             for w in 0..W {
                 accumulate(&mut sums[r][w], left[r][j], &row[w]);
             }
         }
-        at += step;
     }
     sums
 }
@@ -164,15 +168,13 @@ fn outer_block<const W: usize>(
 ) -> Block<LANES, W> {
     let mut sums = [[[0.0; LANES]; W]; LANES];
     let (a, b) = (lanes(a), lanes(b));
-    let (mut at, mut beside) = (r, c);
-    for _ in 0..inner {
-        let (a, b) = (&a[at], &b[beside..beside + W]);
+    for i in 0..inner {
+        let (left, right) = (&a[i * (width / LANES) + r], &b[i * (stride / LANES) + c..][..W]);
         for k in 0..LANES {
             for w in 0..W {
-                accumulate(&mut sums[k][w], a[k], &b[w]);
+                accumulate(&mut sums[k][w], left[k], &right[w]);
             }
         }
-        (at, beside) = (at + width / LANES, beside + stride / LANES);
     }
     sums
 }
@@ -302,31 +304,26 @@ fn forward_block<const R: usize, const W: usize>(
     i: usize,
     c: usize,
 ) {
-    let mut rows = [[[0.0; LANES]; W]; R];
-    let b = b.as_chunks_mut::<LANES>().0;
-    let step = stride / LANES;
+    let (done, own) = b.split_at_mut(i * stride);
+    let (done, step) = (lanes(done), stride / LANES);
+    let mut sums = [[[0.0; LANES]; W]; R];
     for j in 0..i {
-        let (row, factors) = (&b[j * step + c..][..W], &upper[j * size + i..][..R]);
+        let (row, factors) = (&done[j * step + c..][..W], &upper[j * size + i..][..R]);
         for r in 0..R {
             for w in 0..W {
-                accumulate(&mut rows[r][w], factors[r], &row[w]);
+                accumulate(&mut sums[r][w], factors[r], &row[w]);
             }
         }
     }
+    sums.add(-1.0, own, stride, c, R);
     for r in 0..R {
-        let own = &mut b[(i + r) * step + c..][..W];
-        let factors: [f64; R] = core::array::from_fn(|s| upper[(i + s) * size + i + r]);
-        let inverse = 1.0 / factors[r];
-        for w in 0..W {
-            let mut sum = rows[r][w];
-            for s in 0..r {
-                accumulate(&mut sum, factors[s], &rows[s][w]);
-            }
-            for l in 0..LANES {
-                rows[r][w][l] = (own[w][l] - sum[l]) * inverse;
-            }
-            own[w] = rows[r][w];
+        let (before, own) = own.split_at_mut(r * stride);
+        let own = &mut own[c * LANES..][..W * LANES];
+        for s in 0..r {
+            super::add_scaled(own, -upper[(i + s) * size + i + r], &before[s * stride + c * LANES..][..W * LANES]);
         }
+        let inverse = 1.0 / upper[(i + r) * size + i + r];
+        own.iter_mut().for_each(|x| *x *= inverse);
     }
 }
 
@@ -415,11 +412,17 @@ impl Kernel for Congruence<'_> {
         for i in (0..n).step_by(LANES) {
             let rows = LANES.min(n - i);
             let product = &mut scratch[..LANES * stride];
-            by_columns!(0, step, |c, W| product_block::<ROWS, W>(&upper[i * stride..], stride, i, matrix, stride, c)
-                .put(product, stride, c));
+            by_columns!(0, step, |c, W| product_block::<ROWS, W>(
+                (&upper[i * stride..], stride),
+                i..n,
+                matrix,
+                stride,
+                c
+            )
+            .put(product, stride, c));
             let out = &mut out[i * stride..];
             by_columns!(0, i / LANES + 1, |c, W| {
-                let block = product_block::<ROWS, W>(product, stride, c * LANES, turned, stride, c);
+                let block = product_block::<ROWS, W>((product, stride), c * LANES..n, turned, stride, c);
                 for (row, sum) in out.chunks_exact_mut(stride).zip(&block).take(rows) {
                     row[c * LANES..][..W * LANES].copy_from_slice(sum.as_flattened());
                 }

@@ -26,6 +26,9 @@ pub(super) struct Correction {
     row: Vec<f64>,
     /// Innovations before any channel is used.
     raw: Vec<f64>,
+    /// Hᵀ (dense × channels, padded), and H P Hᵀ (channels × channels, padded).
+    turned: Vec<f64>,
+    shares: Vec<f64>,
     /// [S, H P, e] and then D^(−1/2) L⁻¹ times that (channels × all of these, padded).
     joint: Vec<f64>,
     /// Each after the channels before it.
@@ -44,13 +47,16 @@ pub(super) struct Correction {
 impl Correction {
     pub(super) fn new(model: &impl Model, stride: usize) -> Self {
         let m = model.channels();
+        let own = m.next_multiple_of(linear::LANES);
         Self {
             reference: vec![0.0; model.dense()],
             projections: vec![0.0; m * stride],
             gains: vec![0.0; m * stride],
             row: vec![0.0; stride],
             raw: vec![0.0; m],
-            joint: vec![0.0; m * (m.next_multiple_of(linear::LANES) + stride + linear::LANES)],
+            turned: vec![0.0; model.dense() * own],
+            shares: vec![0.0; m * own],
+            joint: vec![0.0; m * (own + stride + linear::LANES)],
             innovations: vec![Innovation::NONE; m],
             factors: vec![0.0; m * m],
             gated: vec![false; m],
@@ -69,8 +75,9 @@ impl Correction {
     pub(super) fn update(&mut self, model: &impl Model, belief: &mut Gaussian, readings: &[f64], gate: Option<f64>) {
         (self.status, self.nis, self.used, self.log_likelihood) = (0, 0.0, 0, 0.0);
         self.project(model, belief);
+        self.share(model, belief.covariance.stride);
         self.read(model, belief, readings);
-        if self.is_sharp(model, belief) {
+        if self.is_sharp(model) {
             for i in 0..readings.len() {
                 self.use_one(model, belief, i, gate);
             }
@@ -113,12 +120,30 @@ impl Correction {
         }
     }
 
+    /// H P Hᵀ, its upper triangle.
+    #[inline(always)]
+    fn share(&mut self, model: &impl Model, stride: usize) {
+        let (m, d) = (self.raw.len(), model.dense());
+        let own = m.next_multiple_of(linear::LANES);
+        for (i, row) in model.linearised().jacobian.chunks_exact(d).enumerate() {
+            for (k, h) in row.iter().enumerate() {
+                self.turned[k * own + i] = *h;
+            }
+        }
+        linear::product(&self.projections, stride, &self.turned, own, &mut self.shares);
+        for (shares, projection) in self.shares.chunks_exact_mut(own).zip(self.projections.chunks_exact(stride)) {
+            for (share, bias) in shares.iter_mut().zip(model.biases()) {
+                *share += bias.map_or(0.0, |b| projection[b]);
+            }
+        }
+    }
+
     /// Whether some reading's noise is lost beside the variance of its prediction.
     #[inline(always)]
-    fn is_sharp(&self, model: &impl Model, belief: &Gaussian) -> bool {
-        let rows = self.projections.chunks_exact(belief.covariance.stride).zip(&self.raw).enumerate();
-        rows.filter(|(_, (_, raw))| !raw.is_nan())
-            .any(|(i, (projection, _))| row(model, i).dot(projection) > SHARP * model.variance(i))
+    fn is_sharp(&self, model: &impl Model) -> bool {
+        let own = self.raw.len().next_multiple_of(linear::LANES);
+        let mut read = self.raw.iter().enumerate().filter(|(_, raw)| !raw.is_nan());
+        read.any(|(i, _)| self.shares[i * own + i] > SHARP * model.variance(i))
     }
 
     /// Whether channel `i` is read and not shut out.
@@ -134,13 +159,13 @@ impl Correction {
         let own = m.next_multiple_of(linear::LANES);
         let width = own + stride + linear::LANES;
         for i in 0..m {
-            let (row, open) = (row(model, i), self.is_open(i));
-            for j in 0..=i {
-                let both = open && self.is_open(j);
-                let share = if both { row.dot(&self.projections[j * stride..][..stride]) } else { 0.0 };
-                self.joint[j * width + i] = share;
+            let open = self.is_open(i);
+            self.joint[i * width..][..own].copy_from_slice(&self.shares[i * own..][..own]);
+            self.joint[i * width + i] += model.variance(i);
+            if !open {
+                (0..m).for_each(|j| self.joint[j.min(i) * width + j.max(i)] = 0.0);
+                self.joint[i * width + i] = 1.0;
             }
-            self.joint[i * width + i] += if open { model.variance(i) } else { 1.0 };
             let (projection, last) = self.joint[i * width + own..][..stride + 1].split_at_mut(stride);
             if open {
                 projection.copy_from_slice(&self.projections[i * stride..][..stride]);
@@ -249,10 +274,12 @@ impl Correction {
         std: &mut [f64],
     ) {
         self.project(model, belief);
+        self.share(model, belief.covariance.stride);
         self.read(model, belief, readings);
         innovation.copy_from_slice(&self.raw);
-        for (i, projection) in self.projections.chunks_exact(belief.covariance.stride).enumerate() {
-            std[i] = (row(model, i).dot(projection) + model.variance(i)).sqrt();
+        let own = readings.len().next_multiple_of(linear::LANES);
+        for (i, std) in std.iter_mut().enumerate() {
+            *std = (self.shares[i * own + i] + model.variance(i)).sqrt();
         }
     }
 }
