@@ -5,7 +5,7 @@ use crate::error::DesignError;
 use crate::linear;
 
 /// A reading whose innovation has this many times the variance of its noise leaves no digits for differences.
-pub(super) const SHARP: f64 = 1e6;
+pub(super) const SHARP: f64 = 1e4;
 
 /// A row of a measurement matrix: dense over the first states, and one of the bias states.
 #[derive(Clone, Copy, Debug)]
@@ -86,7 +86,7 @@ impl Symmetric {
     /// `self ← (1 − k hᵀ) self (1 − k hᵀ)ᵀ + r k kᵀ` with the gain k = self h/s, s = hᵀ self h + r, for padded `row` h, where
     /// `projection` is self h.
     ///
-    /// Joseph's form as the product that it is: where s is 10⁶ times r and more, as after a long time without readings, the
+    /// Joseph's form as the product that it is: where s is 10⁴ times r and more, as after a long time without readings, the
     /// differences of [`add_squares`](Self::add_squares) would leave few digits or none. At three times its cost.
     #[inline(always)]
     pub(crate) fn condition(&mut self, row: &[f64], projection: &[f64], s: f64, r: f64) {
