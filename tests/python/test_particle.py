@@ -93,17 +93,22 @@ def test_on_a_linear_model_smoothing_tends_to_rauch_tung_and_striebels(method):
 
 
 def test_smoothing_knows_more_than_filtering():
+    """Over several clouds: of one with 300 particles the width is right to a factor of two, by chance."""
     robot, log = recording()
     # A cloud that is spread anew between the two passes would be another one.
     settings = {"particles": 300, "quantiles": (0.5,), "collapse": "flag", "start": "rest", "tolerances": False}
-    method = MarginalizedParticleFilter(robot, **settings)
     truth = Estimate.read(DATA / "arm2_square/truth.parquet")
     log, truth = log[:2000], truth[:2000]
-    filtered, smoothed = method.run(log), method.smooth(log)
-    ours, before = (e.error_against(truth).tool_rms_centred for e in (smoothed, filtered))
+    errors, ratios = [], []
+    for seed in range(4):
+        method = MarginalizedParticleFilter(robot, seed=seed, **settings)
+        filtered, smoothed = method.run(log), method.smooth(log)
+        errors.append([e.error_against(truth).tool_rms_centred for e in (smoothed, filtered)])
+        ratios.append(smoothed.q_std[:-1] / filtered.q_std[:-1])
+        assert (smoothed.effective == filtered.effective).all()
+    ours, before = np.mean(errors, axis=0)
     assert ours < before
-    assert (smoothed.effective == filtered.effective).all()
-    assert (smoothed.q_std[:-1] <= filtered.q_std[:-1] * 1.001).mean() > 0.99
+    assert np.median(ratios) < 0.9
     assert np.allclose(smoothed.theta, filtered.theta, atol=1e-4)
     assert smoothed.best is None
     assert smoothed.quantiles is None
