@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 
 from linkside import demo
 from linkside.errors import EstimatorError, LogError
-from linkside.recording.log import Log, log_rows
+from linkside.recording.log import Log
+from linkside.recording.opening import log_rows
 
 DATA = Path(__file__).parents[1] / "data"
 SIGNALS = ("t", "theta", "dtheta", "tau", "ddq", "qref", "dqref", "ddqref", "acceleration", "rate")

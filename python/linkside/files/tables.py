@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -42,6 +42,60 @@ def numbers(table: pa.Table, name: str, source: str) -> FloatArray:
     with reading(source):
         array: FloatArray = column.cast(pa.float64(), safe=False).to_numpy()
     return array
+
+
+class Table(Protocol):
+    """A table of named columns, which are read when they are asked for.
+
+    Attributes
+    ----------
+    source : str
+        Where it comes from, for messages.
+    names : list of str
+        Its columns.
+    count : int or None
+        Its rows, None where only reading it would tell.
+    """
+
+    source: str
+    names: list[str]
+    count: int | None
+
+    def read(self, columns: list[str]) -> pa.Table:
+        """All rows of some columns."""
+
+    def batches(self, columns: list[str], rows: int) -> Iterator[pa.Table]:
+        """Some columns in tables of ``rows`` rows, the last one shorter."""
+
+
+class ArrowTable:
+    """A table in memory, with what is to be known of it (``metadata``)."""
+
+    def __init__(self, table: pa.Table, source: str, metadata: Mapping[str, str] | None = None) -> None:
+        """Take a table."""
+        self.source = source
+        self.metadata = dict(metadata or {})
+        self.names: list[str] = list(table.column_names)
+        self.count: int | None = table.num_rows
+        self._table = table
+
+    def read(self, columns: list[str]) -> pa.Table:
+        """All rows of some columns."""
+        return self._table.select(columns)
+
+    def batches(self, columns: list[str], rows: int) -> Iterator[pa.Table]:
+        """Some columns in tables of ``rows`` rows, the last one shorter."""
+        table = self.read(columns)
+        yield from (table.slice(first, rows) for first in range(0, table.num_rows, rows))
+
+    def renamed(self, old: str, new: str) -> ArrowTable:
+        """The same with another name of a column."""
+        names = [new if name == old else name for name in self.names]
+        return ArrowTable(self._table.rename_columns(names), self.source, self.metadata)
+
+    def to_arrow(self) -> pa.Table:
+        """The table itself."""
+        return self._table
 
 
 class ParquetTable:
@@ -156,7 +210,7 @@ class CsvTable:
         return None
 
 
-def open_table(path: str | Path) -> ParquetTable | CsvTable:
+def open_table(path: str | Path) -> Table:
     """Open a file by its suffix, for reading some of its columns; `LogError` when that cannot be."""
     name = str(path).lower()
     if not name.endswith((".parquet", ".csv", ".csv.gz")):
