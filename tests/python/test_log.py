@@ -460,7 +460,7 @@ def test_files_that_are_not_there_or_not_ours(tmp_path):
     for call in (lambda p: Log.read(p, Robot()), lambda p: Log.stream(p, Robot()), log_rows):
         refusal(lambda call=call: call(tmp_path / "none.parquet"), "none.parquet: no such file")
         refusal(lambda call=call: call(tmp_path / "folder.parquet"), "this is a directory")
-        refusal(lambda call=call: call(tmp_path / "log.xlsx"), "ends in .parquet, .csv or .csv.gz")
+        refusal(lambda call=call: call(tmp_path / "log.xlsx"), "ends in .parquet, .csv, .csv.gz, .mat")
         refusal(lambda call=call: call(tmp_path / f"{'x' * 300}.csv"), "File name too long")
 
 

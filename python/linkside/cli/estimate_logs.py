@@ -257,7 +257,9 @@ def output_folder(out: str, logs: Sequence[str]) -> Iterator[list[Path]]:
 
 
 def _stem(log: str) -> str:
-    return re.sub(r"\.(parquet|csv|csv\.gz|mcap|mcap\.zstd|db3|db3\.zstd)$", "", Path(log).name, flags=re.IGNORECASE)
+    return re.sub(
+        r"\.(parquet|csv|csv\.gz|mcap|mcap\.zstd|db3|db3\.zstd|mat|h5|hdf5)$", "", Path(log).name, flags=re.IGNORECASE
+    )
 
 
 @contextmanager

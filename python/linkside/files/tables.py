@@ -19,7 +19,6 @@ from linkside.arrays import FloatArray
 from linkside.errors import LogError
 
 from .csv_dialect import Dialect
-from .regular import instead
 
 _NUMBER = r"^\s*[-+]?((\d+{0}?\d*|{0}\d+)([eE][-+]?\d+)?|(?i:inf|infinity|nan))\s*$"
 
@@ -208,21 +207,6 @@ class CsvTable:
                         return failure(self.source, f"column {name!r} is {cell}: {what} expected")
                 first_row += batch.num_rows
         return None
-
-
-def open_table(path: str | Path) -> Table:
-    """Open a file by its suffix, for reading some of its columns; `LogError` when that cannot be."""
-    name = str(path).lower()
-    if not name.endswith((".parquet", ".csv", ".csv.gz")):
-        raise failure(str(path), "a file that ends in .parquet, .csv or .csv.gz is expected")
-    with reading(str(path)):  # a name may also be too long, or out of reach
-        try:
-            other = instead(path)
-        except FileNotFoundError:
-            raise failure(str(path), "no such file") from None
-        if other:
-            raise failure(str(path), f"this is {other}, a file is expected")
-    return ParquetTable(path) if name.endswith(".parquet") else CsvTable(path)
 
 
 def _refuse_many(names: list[str], source: str) -> None:

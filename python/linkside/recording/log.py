@@ -91,7 +91,7 @@ class Log:
 
     @classmethod
     def read(cls, path: str | Path, robot: RobotColumns, *, allow_gaps: bool = False, check: bool = True) -> Log:
-        """Read a Parquet or CSV file (``.parquet``, ``.csv``, ``.csv.gz``) or a bag; only the columns needed.
+        """Read a file (Parquet, CSV, MATLAB, HDF5) or a bag; only the columns needed.
 
         Parameters
         ----------

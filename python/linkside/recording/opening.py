@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from linkside.files.bags import Bag, is_bag
-from linkside.files.tables import Table, open_table
+from linkside.files.opening import open_table
+from linkside.files.tables import Table
 
 from .layout import RobotColumns
 from .sources import robot_table
