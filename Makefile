@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 # Units stand in brackets, as links do.
-RUSTDOC := RUSTDOCFLAGS="-D warnings -A rustdoc::broken-intra-doc-links" cargo doc --locked --no-deps -p linkside-core --target-dir target
+RUSTDOC := RUSTDOCFLAGS="-D warnings -A rustdoc::broken-intra-doc-links" cargo doc --locked --no-deps -p linkside-core -p linkside-bag --target-dir target
 
 .PHONY: demo test lint bench docs lock clean
 
@@ -15,7 +15,7 @@ demo: $(VENV) ## build, install, run the main job on the recording inside the pa
 
 test: $(VENV) ## everything that must hold
 	$(PIP) ".[test,lint]"
-	RUSTFLAGS="--cfg one_level" cargo test --locked -p linkside-core
+	RUSTFLAGS="--cfg one_level" cargo test --locked -p linkside-core -p linkside-bag
 	cargo test --locked --workspace --release --test '*' # of the workspace: with the wheel's features, on its build of the core
 	$(BIN)/python -m mypy.stubtest linkside._core
 	$(BIN)/python -m pytest -n 2 --dist loadfile

@@ -1,6 +1,7 @@
 """Compiled kernels of linkside: float64 arrays in C order, joints in log order, SI units."""
 
 from collections.abc import Callable, Mapping, Sequence
+from os import PathLike
 from typing import Any, Literal, final
 
 import numpy as np
@@ -8,9 +9,11 @@ import numpy.typing as npt
 
 __all__ = [
     "AccelerationObserver",
+    "BagCollector",
     "ElasticJointFilter",
     "ExtendedKalmanFilter",
     "Likelihood",
+    "McapReader",
     "ParticleFilter",
     "Response",
     "Robot",
@@ -24,6 +27,7 @@ __all__ = [
     "observer_gains",
     "sampled_observer",
     "simulate",
+    "unpack_file",
 ]
 
 _Array = npt.NDArray[np.float64]
@@ -351,3 +355,28 @@ def simulate(
     source: bool | tuple[ElasticJointFilter, Sequence[int]] | AccelerationObserver,
     law: Mapping[str, Any] | Callable[[float, _Array, _Array, _Array, _Array], _Signal],
 ) -> dict[str, _Array]: ...
+
+@final
+class BagCollector:
+    """Gathers columns from messages. A request: topic, paths, the path of names if paths are of arrays, which names."""
+
+    def __new__(
+        cls, requests: Sequence[tuple[str, Sequence[str], str | None, Sequence[str] | None]], compressed: bool
+    ) -> BagCollector: ...
+    def define(self, topic: str, message: str, encoding: str, language: str, definition: bytes) -> int: ...
+    def add(self, channel: int, rows: Sequence[tuple[int, bytes]]) -> None: ...
+    def topics(self) -> list[tuple[str, str, int]]: ...
+    def finish(self) -> list[tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], list[str], list[_Array]]]: ...
+
+@final
+class McapReader:
+    """Reads an MCAP file from its beginning to its end."""
+
+    def __new__(cls, path: str | PathLike[str]) -> McapReader: ...
+    def advance(self, collector: BagCollector) -> bool: ...
+    @property
+    def truncated(self) -> bool: ...
+    @property
+    def damaged(self) -> list[int]: ...
+
+def unpack_file(source: str | PathLike[str], target: str | PathLike[str]) -> None: ...

@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 
 from linkside import demo
 from linkside.errors import EstimatorError, LogError
-from linkside.recording.log import Log, log_rows
+from linkside.recording.log import Log
+from linkside.recording.opening import log_rows
 
 DATA = Path(__file__).parents[1] / "data"
 SIGNALS = ("t", "theta", "dtheta", "tau", "ddq", "qref", "dqref", "ddqref", "acceleration", "rate")
@@ -459,7 +460,7 @@ def test_files_that_are_not_there_or_not_ours(tmp_path):
     for call in (lambda p: Log.read(p, Robot()), lambda p: Log.stream(p, Robot()), log_rows):
         refusal(lambda call=call: call(tmp_path / "none.parquet"), "none.parquet: no such file")
         refusal(lambda call=call: call(tmp_path / "folder.parquet"), "this is a directory")
-        refusal(lambda call=call: call(tmp_path / "log.xlsx"), "ends in .parquet, .csv or .csv.gz")
+        refusal(lambda call=call: call(tmp_path / "log.xlsx"), "ends in .parquet, .csv, .csv.gz, .mat")
         refusal(lambda call=call: call(tmp_path / f"{'x' * 300}.csv"), "File name too long")
 
 

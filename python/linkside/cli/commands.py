@@ -1,4 +1,4 @@
-"""The command line: ``linkside init``, ``merge``, ``estimate``, ``tune``, ``check``, ``place`` and ``demo``.
+"""The command line: ``linkside init``, ``convert``, ``merge``, ``estimate``, ``tune``, ``check``, ``place``, ``demo``.
 
 Whatever a user can get wrong is one line on standard error and exit status 2, and leaves no file behind.
 """
@@ -26,13 +26,13 @@ from linkside.robot import Robot
 from linkside.robot.config import RobotFile
 from linkside.robot.starter import DRIVES, starter
 
-from . import reporting
+from . import convert_bag, reporting
 from .error_tables import tool_table
 from .estimate_logs import EstimateJob, cores, estimate_all, naming, output_folder
 from .failures import Commands, complain
 from .methods import METHODS, Options
 from .provenance import digest
-from .terminal import bar, show
+from .terminal import bar, rate_lines, show
 
 ROWS = 8192
 """Rows of a log that are in memory at a time."""
@@ -228,8 +228,55 @@ def merge(robot: str, files: tuple[str, ...], out: str, shifts: tuple[str, ...],
     log = Log.merge(files, loaded, shifts=each, rate=options["rate"], check=not options["no_check"])
     log.write(out)
     click.echo(f"{out}: {log!r}")
-    for column, hertz, share in log.rates():
-        click.echo(f"  {column:<22}{hertz:10.6g} Hz, in {100 * share:5.1f} % of the rows")
+    for line in rate_lines(log.rates()):
+        click.echo(line)
+
+
+@main.command(
+    epilog=_example(
+        """linkside convert bag                                                            # what is in it?
+  linkside convert bag --joints /joint_states --imu tool_acc=/imu_tool --out log.parquet
+  linkside convert bag --joints /state:q=actual.positions,names=joint_names --out log.parquet
+  linkside convert bag --field torque_a2=/ft_a2:wrench.torque.z --wrench tool=/ft --out log.parquet
+  linkside convert bag --robot robot.yaml --out log.parquet                       # by its `sources`"""
+    )
+)
+@click.argument("bag", type=click.Path())
+@click.option("--out", type=click.Path(), help="The log, a file that ends in .parquet or .csv.")
+@click.option("--robot", type=click.Path(), help="A robot.yaml with `sources`, in place of the options below.")
+@click.option(
+    "--joints",
+    multiple=True,
+    metavar="TOPIC[:SIGNAL=PATH,…]",
+    help="JointState: position, velocity and effort are columns theta_, dtheta_, tau_JOINT; or arrays of any message.",
+)
+@click.option("--imu", multiple=True, metavar="NAME=TOPIC", help="Imu: columns NAME_x, _y, _z and NAME_wx, _wy, _wz.")
+@click.option("--wrench", multiple=True, metavar="NAME=TOPIC", help="WrenchStamped: NAME_fx, _fy, _fz and NAME_tx, …")
+@click.option("--field", "fields", multiple=True, metavar="COLUMN=TOPIC:PATH", help="A number of any message.")
+def convert(bag: str, out: str | None, robot: str | None, **options: tuple[str, ...]) -> None:
+    """Make a log of BAG, or without options say what is in it.
+
+    BAG is an MCAP file, an SQLite file of rosbag2, or the directory of either. Time is that of the messages' stamps,
+    from the first one on; a row for each time, NaN where a sensor has no reading. JointState has the sides of gears
+    that its publisher means: q= takes it for the links', theta= for the motors'.
+    """
+    given = any(options.values())
+    if given and robot is not None:
+        raise click.UsageError("--robot says what to take; leave out the other options, or leave out --robot")
+    if out is None:
+        if given or robot is not None:
+            raise click.UsageError("--out is missing: the log, a file that ends in .parquet or .csv")
+        show(convert_bag.contents(bag))
+        return
+    if not given and robot is None:
+        raise click.UsageError(
+            "nothing to take: name topics (--joints, --imu, …), or --robot robot.yaml with `sources`"
+        )
+    check_writable(out)
+    _refuse_clashes([Path(out)], [bag, *([robot] if robot else [])])
+    by = convert_bag.sources(options) if robot is None else Robot.load(robot)
+    for line in convert_bag.run(bag, by, out):
+        click.echo(line)
 
 
 def _named_number(option: str, text: str) -> tuple[str, float]:

@@ -19,7 +19,8 @@ from rich.console import RenderableType
 
 from linkside.errors import EstimatorError, LinksideError, NumericalError, OutputError, RecordingWarning
 from linkside.recording.estimate import Estimate, EstimateError
-from linkside.recording.log import Log, log_rows
+from linkside.recording.log import Log
+from linkside.recording.opening import log_rows
 from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
 
@@ -256,7 +257,9 @@ def output_folder(out: str, logs: Sequence[str]) -> Iterator[list[Path]]:
 
 
 def _stem(log: str) -> str:
-    return re.sub(r"\.(parquet|csv|csv\.gz)$", "", Path(log).name, flags=re.IGNORECASE)
+    return re.sub(
+        r"\.(parquet|csv|csv\.gz|mcap|mcap\.zstd|db3|db3\.zstd|mat|h5|hdf5)$", "", Path(log).name, flags=re.IGNORECASE
+    )
 
 
 @contextmanager

@@ -10,6 +10,9 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from linkside.errors import LogError
+from linkside.files.bags import bag_files, is_bag
+
 METADATA = "linkside.made_from"
 """The key of the digest in the metadata of a Parquet file."""
 
@@ -27,10 +30,11 @@ def digest(files: Iterable[str | Path], settings: object) -> str:
 def _of_file(path: str | Path) -> bytes:
     own = hashlib.blake2b(digest_size=16)
     try:
-        with Path(path).open("rb") as file:
-            while block := file.read(BLOCK):
-                own.update(block)
-    except OSError:
+        for part in bag_files(path) if is_bag(path) else [Path(path)]:
+            with part.open("rb") as file:
+                while block := file.read(BLOCK):
+                    own.update(block)
+    except (OSError, LogError):
         return b"?"
     return own.digest()
 

@@ -36,6 +36,12 @@ def bar(total: int | None) -> Iterator[Callable[[str, int], None]]:
         progress.stop()
 
 
+def rate_lines(rates: Iterable[tuple[str, float, float]]) -> Iterator[str]:
+    """A line a column: how often it is read, and in which part of the rows."""
+    for column, hertz, share in rates:
+        yield f"  {column:<22}{hertz:10.6g} Hz, in {100 * share:5.1f} % of the rows"
+
+
 def show(parts: Iterable[RenderableType]) -> None:
     """Print on standard output; a pipe has no width, so tables are as wide as they need to be there."""
     render(parts, Console(width=None if sys.stdout.isatty() else 160))

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from linkside.errors import LogError
-from linkside.files.tables import numbers, open_table
+from linkside.files.opening import open_table
+from linkside.files.tables import numbers
 from linkside.recording import Estimate
 from linkside.robot import Robot
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,6 @@ from linkside.arrays import FloatArray
 from linkside.errors import LogError
 
 from .csv_dialect import Dialect
-from .regular import instead
 
 _NUMBER = r"^\s*[-+]?((\d+{0}?\d*|{0}\d+)([eE][-+]?\d+)?|(?i:inf|infinity|nan))\s*$"
 
@@ -42,6 +41,60 @@ def numbers(table: pa.Table, name: str, source: str) -> FloatArray:
     with reading(source):
         array: FloatArray = column.cast(pa.float64(), safe=False).to_numpy()
     return array
+
+
+class Table(Protocol):
+    """A table of named columns, which are read when they are asked for.
+
+    Attributes
+    ----------
+    source : str
+        Where it comes from, for messages.
+    names : list of str
+        Its columns.
+    count : int or None
+        Its rows, None where only reading it would tell.
+    """
+
+    source: str
+    names: list[str]
+    count: int | None
+
+    def read(self, columns: list[str]) -> pa.Table:
+        """All rows of some columns."""
+
+    def batches(self, columns: list[str], rows: int) -> Iterator[pa.Table]:
+        """Some columns in tables of ``rows`` rows, the last one shorter."""
+
+
+class ArrowTable:
+    """A table in memory, with what is to be known of it (``metadata``)."""
+
+    def __init__(self, table: pa.Table, source: str, metadata: Mapping[str, str] | None = None) -> None:
+        """Take a table."""
+        self.source = source
+        self.metadata = dict(metadata or {})
+        self.names: list[str] = list(table.column_names)
+        self.count: int | None = table.num_rows
+        self._table = table
+
+    def read(self, columns: list[str]) -> pa.Table:
+        """All rows of some columns."""
+        return self._table.select(columns)
+
+    def batches(self, columns: list[str], rows: int) -> Iterator[pa.Table]:
+        """Some columns in tables of ``rows`` rows, the last one shorter."""
+        table = self.read(columns)
+        yield from (table.slice(first, rows) for first in range(0, table.num_rows, rows))
+
+    def renamed(self, old: str, new: str) -> ArrowTable:
+        """The same with another name of a column."""
+        names = [new if name == old else name for name in self.names]
+        return ArrowTable(self._table.rename_columns(names), self.source, self.metadata)
+
+    def to_arrow(self) -> pa.Table:
+        """The table itself."""
+        return self._table
 
 
 class ParquetTable:
@@ -154,21 +207,6 @@ class CsvTable:
                         return failure(self.source, f"column {name!r} is {cell}: {what} expected")
                 first_row += batch.num_rows
         return None
-
-
-def open_table(path: str | Path) -> ParquetTable | CsvTable:
-    """Open a file by its suffix, for reading some of its columns; `LogError` when that cannot be."""
-    name = str(path).lower()
-    if not name.endswith((".parquet", ".csv", ".csv.gz")):
-        raise failure(str(path), "a file that ends in .parquet, .csv or .csv.gz is expected")
-    with reading(str(path)):  # a name may also be too long, or out of reach
-        try:
-            other = instead(path)
-        except FileNotFoundError:
-            raise failure(str(path), "no such file") from None
-        if other:
-            raise failure(str(path), f"this is {other}, a file is expected")
-    return ParquetTable(path) if name.endswith(".parquet") else CsvTable(path)
 
 
 def _refuse_many(names: list[str], source: str) -> None:

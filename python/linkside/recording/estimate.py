@@ -16,7 +16,8 @@ import pyarrow.csv
 
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError, LogError
-from linkside.files.tables import numbers, open_table
+from linkside.files.opening import open_table
+from linkside.files.tables import numbers
 from linkside.findings import Fault
 from linkside.statistics import rms
 

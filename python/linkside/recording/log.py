@@ -20,13 +20,14 @@ import pyarrow.csv
 from linkside.arguments import positive
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError, LogError
-from linkside.files.tables import column_names, failure, numbers, open_table, reading, to_arrow
+from linkside.files.tables import column_names, failure, numbers, reading, to_arrow
 from linkside.recording.checks.finding import Finding
 from linkside.recording.checks.inspector import Inspector, able
 
 from .layout import COMMANDS, Layout, RobotColumns
 from .merging import merge
-from .pace import Pace
+from .opening import open_recording
+from .pace import Pace, column_rates
 from .resampling import at, even_times
 from .writer import EstimateWriter
 
@@ -90,12 +91,12 @@ class Log:
 
     @classmethod
     def read(cls, path: str | Path, robot: RobotColumns, *, allow_gaps: bool = False, check: bool = True) -> Log:
-        """Read a Parquet or CSV file (``.parquet``, ``.csv``, ``.csv.gz``); only the columns needed.
+        """Read a file (Parquet, CSV, MATLAB, HDF5) or a bag; only the columns needed.
 
         Parameters
         ----------
         path
-            The file.
+            The file, or the directory of a rosbag2; of bags, `sources` of robot.yaml says what to take.
         robot
             Whose columns to look for.
         allow_gaps
@@ -111,7 +112,7 @@ class Log:
         LogError
             When it cannot be used: one line with the file, the column and the row.
         """
-        file = open_table(path)
+        file = open_recording(path, robot)
         layout = Layout.of(robot, file.names, file.source)
         return _whole(file.read(layout.present), layout, file.source, allow_gaps, _inspector(robot, file.source, check))
 
@@ -173,6 +174,8 @@ class Log:
         path: str | Path, robot: RobotColumns, rows: int = 65_536, *, allow_gaps: bool = False, check: bool = True
     ) -> LogStream:
         """Read a file piece by piece, in bounded memory: an iterable of logs of ``rows`` rows each.
+
+        A bag is whole in memory, by the columns that are needed.
 
         The file, its columns and its period are checked at once, each piece as it is read, and time across
         the borders of pieces. Together the pieces equal ``Log.read`` bit for bit.
@@ -264,14 +267,10 @@ class Log:
 
     def rates(self) -> list[tuple[str, float, float]]:
         """Each column that was read, how often a second, and in which part of the rows."""
-        found = []
-        for signal, names in self._layout.wanted.items():
-            array = None if signal == "t" else getattr(self, signal)
-            for column, values in () if array is None else zip(names, array.T, strict=True):
-                read = self.t[~np.isnan(values)]
-                if len(read) > 1:
-                    found.append((column, 1 / float(np.median(np.diff(read))), len(read) / len(self)))
-        return found
+        signals = ((names, getattr(self, signal)) for signal, names in self._layout.wanted.items() if signal != "t")
+        there = ((names, array) for names, array in signals if array is not None)
+        columns = (column for names, array in there for column in zip(names, array.T, strict=True))
+        return column_rates(self.t, columns)
 
     def __len__(self) -> int:
         """Rows."""
@@ -315,7 +314,7 @@ class LogStream:
         """Open a file and check its columns; `Log.stream` is the way in."""
         if rows < 1:
             raise EstimatorError(f"a stream's pieces have at least one row, not {rows}")
-        self._file = open_table(path)
+        self._file = open_recording(path, robot)
         self._rows, self._allow_gaps, self._robot, self._checked = rows, allow_gaps, robot, check
         self.source, self.count = self._file.source, self._file.count
         self._layout = Layout.of(robot, self._file.names, self.source)
@@ -351,11 +350,6 @@ class LogStream:
     def longest_step(self) -> float:
         """A longer step of time is a gap [s]."""
         return self.pace.longest_step(self.period)
-
-
-def log_rows(path: str | Path) -> int | None:
-    """Rows of a recording where the file says so (Parquet), None where only reading it would tell (CSV)."""
-    return open_table(path).count
 
 
 class _Check:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -109,3 +109,13 @@ def _of(t: FloatArray, values: FloatArray, rows: tuple[float, float]) -> tuple[f
     there = ~np.isnan(values)
     # One that is not read twice at the beginning is missing there, not slow.
     return _spacing(t[there]) if 1 < there.sum() < len(t) else rows
+
+
+def column_rates(t: FloatArray, columns: Iterable[tuple[str, FloatArray]]) -> list[tuple[str, float, float]]:
+    """Each column with two readings or more, how often a second it is read, and in which part of the rows."""
+    found = []
+    for column, values in columns:
+        read = t[~np.isnan(values)]
+        if len(read) > 1:
+            found.append((column, 1 / float(np.median(np.diff(read))), len(read) / len(t)))
+    return found

@@ -9,9 +9,13 @@ from itertools import accumulate, pairwise
 from os import PathLike
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 
 from linkside.files.yaml_source import Source, refusal, suggest
+
+from .section import Name
+from .section import Section as _Section
+from .sources import SourcesConfig
 
 T = TypeVar("T")
 
@@ -38,12 +42,6 @@ def _some(value: tuple[T, ...]) -> tuple[T, ...]:
     return value
 
 
-def _printable(value: str) -> str:
-    if not value or not value.isprintable():
-        raise refusal(f"expected printable text, got {value!r}")
-    return value
-
-
 def _nonzero(value: float) -> float:
     if value == 0:
         raise refusal("expected a number other than 0, got 0")
@@ -54,7 +52,6 @@ def _nonzero(value: float) -> float:
 Number = Annotated[float, BeforeValidator(_listed), Field(strict=True, allow_inf_nan=False), AfterValidator(float)]
 Positive = Annotated[Number, Field(gt=0)]
 NonNegative = Annotated[Number, Field(ge=0)]
-Name = Annotated[str, AfterValidator(_printable)]
 Vector3 = Annotated[tuple[Number, ...], BeforeValidator(_listed), _exactly(3)]
 PositiveVector3 = Annotated[tuple[Positive, ...], BeforeValidator(_listed), _exactly(3)]
 Vector6 = Annotated[tuple[Number, ...], BeforeValidator(_listed), _exactly(6)]
@@ -68,22 +65,6 @@ def _direction(value: tuple[float, ...]) -> tuple[float, ...]:
 
 USUAL_FREQUENCY = 80.0
 """√(K/B) of a robot's joint [rad/s], to within a factor of 2: a motor on its spring swings at 6 to 25 Hz."""
-
-
-class _Section(BaseModel):
-    """A mapping with a fixed set of keys."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _keys_known(cls, data: Any) -> Any:
-        """Ahead of all other checks: a misspelt key must not be reported as a missing one."""
-        if isinstance(data, dict) and cls.model_config.get("extra") == "forbid":
-            for key in data:
-                if isinstance(key, str) and key not in cls.model_fields:
-                    raise refusal(f"unknown key; {suggest(key, cls.model_fields)}", key)
-        return data
 
 
 class SoftWindup(_Section):
@@ -444,6 +425,7 @@ class RobotConfig(_Section):
     payload: PayloadConfig = PayloadConfig()
     tolerances: TolerancesConfig = TolerancesConfig()
     columns: ColumnsConfig = ColumnsConfig()
+    sources: SourcesConfig = SourcesConfig()
 
     @property
     def acceleration_channels(self) -> tuple[str, ...]:

@@ -1,5 +1,6 @@
 //! Core errors as the package's own exceptions.
 
+use linkside_bag::BagError;
 use linkside_core::error::{DesignError, RobotError, RunError, SimulationError};
 use pyo3::exceptions::{PyKeyboardInterrupt, PyMemoryError};
 use pyo3::prelude::*;
@@ -7,6 +8,7 @@ use pyo3::types::PyDict;
 
 pyo3::import_exception!(linkside.errors, ConfigError);
 pyo3::import_exception!(linkside.errors, EstimatorError);
+pyo3::import_exception!(linkside.errors, LogError);
 pyo3::import_exception!(linkside.errors, NumericalError);
 
 /// What an error of the core is called in Python.
@@ -17,6 +19,12 @@ pub(crate) trait IntoPyErr {
 impl IntoPyErr for RobotError {
     fn into_py_err(self) -> PyErr {
         ConfigError::new_err(self.to_string())
+    }
+}
+
+impl IntoPyErr for BagError {
+    fn into_py_err(self) -> PyErr {
+        LogError::new_err(self.to_string())
     }
 }
 

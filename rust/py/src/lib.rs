@@ -1,6 +1,7 @@
 //! The Python face of `linkside-core`: converts, calls, raises. No arithmetic here.
 
 mod array;
+mod bag;
 mod control;
 mod disturbance;
 mod elastic_filter;
@@ -23,6 +24,8 @@ use pyo3::prelude::*;
 /// Compiled kernels of linkside.
 #[pymodule]
 mod _core {
+    #[pymodule_export]
+    use crate::bag::{BagCollector, McapReader, unpack_file};
     #[pymodule_export]
     use crate::control::{derivative_order, feedforward};
     #[pymodule_export]

@@ -1,0 +1,22 @@
+"""Opening of recordings: files of columns, and bags, of which a robot says what to take."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from linkside.files.bags import Bag, is_bag
+from linkside.files.opening import open_table
+from linkside.files.tables import Table
+
+from .layout import RobotColumns
+from .sources import robot_table
+
+
+def open_recording(path: str | Path, robot: RobotColumns) -> Table:
+    """Open a file by its suffix, or a bag by the robot's ``sources``; `LogError` when that cannot be."""
+    return robot_table(Bag(path), robot) if is_bag(path) else open_table(path)
+
+
+def log_rows(path: str | Path) -> int | None:
+    """Rows of a recording where the file says so (Parquet), None where only reading it would tell."""
+    return None if is_bag(path) else open_table(path).count
