@@ -232,15 +232,7 @@ def merge(robot: str, files: tuple[str, ...], out: str, shifts: tuple[str, ...],
         click.echo(line)
 
 
-@main.command(
-    epilog=_example(
-        """linkside convert bag                                                            # what is in it?
-  linkside convert bag --joints /joint_states --imu tool_acc=/imu_tool --out log.parquet
-  linkside convert bag --joints /state:q=actual.positions,names=joint_names --out log.parquet
-  linkside convert bag --field torque_a2=/ft_a2:wrench.torque.z --wrench tool=/ft --out log.parquet
-  linkside convert bag --robot robot.yaml --out log.parquet                       # by its `sources`"""
-    )
-)
+@main.command(epilog=_example("linkside convert bag --joints /joint_states --imu tool_acc=/imu_tool --out log.parquet"))
 @click.argument("bag", type=click.Path())
 @click.option("--out", type=click.Path(), help="The log, a file that ends in .parquet or .csv.")
 @click.option("--robot", type=click.Path(), help="A robot.yaml with `sources`, in place of the options below.")

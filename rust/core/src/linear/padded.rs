@@ -132,14 +132,14 @@ fn product_block<const R: usize, const W: usize>(
 }
 
 /// What is done with a block's sums.
-trait Sums {
+trait BlockSums {
     /// Into the first rows of `out`, from register `c` on.
     fn put(&self, out: &mut [f64], stride: usize, c: usize);
     /// Times `factor`, added to the first `rows` rows of `out`.
     fn add(&self, factor: f64, out: &mut [f64], stride: usize, c: usize, rows: usize);
 }
 
-impl<const R: usize, const W: usize> Sums for Block<R, W> {
+impl<const R: usize, const W: usize> BlockSums for Block<R, W> {
     #[inline(always)]
     fn put(&self, out: &mut [f64], stride: usize, c: usize) {
         for (r, sum) in self.iter().enumerate() {
