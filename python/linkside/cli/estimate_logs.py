@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import re
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -20,7 +19,7 @@ from rich.console import RenderableType
 from linkside.errors import EstimatorError, LinksideError, NumericalError, OutputError, RecordingWarning
 from linkside.recording.estimate import Estimate, EstimateError
 from linkside.recording.log import Log
-from linkside.recording.opening import log_rows
+from linkside.recording.opening import log_rows, stem
 from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
 
@@ -241,7 +240,7 @@ def _read(job: EstimateJob) -> Iterator[Log]:
 def output_folder(out: str, logs: Sequence[str]) -> Iterator[list[Path]]:
     """Name the output of each log; a directory that had to be made for them is gone again if it stays empty."""
     if "{stem}" in out or (len(logs) == 1 and not Path(out).is_dir()):
-        yield [Path(out.replace("{stem}", _stem(log))) for log in logs]
+        yield [Path(out.replace("{stem}", stem(log))) for log in logs]
         return
     folder = Path(out)
     if folder.suffix in (".parquet", ".csv"):
@@ -249,17 +248,11 @@ def output_folder(out: str, logs: Sequence[str]) -> Iterator[list[Path]]:
     made = not folder.exists()
     folder.mkdir(exist_ok=True)
     try:
-        yield [folder / f"{_stem(log)}.estimate.parquet" for log in logs]
+        yield [folder / f"{stem(log)}.estimate.parquet" for log in logs]
     finally:
         if made:
             with suppress(OSError):
                 folder.rmdir()
-
-
-def _stem(log: str) -> str:
-    return re.sub(
-        r"\.(parquet|csv|csv\.gz|mcap|mcap\.zstd|db3|db3\.zstd|mat|h5|hdf5)$", "", Path(log).name, flags=re.IGNORECASE
-    )
 
 
 @contextmanager

@@ -19,9 +19,6 @@ from linkside.robot.sources import JointsSource, SourcesConfig
 from .joining import Part, join
 from .layout import COMMANDS, RobotColumns, signal_columns
 
-NONE = "linear_acceleration_covariance", "angular_velocity_covariance"
-"""Where the first number is −1, an Imu does not measure this (definition of sensor_msgs/Imu)."""
-
 AXES = ("x", "y", "z")
 
 
@@ -29,7 +26,7 @@ AXES = ("x", "y", "z")
 class _Taking:
     """What to take from a topic, and what its columns are called.
 
-    ``absent`` says by column which path is −1 where the message does not measure it.
+    ``absent`` says by column which path is −1 where the message does not measure it (definition of sensor_msgs/Imu).
     """
 
     wanted: Wanted

@@ -13,8 +13,7 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_v
 
 from linkside.files.yaml_source import Source, refusal, suggest
 
-from .section import Name
-from .section import Section as _Section
+from .section import Name, Section
 from .sources import SourcesConfig
 
 T = TypeVar("T")
@@ -67,7 +66,7 @@ USUAL_FREQUENCY = 80.0
 """√(K/B) of a robot's joint [rad/s], to within a factor of 2: a motor on its spring swings at 6 to 25 Hz."""
 
 
-class SoftWindup(_Section):
+class SoftWindup(Section):
     """Stiffness missing around zero torsion, −stiffness·exp(−shape·δ²)·δ; if negative, the spring is harder.
 
     Ulrich, Sasiadek 2011, eqs. (10)–(13).
@@ -77,7 +76,7 @@ class SoftWindup(_Section):
     shape: NonNegative = 0.0  # 1/rad²
 
 
-class StiffnessTable(_Section):
+class StiffnessTable(Section):
     """A spring as a data sheet or a test bench has it, in place of one stiffness; odd unless a torsion is negative.
 
     Either `stiffness` of one number more than `torque`: rates below the first torque, between them and beyond the
@@ -134,7 +133,7 @@ class StiffnessTable(_Section):
         return half / (before[0] + share * (after[0] - before[0]))
 
 
-class Backlash(_Section):
+class Backlash(Section):
     """Play between motor and link: a smooth dead zone before the spring, with a share `slope` of its stiffness."""
 
     half_gap: NonNegative = 0.0  # rad; the link is free to turn by as much to either side
@@ -142,7 +141,7 @@ class Backlash(_Section):
     rounding: Positive | None = None  # rad; of the corners, a tenth of the half gap unless given
 
 
-class FrictionElement(_Section):
+class FrictionElement(Section):
     """Friction inside a transmission, beside its spring: a spring that gives way up to a limit, and remembers its way.
 
     Dahl (1968); Bouc and Wen (1976) with exponent 1 and β + γ = 1; or an element of Maxwell-slip (Iwan 1966).
@@ -174,7 +173,7 @@ class FrictionElement(_Section):
         return self.limit / self.stiffness
 
 
-class Harmonic(_Section):
+class Harmonic(Section):
     """One harmonic of a gear's kinematic error, amplitude·sin(order·turned + phase)."""
 
     order: Positive  # cycles a turn
@@ -183,7 +182,7 @@ class Harmonic(_Section):
     of: Literal["motor", "output"] = "motor"  # what turns: the motor's shaft, or the gear's output
 
 
-class MotorFriction(_Section):
+class MotorFriction(Section):
     """Friction between motor and ground."""
 
     viscous: NonNegative = 0.0  # N m s/rad
@@ -192,7 +191,7 @@ class MotorFriction(_Section):
     stribeck_velocity: Positive = 0.01  # rad/s; at which that has fallen to 1/e
 
 
-class JointConfig(_Section):
+class JointConfig(Section):
     """One joint and its drive; with `elastic: false` the link follows its motor."""
 
     name: Name
@@ -274,7 +273,7 @@ class JointConfig(_Section):
         return self
 
 
-class RotorConfig(_Section):
+class RotorConfig(Section):
     """The link that carries a motor's rotor, and the axis of its spin in that link's frame.
 
     The coupling S(q) of that motor follows from both and from the joint's `gear_ratio` and `motor_inertia`. The link's
@@ -285,7 +284,7 @@ class RotorConfig(_Section):
     axis: Annotated[Vector3, AfterValidator(_direction)]
 
 
-class FrameConfig(_Section):
+class FrameConfig(Section):
     """A frame fixed to a link: position [m] and roll, pitch, yaw [rad] in the link's frame, as in URDF."""
 
     link: Name
@@ -293,7 +292,7 @@ class FrameConfig(_Section):
     rpy: Vector3 = (0.0, 0.0, 0.0)
 
 
-class Lateness(_Section):
+class Lateness(Section):
     """What is inside a sensor whose readings are of the past."""
 
     corner_frequency: Positive | None = None  # Hz; of the first-order filter inside the sensor, where it has one
@@ -322,7 +321,7 @@ class GyroscopeConfig(SensorConfig):
     noise_std: Positive = 0.001  # rad/s
 
 
-class EncoderConfig(_Section):
+class EncoderConfig(Section):
     """The motor encoders, as seen on the link side."""
 
     resolution: Positive = 1e-6  # rad; a 20-bit encoder behind a short gear
@@ -340,20 +339,20 @@ class JointTorqueConfig(Lateness):
     noise_std: Positive = 1.0  # N m
 
 
-class TorqueConfig(_Section):
+class TorqueConfig(Section):
     """The motor torques, as seen on the link side."""
 
     noise_std: Positive = 1.0  # N m; a per mille of an industrial axis' torque
 
 
-class PayloadConfig(_Section):
+class PayloadConfig(Section):
     """What the tool carries: a mass in a point of the tool's frame."""
 
     mass: NonNegative = 0.0  # kg
     xyz: Vector3 = (0.0, 0.0, 0.0)  # m
 
 
-class TolerancesConfig(_Section):
+class TolerancesConfig(Section):
     """How far off the values above may be, one standard deviation: the prior of a calibration.
 
     Shares of the value where it is positive by nature (0.3 is 30 %), else in its unit; of noise, natural logarithms
@@ -389,7 +388,7 @@ class TolerancesConfig(_Section):
     rigid_frequency: Positive = 20.0  # Hz; on which a joint taken as rigid may ring after all
 
 
-class ColumnsConfig(_Section):
+class ColumnsConfig(Section):
     """What the log calls the columns that have other names than ours, and on which side of the gear it is."""
 
     model_config = ConfigDict(frozen=True, extra="allow")
@@ -407,7 +406,7 @@ class ColumnsConfig(_Section):
         return self.names.get(column, column)
 
 
-class RobotConfig(_Section):
+class RobotConfig(Section):
     """All that a URDF cannot say about a robot; joints in the order of the log."""
 
     rate_hz: Positive | None = None  # of the log; for the reader of the file, nothing depends on it
