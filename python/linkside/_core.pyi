@@ -12,6 +12,8 @@ __all__ = [
     "BagCollector",
     "ElasticJointFilter",
     "ExtendedKalmanFilter",
+    "LearningLoop",
+    "LearningStep",
     "Likelihood",
     "McapReader",
     "ParticleFilter",
@@ -135,6 +137,24 @@ class State:
     def state(self) -> _Array: ...
     @property
     def covariance(self) -> _Array: ...
+
+@final
+class LearningLoop:
+    def __new__(cls, transition: _Array, posture: Sequence[int], entry: _Array, output: _Array) -> LearningLoop: ...
+    def answer(self, v: _Array) -> _Array: ...
+    def adjoint(self, e: _Array) -> _Array: ...
+
+@final
+class LearningStep:
+    def __new__(
+        cls,
+        model: LearningLoop,
+        weight: _Array,
+        roughness: Sequence[float],
+        change: Sequence[float],
+    ) -> LearningStep: ...
+    def solve(self, e: _Array, mean: _Array) -> _Array: ...
+    def contraction(self, real: LearningLoop, start: _Array) -> float: ...
 
 @final
 class Likelihood:

@@ -22,7 +22,7 @@ LAYERS = (
     ("recording",),
     ("observers", "kalman", "observability", "velocity"),
     ("particle", "comparison", "consistency", "control"),
-    ("tuning", "calibration", "simulation", "demo"),
+    ("tuning", "calibration", "simulation", "learning", "demo"),
     ("linkside", "cli"),
 )
 """Packages and modules of `linkside` from the ground up; those of one line do not import each other."""
