@@ -49,6 +49,7 @@ class Robot:
         gyroscopes: Sequence[Mapping[str, Any]],
         tool: Mapping[str, Any] | None,
         rotors: Sequence[Mapping[str, Any]],
+        counterbalances: Sequence[Mapping[str, Any]],
     ) -> Robot: ...
     @property
     def n(self) -> int: ...

@@ -12,7 +12,7 @@ use linkside_core::robot::{
 use linkside_core::scalar::{Dual, Lanes, Scalar};
 use linkside_core::spatial::{Mat3, Vec3};
 use proptest::prelude::*;
-use support::{Case, Kernels, State, cases, check_close, check_same_bits, multiply};
+use support::{Case, Kernels, State, balanced_cases, cases, check_close, check_same_bits, multiply};
 
 /// Most joints of a [`Case`].
 const MOST: usize = 8;
@@ -72,14 +72,14 @@ fn drives() -> impl Strategy<Value = Drive> {
     )
 }
 
-fn driven() -> impl Strategy<Value = Driven> {
+fn driven(cases: impl Strategy<Value = Case>) -> impl Strategy<Value = Driven> {
     let vector = |most: f64| prop::collection::vec(-most..most, MOST);
     let rotors = prop::collection::vec(
         (prop::bool::ANY, any::<prop::sample::Index>(), support::vectors(1.0), 2.0..9.0_f64),
         MOST,
     );
     let drives = prop::collection::vec(drives(), MOST);
-    (cases(), drives, vector(0.05), rotors, vector(0.2), vector(5.0)).prop_map(
+    (cases, drives, vector(0.05), rotors, vector(0.2), vector(5.0)).prop_map(
         |(case, mut drives, coupling, rotors, torsion, tau)| {
             let n = case.tree.len();
             drives.truncate(n);
@@ -183,12 +183,37 @@ fn power(robot: &Robot, [_, dq, theta, dtheta, tau]: &[Vec<f64>; 5]) -> f64 {
     robot.drives.iter().enumerate().map(joint).sum()
 }
 
+/// ∂(q̈, θ̈)/∂(q, q̇, θ, θ̇, τ) against dual numbers.
+fn check_derivatives(driven: &Driven) -> Result<(), TestCaseError> {
+    let n = driven.robot.len();
+    let mut block = 0;
+    let varied = driven.signals.clone().map(|signal| {
+        block += MOST;
+        signal.iter().enumerate().map(|(i, &x)| Dual::<DIRECTIONS>::variable(x, block - MOST + i)).collect()
+    });
+    let expected = accelerations(&driven.robot, &varied).concat();
+    let Accelerated { layout, x, mut dynamics } = accelerated(&driven.robot, &driven.signals);
+    dynamics.differentiate(&driven.robot, &layout, &x);
+    let ElasticDynamics { ddq_by, ddtheta_by, ddq_by_tau, .. } = dynamics;
+    let rows = || ddq_by.chunks_exact(layout.dense).chain(ddtheta_by.chunks_exact(layout.dense));
+    let places: [Vec<usize>; 4] = [(0..n).collect(), (n..2 * n).collect(), layout.theta, layout.dtheta];
+    for (block, places) in places.iter().enumerate() {
+        // Of a rigid joint θ and θ̇ are q and q̇.
+        let own = |j: usize| block < 2 || driven.robot.drives[j].elastic;
+        let found: Vec<_> = rows().flat_map(|row| (0..n).filter(|&j| own(j)).map(|j| row[places[j]])).collect();
+        let of = |a: &Dual<DIRECTIONS>| (0..n).filter(|&j| own(j)).map(|j| a.gradient[block * MOST + j]).collect();
+        check_close(&found, &expected.iter().flat_map(|a| -> Vec<f64> { of(a) }).collect::<Vec<_>>())?;
+    }
+    let by_tau: Vec<_> = expected[..n].iter().flat_map(|a| a.gradient[4 * MOST..][..n].to_vec()).collect();
+    check_close(&ddq_by_tau, &by_tau)
+}
+
 proptest! {
     #![proptest_config(config())]
 
     /// Ė = power, for one velocity it is one equation; for a robot's every velocity it is all of them.
     #[test]
-    fn energy_changes_by_the_power_of_motors_and_friction(driven in driven()) {
+    fn energy_changes_by_the_power_of_motors_and_friction(driven in driven(cases())) {
         let [ddq, ddtheta] = accelerations(&driven.robot, &driven.signals);
         let [q, dq, theta, dtheta, _] = &driven.signals;
         let moving = |x: &[f64], rate: &[f64]| -> Vec<Dual<1>> {
@@ -200,32 +225,17 @@ proptest! {
     }
 
     #[test]
-    fn derivatives_are_those_of_dual_numbers(driven in driven()) {
-        let n = driven.robot.len();
-        let mut block = 0;
-        let varied = driven.signals.clone().map(|signal| {
-            block += MOST;
-            signal.iter().enumerate().map(|(i, &x)| Dual::<DIRECTIONS>::variable(x, block - MOST + i)).collect()
-        });
-        let expected = accelerations(&driven.robot, &varied).concat();
-        let Accelerated { layout, x, mut dynamics } = accelerated(&driven.robot, &driven.signals);
-        dynamics.differentiate(&driven.robot, &layout, &x);
-        let ElasticDynamics { ddq_by, ddtheta_by, ddq_by_tau, .. } = dynamics;
-        let rows = || ddq_by.chunks_exact(layout.dense).chain(ddtheta_by.chunks_exact(layout.dense));
-        let places: [Vec<usize>; 4] = [(0..n).collect(), (n..2 * n).collect(), layout.theta, layout.dtheta];
-        for (block, places) in places.iter().enumerate() {
-            // Of a rigid joint θ and θ̇ are q and q̇.
-            let own = |j: usize| block < 2 || driven.robot.drives[j].elastic;
-            let found: Vec<_> = rows().flat_map(|row| (0..n).filter(|&j| own(j)).map(|j| row[places[j]])).collect();
-            let of = |a: &Dual<DIRECTIONS>| (0..n).filter(|&j| own(j)).map(|j| a.gradient[block * MOST + j]).collect();
-            check_close(&found, &expected.iter().flat_map(|a| -> Vec<f64> { of(a) }).collect::<Vec<_>>())?;
-        }
-        let by_tau: Vec<_> = expected[..n].iter().flat_map(|a| a.gradient[4 * MOST..][..n].to_vec()).collect();
-        check_close(&ddq_by_tau, &by_tau)?;
+    fn derivatives_are_those_of_dual_numbers(driven in driven(cases())) {
+        check_derivatives(&driven)?;
     }
 
     #[test]
-    fn lanes_hold_the_bits_of_one_number(driven in driven()) {
+    fn counterbalances_have_the_derivatives_of_dual_numbers(driven in driven(balanced_cases())) {
+        check_derivatives(&driven)?;
+    }
+
+    #[test]
+    fn lanes_hold_the_bits_of_one_number(driven in driven(cases())) {
         let lanes = driven.signals.clone().map(|signal| signal.iter().map(|&x| Lanes([x, 0.5 * x])).collect());
         let together = accelerations(&driven.robot, &lanes).concat();
         let alone = accelerations(&driven.robot, &driven.signals).concat();
@@ -234,7 +244,7 @@ proptest! {
 
     /// A spring under the torque that makes the motor follow its link moves both as a rigid joint would.
     #[test]
-    fn springs_that_hold_still_are_rigid_joints(mut driven in driven()) {
+    fn springs_that_hold_still_are_rigid_joints(mut driven in driven(cases())) {
         driven.robot.drives.iter_mut().for_each(|d| d.ripple = Ripple::default());
         let Driven { robot, signals: [q, dq, _, _, tau], .. } = &driven;
         let mut rigid = robot.clone();

@@ -9,31 +9,16 @@ from itertools import accumulate, pairwise
 from os import PathLike
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from linkside.files.yaml_source import Source, refusal, suggest
 
-from .section import Name
+from .counterbalances import Counterbalance
+from .section import Listed, Name, NonNegative, Number, Positive, PositiveVector3, Vector3, Vector6
 from .section import Section as _Section
 from .sources import SourcesConfig
 
 T = TypeVar("T")
-
-
-def _listed(value: Any) -> Any:
-    """Take a NumPy array for the list it stands for."""
-    return value.tolist() if hasattr(value, "tolist") else value
-
-
-def _exactly(count: int) -> AfterValidator:
-    """Ask for so many numbers; pydantic's own check of length would not count those it finds fault with."""
-
-    def check(value: tuple[float, ...]) -> tuple[float, ...]:
-        if len(value) != count:
-            raise refusal(f"expected {count} numbers, got {len(value)}")
-        return value
-
-    return AfterValidator(check)
 
 
 def _some(value: tuple[T, ...]) -> tuple[T, ...]:
@@ -46,15 +31,6 @@ def _nonzero(value: float) -> float:
     if value == 0:
         raise refusal("expected a number other than 0, got 0")
     return value
-
-
-# Strict: neither true nor "3" is a number. `float` sheds the subclasses of ruamel.yaml and NumPy.
-Number = Annotated[float, BeforeValidator(_listed), Field(strict=True, allow_inf_nan=False), AfterValidator(float)]
-Positive = Annotated[Number, Field(gt=0)]
-NonNegative = Annotated[Number, Field(ge=0)]
-Vector3 = Annotated[tuple[Number, ...], BeforeValidator(_listed), _exactly(3)]
-PositiveVector3 = Annotated[tuple[Positive, ...], BeforeValidator(_listed), _exactly(3)]
-Vector6 = Annotated[tuple[Number, ...], BeforeValidator(_listed), _exactly(6)]
 
 
 def _direction(value: tuple[float, ...]) -> tuple[float, ...]:
@@ -85,9 +61,9 @@ class StiffnessTable(_Section):
     spline (Fritsch and Butland 1984) or by straight lines, and straight beyond the last.
     """
 
-    torque: Annotated[tuple[Number, ...], BeforeValidator(_listed)]  # N m
-    stiffness: Annotated[tuple[Positive, ...], BeforeValidator(_listed)] | None = None  # N m/rad
-    torsion: Annotated[tuple[Number, ...], BeforeValidator(_listed)] | None = None  # rad
+    torque: Annotated[tuple[Number, ...], Listed]  # N m
+    stiffness: Annotated[tuple[Positive, ...], Listed] | None = None  # N m/rad
+    torsion: Annotated[tuple[Number, ...], Listed] | None = None  # rad
     interpolation: Literal["monotone", "linear"] = "monotone"
 
     @model_validator(mode="after")
@@ -415,6 +391,7 @@ class RobotConfig(_Section):
     joints: Annotated[tuple[JointConfig, ...], AfterValidator(_some)]
     coupling: dict[str, dict[str, Number]] = {}  # S, kg m²: {link's joint: {motor's joint: value}}
     rotors: dict[str, RotorConfig] = {}  # motors carried by links, by the joint that they drive
+    counterbalances: tuple[Counterbalance, ...] = ()  # what carries part of the weight
     accelerometers: tuple[AccelerometerConfig, ...] = ()
     gyroscopes: tuple[GyroscopeConfig, ...] = ()
     encoder: EncoderConfig = EncoderConfig()
@@ -478,6 +455,15 @@ class RobotConfig(_Section):
                 raise refusal(f"expected a joint; {suggest(motor, joints)}", "rotors", motor)
             if any(entries.get(motor) for entries in self.coupling.values()):
                 raise refusal("expected no coupling of this motor: a rotor brings its own", "rotors", motor)
+        return self
+
+    @model_validator(mode="after")
+    def _balanced_joints_known(self) -> "RobotConfig":
+        names = [joint.name for joint in self.joints]
+        for index, balance in enumerate(self.counterbalances):
+            for at, joint in enumerate(balance.joints):
+                if joint not in names:
+                    raise refusal(f"expected a joint; {suggest(joint, names)}", "counterbalances", index, "joints", at)
         return self
 
     @model_validator(mode="after")

@@ -7,8 +7,8 @@ use linkside_core::dynamics::{Batch, DrivenStates, States, check_inertia};
 use linkside_core::error::{DesignError, RobotError};
 use linkside_core::memory;
 use linkside_core::robot::{
-    self, Backlash, BodySpec, FrictionElement, Harmonic, Hysteresis, Interpolation, JointKind, MotorFriction, Ripple,
-    Rotor, SoftWindup, SpringCurve, Tree,
+    self, Anchor, Backlash, BodySpec, Counterbalance, FrictionElement, GasSpring, Harmonic, Hysteresis, Interpolation,
+    JointKind, MotorFriction, Ripple, Rotor, SoftWindup, SpringCurve, Strut, TorqueHarmonic, TorqueSeries, Tree,
 };
 use numpy::{PyArrayDyn, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -67,6 +67,18 @@ struct RotorPlace {
     body: usize,
     axis: [f64; 3],
     ratio: f64,
+}
+
+/// A strut between two points, or a series of torques on joints; each with what the other has not, empty.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct Balance {
+    ends: Vec<(isize, [f64; 3])>,
+    spring: Option<[f64; 2]>,
+    gas: Option<[f64; 6]>,
+    pulls: bool,
+    joints: Vec<usize>,
+    series: Vec<(u32, f64, f64)>,
 }
 
 #[derive(FromPyObject)]
@@ -128,6 +140,25 @@ impl TryFrom<Drive> for robot::Drive {
     }
 }
 
+impl Balance {
+    fn counterbalance(self) -> Counterbalance {
+        let anchor = |&(body, point): &(isize, [f64; 3])| Anchor { body: usize::try_from(body).ok(), point: vec3(point) };
+        let strut = match (self.spring, self.gas) {
+            (Some([stiffness, length]), _) => Some(Strut::Spring { stiffness, length }),
+            (_, Some([pressure, volume, length, area, exponent, ambient])) => {
+                Some(Strut::Gas(GasSpring { pressure, volume, length, area, exponent, ambient, pulls: self.pulls }))
+            }
+            _ => None,
+        };
+        if let (Some(strut), [a, b]) = (strut, &self.ends[..]) {
+            return Counterbalance::Between { ends: [anchor(a), anchor(b)], strut };
+        }
+        let harmonic = |(order, cosine, sine)| TorqueHarmonic { order, cosine, sine };
+        let series = TorqueSeries(self.series.into_iter().map(harmonic).collect());
+        Counterbalance::Turning { joints: self.joints, series }
+    }
+}
+
 impl Sensor {
     fn place(self, kind: &str, tree: &Tree) -> Result<robot::Sensor, RobotError> {
         let frame = tree.frame(kind, self.body, &mat3(self.rotation), &vec3(self.translation))?;
@@ -154,6 +185,7 @@ impl Robot {
         gyroscopes: Vec<Sensor>,
         tool: Option<Tool>,
         rotors: Vec<RotorPlace>,
+        counterbalances: Vec<Balance>,
     ) -> PyResult<Self> {
         let coupling = rows("coupling", &coupling, bodies.len())?.to_vec();
         let specs: Vec<BodySpec> = bodies.into_iter().map(Body::spec).collect();
@@ -168,7 +200,10 @@ impl Robot {
             let drives = drives.into_iter().map(TryInto::try_into).collect::<Result<_, _>>()?;
             let rotors =
                 rotors.into_iter().map(|r| Rotor { motor: r.motor, body: r.body, axis: vec3(r.axis), ratio: r.ratio });
-            robot::Robot::new(tree, drives, coupling, accelerometers, gyroscopes, tool)?.with_rotors(rotors.collect())
+            let counterbalances: Vec<_> = counterbalances.into_iter().map(Balance::counterbalance).collect();
+            robot::Robot::new(tree, drives, coupling, accelerometers, gyroscopes, tool)?
+                .with_counterbalances(&counterbalances)?
+                .with_rotors(rotors.collect())
         };
         let checked = |robot| check_inertia(&robot).map(|()| Self(Arc::new(robot)));
         build().and_then(checked).map_err(IntoPyErr::into_py_err)

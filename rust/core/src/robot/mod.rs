@@ -1,9 +1,12 @@
 //! A robot as the kernels see it: tree, drives, sensors.
 
+mod counterbalance;
 mod drive;
 mod rotor;
 mod tree;
 
+pub use counterbalance::{Anchor, Counterbalance, GasSpring, Strut, TorqueHarmonic, TorqueSeries};
+pub(crate) use counterbalance::{Balance, Linkage, add_angles};
 pub(crate) use drive::SpringRates;
 pub use drive::{
     Backlash, Drive, FrictionElement, GearOutput, Harmonic, Hysteresis, Interpolation, MotorFriction, Moved, Ripple,
