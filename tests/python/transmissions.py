@@ -81,7 +81,8 @@ def move(
 ) -> Motion:
     """The robot's links behind other gears, motors led along a reference by PD control without steps.
 
-    It begins at rest where springs hold gravity and friction elements are relaxed. ``lift``: torques on links by position.
+    It begins at rest where springs hold gravity and friction elements are relaxed. ``lift``: torques on links by
+    position.
     """
     model, n = robot.model, len(gears)
     data = model.createData()

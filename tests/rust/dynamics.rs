@@ -9,8 +9,8 @@ use linkside_core::spatial::{Mat3, Vec3};
 use nalgebra::{DMatrix, DVector};
 use proptest::prelude::*;
 use support::{
-    Case, DIRECTIONS, Kernels, State, balanced_cases, cases, check_close, check_same_bits, config, gradients, multiply, packed,
-    rigid_body, transposed, varied,
+    Case, DIRECTIONS, Kernels, State, balanced_cases, cases, check_close, check_same_bits, config, gradients, multiply,
+    packed, rigid_body, transposed, varied,
 };
 
 proptest! {

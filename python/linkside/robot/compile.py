@@ -17,6 +17,9 @@ from .urdf import impossible
 # About or along any axis; RUB and RevoluteUnbounded are URDF's continuous joints, whose q is (cos, sin).
 SINGLE_AXIS = re.compile(r"JointModel(R|RUB|P|Revolute|RevoluteUnbounded|Prismatic)(X|Y|Z|Unaligned)")
 UNIQUE = "\x1f"  # ends what makes a frame's name unique for a while
+NO_TORSION = 1e-5
+"""The torque of so small a torsion counts as none where friction grows with load [rad]."""
+
 LINK_FRAMES = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
 
 
@@ -160,10 +163,14 @@ def _refuse_unknown_links(model: Any, config: RobotConfig, source: Source) -> No
             _refuse_unknown_link(model, end, source.where(*where, "ends", at, "link"), moves=False)
         bodies = {_anchor(model, end)[0] for end in balance.ends}
         if len(bodies) == 1:
-            raise ConfigError(f"{source.where(*where, 'ends')}both points are on one link, or on links that no joint parts")
+            raise ConfigError(
+                f"{source.where(*where, 'ends')}both points are on one link, or on links that no joint parts"
+            )
         for at, joint in enumerate(balance.joints):
             if model.joints[model.getJointId(joint)].shortname().removeprefix("JointModel").startswith("P"):
-                raise ConfigError(f"{source.where(*where, 'joints', at)}joint '{joint}' slides, expected one that turns")
+                raise ConfigError(
+                    f"{source.where(*where, 'joints', at)}joint '{joint}' slides, expected one that turns"
+                )
 
 
 def _refuse_unknown_link(
@@ -202,6 +209,7 @@ def _body(model: Any, data: Any, index: int, names: list[str]) -> dict[str, Any]
 
 
 def _drive(joint: JointConfig) -> dict[str, Any]:
+    bearing, no_load = joint.bearing_friction, NO_TORSION * (joint.stiffness or 0.0)
     return {
         "elastic": joint.elastic,
         "stiffness": joint.stiffness or 0.0,
@@ -223,7 +231,11 @@ def _drive(joint: JointConfig) -> dict[str, Any]:
         "friction_coulomb": joint.motor_friction.coulomb,
         "friction_stribeck": joint.motor_friction.stribeck,
         "friction_stribeck_velocity": joint.motor_friction.stribeck_velocity,
+        "friction_asymmetry": joint.motor_friction.asymmetry,
+        "gear_loss": [*joint.gear_loss, no_load],
         "link_friction": list(joint.link_friction),
+        "bearing": [bearing.viscous, bearing.coulomb, bearing.stribeck, bearing.stribeck_velocity, bearing.asymmetry],
+        "bearing_loss": [bearing.load, bearing.load, no_load],
     }
 
 

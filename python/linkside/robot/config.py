@@ -159,13 +159,38 @@ class Harmonic(_Section):
     of: Literal["motor", "output"] = "motor"  # what turns: the motor's shaft, or the gear's output
 
 
-class MotorFriction(_Section):
-    """Friction between motor and ground."""
+class Friction(_Section):
+    """Friction of a motor or of a bearing."""
 
     viscous: NonNegative = 0.0  # N m s/rad
     coulomb: NonNegative = 0.0  # N m
+    asymmetry: Number = 0.0  # N m; by how much it is more than coulomb forwards, and less backwards
     stribeck: NonNegative = 0.0  # N m; by how much breaking away takes more than coulomb
     stribeck_velocity: Positive = 0.01  # rad/s; at which that has fallen to 1/e
+    load: Annotated[Number, Field(ge=0, lt=1)] = 0.0  # share of the torque that the spring transmits, on top
+
+    @model_validator(mode="after")
+    def _brakes(self) -> "Friction":
+        if abs(self.asymmetry) > self.coulomb:
+            raise refusal(
+                f"expected at most the coulomb friction of {self.coulomb:g}, got {self.asymmetry:g}", "asymmetry"
+            )
+        return self
+
+
+class MotorFriction(Friction):
+    """Friction between motor and ground."""
+
+
+class BearingFriction(Friction):
+    """Friction between a link and what carries it."""
+
+
+class Efficiency(_Section):
+    """How much of a torque comes through a gear, to the link where its motor drives, to the motor where it is driven."""
+
+    driving: Annotated[Number, Field(gt=0, le=1)] = 1.0
+    back_driving: Annotated[Number, Field(gt=0, le=1)] = 1.0
 
 
 class JointConfig(_Section):
@@ -185,7 +210,9 @@ class JointConfig(_Section):
     cubic_stiffness: NonNegative = 0.0  # N m/rad³
     soft_windup: SoftWindup = SoftWindup()
     motor_friction: MotorFriction = MotorFriction()
+    efficiency: Efficiency = Efficiency()  # of the gear
     link_friction: Vector6 = (0.0,) * 6  # γ₁ … γ₆ of Ulrich, Sasiadek 2011, eq. (14)
+    bearing_friction: BearingFriction = BearingFriction()  # of the link too, as motors have it
     mass_scale: Positive = 1.0  # factor on mass and inertia of the link that the joint moves, as the URDF has them
 
     @model_validator(mode="before")
@@ -232,6 +259,27 @@ class JointConfig(_Section):
         if change > 0.2:
             raise refusal(f"expected to change the output's speed by at most 0.2 of it, got {change:.3g}", "ripple")
         return self
+
+    @model_validator(mode="after")
+    def _loads_known(self) -> "JointConfig":
+        """What a rigid joint transmits depends on accelerations, and those on friction."""
+        for key in ("motor_friction", "bearing_friction"):
+            if getattr(self, key).load and not self.elastic:
+                raise refusal("expected none: the joint is rigid", key, "load")
+        if not self.elastic and self.efficiency != Efficiency():
+            raise refusal("expected none: the joint is rigid", "efficiency")
+        driven = self.gear_loss[1]
+        if driven >= 1:
+            raise refusal(
+                f"expected more than the load friction of {self.motor_friction.load:g}", "efficiency", "back_driving"
+            )
+        return self
+
+    @property
+    def gear_loss(self) -> tuple[float, float]:
+        """Friction as a share of the torque that the motor feels, where it drives and where it is driven."""
+        load = self.motor_friction.load
+        return load + 1 / self.efficiency.driving - 1, load + 1 - self.efficiency.back_driving
 
     @property
     def harmonics(self) -> list[list[float]]:

@@ -27,7 +27,7 @@ class CoilSpring(Section):
 
 
 class GasSpring(Section):
-    """A cylinder with gas between two points: pressure · volumeⁿ stays what it is, the force is area times what exceeds ambient.
+    """A cylinder with gas between two points: pressure · volumeⁿ is constant, its excess over ambient pushes.
 
     One that pushes has its gas in the cylinder; one that pulls presses oil into an accumulator as it is drawn out.
     """
@@ -50,7 +50,7 @@ class TorqueHarmonic(Section):
 
 
 class Counterbalance(Section):
-    """A spring or a gas spring between two `ends`, or a Fourier `series` of the torque over the sum of angles of `joints`."""
+    """A spring or a gas spring between two `ends`, or a Fourier `series` of torque over angles of `joints`."""
 
     ends: tuple[Anchor, ...] = ()
     spring: CoilSpring | None = None

@@ -7,8 +7,9 @@ use linkside_core::dynamics::{Batch, DrivenStates, States, check_inertia};
 use linkside_core::error::{DesignError, RobotError};
 use linkside_core::memory;
 use linkside_core::robot::{
-    self, Anchor, Backlash, BodySpec, Counterbalance, FrictionElement, GasSpring, Harmonic, Hysteresis, Interpolation,
-    JointKind, MotorFriction, Ripple, Rotor, SoftWindup, SpringCurve, Strut, TorqueHarmonic, TorqueSeries, Tree,
+    self, Anchor, Backlash, BodySpec, Counterbalance, Friction, FrictionElement, GasSpring, Harmonic, Hysteresis,
+    Interpolation, JointKind, LoadFriction, Ripple, Rotor, SoftWindup, SpringCurve, Strut, TorqueHarmonic,
+    TorqueSeries, Tree,
 };
 use numpy::{PyArrayDyn, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -47,7 +48,11 @@ struct Drive {
     friction_coulomb: f64,
     friction_stribeck: f64,
     friction_stribeck_velocity: f64,
+    friction_asymmetry: f64,
+    gear_loss: [f64; 3],
     link_friction: [f64; 6],
+    bearing: [f64; 5],
+    bearing_loss: [f64; 3],
 }
 
 #[derive(FromPyObject)]
@@ -113,6 +118,8 @@ impl TryFrom<Drive> for robot::Drive {
         let none = d.curve.is_empty();
         let curve = if none { SpringCurve::default() } else { SpringCurve::new(&d.curve, interpolation)? };
         let [half_gap, slope, rounding] = d.gap;
+        let [viscous, coulomb, stribeck, stribeck_velocity, asymmetry] = d.bearing;
+        let load_friction = |[driving, driven, rounding]: [f64; 3]| LoadFriction { driving, driven, rounding };
         let element =
             |[stiffness, limit, recoil, rounding]: [f64; 4]| FrictionElement { stiffness, limit, recoil, rounding };
         let elements = d.hysteresis.into_iter().map(element);
@@ -129,20 +136,25 @@ impl TryFrom<Drive> for robot::Drive {
             backlash: Backlash { half_gap, slope, rounding },
             hysteresis: Hysteresis { elements: elements.collect() },
             ripple: Ripple::new(harmonics.collect()),
-            motor_friction: MotorFriction {
+            motor_friction: Friction {
                 viscous: d.friction_viscous,
                 coulomb: d.friction_coulomb,
                 stribeck: d.friction_stribeck,
                 stribeck_velocity: d.friction_stribeck_velocity,
+                asymmetry: d.friction_asymmetry,
             },
+            gear_loss: load_friction(d.gear_loss),
             link_friction: d.link_friction,
+            bearing_friction: Friction { viscous, coulomb, stribeck, stribeck_velocity, asymmetry },
+            bearing_loss: load_friction(d.bearing_loss),
         })
     }
 }
 
 impl Balance {
     fn counterbalance(self) -> Counterbalance {
-        let anchor = |&(body, point): &(isize, [f64; 3])| Anchor { body: usize::try_from(body).ok(), point: vec3(point) };
+        let anchor =
+            |&(body, point): &(isize, [f64; 3])| Anchor { body: usize::try_from(body).ok(), point: vec3(point) };
         let strut = match (self.spring, self.gas) {
             (Some([stiffness, length]), _) => Some(Strut::Spring { stiffness, length }),
             (_, Some([pressure, volume, length, area, exponent, ambient])) => {
@@ -269,16 +281,16 @@ impl Robot {
         self.positions(&q, [self.0.len()], Batch::gravity_torque)
     }
 
-    fn link_friction<'py>(&self, dq: Input<'py>) -> Output<'py> {
+    fn link_friction<'py>(&self, dq: Input<'py>, load: Input<'py>) -> Output<'py> {
         let n = self.0.len();
-        let velocities = rows("dq", &dq, n)?;
-        self.over(&dq, [n], |batch, out| batch.link_friction(velocities, out))
+        let (velocities, load) = (rows("dq", &dq, n)?, counted("load", &load, n, dq.shape()[0])?);
+        self.over(&dq, [n], |batch, out| batch.link_friction(velocities, load, out))
     }
 
-    fn motor_friction<'py>(&self, dtheta: Input<'py>) -> Output<'py> {
+    fn motor_friction<'py>(&self, dtheta: Input<'py>, load: Input<'py>) -> Output<'py> {
         let n = self.0.len();
-        let velocities = rows("dtheta", &dtheta, n)?;
-        self.over(&dtheta, [n], |batch, out| batch.motor_friction(velocities, out))
+        let (velocities, load) = (rows("dtheta", &dtheta, n)?, counted("load", &load, n, dtheta.shape()[0])?);
+        self.over(&dtheta, [n], |batch, out| batch.motor_friction(velocities, load, out))
     }
 
     fn tool_position<'py>(&self, q: Input<'py>) -> Output<'py> {

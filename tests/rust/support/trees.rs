@@ -146,8 +146,7 @@ pub(crate) fn balanced_cases() -> impl Strategy<Value = Case> {
                 let ends = [Anchor { body: Some(first), point: near }, Anchor { body: second, point: far }];
                 let (volume, area) = (0.2, 2e-3); // enough of it for the longest way
                 let gas = GasSpring { pressure: 1e4, volume, length: 1.0, area, exponent, ambient: 1e3, pulls };
-                let strut =
-                    if exponent < 1.4 { Strut::Gas(gas) } else { Strut::Spring { stiffness: 30.0, length } };
+                let strut = if exponent < 1.4 { Strut::Gas(gas) } else { Strut::Spring { stiffness: 30.0, length } };
                 Counterbalance::Between { ends, strut }
             };
             let mut all: Vec<_> = struts.into_iter().map(between).collect();

@@ -200,6 +200,11 @@ impl<'a, const P: usize> FeedforwardPass<'a, P> {
             for j in (i + 1..n).filter(|j| self.robot.coupling[i * n + j] != 0.0) {
                 self.load[i] += self.theta[j].rate().rate() * self.robot.coupling[i * n + j];
             }
+            let bearing = self.robot.drives[i].bearing_loss;
+            if !bearing.is_none() {
+                let load = self.load[i];
+                self.load[i] = load + bearing.loss_beside(self.link[1][i], load).torque;
+            }
             let angle = self.link[0][i] + self.torsion(i, dt);
             self.theta[i] = motor(&self.robot.drives[i], angle);
         }
@@ -229,8 +234,8 @@ impl<'a, const P: usize> FeedforwardPass<'a, P> {
         let (n, drive) = (self.robot.len(), &self.robot.drives[joint]);
         let coupled: f64 = (0..joint).map(|i| self.robot.coupling[i * n + joint] * self.link[2][i].value()).sum();
         let speed = self.theta[joint].0[1];
-        let friction = drive.motor_friction(speed).0;
         let felt = self.load[joint].value() * drive.ripple.output(self.theta[joint].value()).ratio;
+        let friction = drive.motor_friction(speed).0 + drive.gear_loss.loss(speed, felt).torque;
         drive.motor_inertia * 2.0 * self.theta[joint].0[2] + coupled + felt + friction
     }
 }

@@ -9,8 +9,8 @@ pub use counterbalance::{Anchor, Counterbalance, GasSpring, Strut, TorqueHarmoni
 pub(crate) use counterbalance::{Balance, Linkage, add_angles};
 pub(crate) use drive::SpringRates;
 pub use drive::{
-    Backlash, Drive, FrictionElement, GearOutput, Harmonic, Hysteresis, Interpolation, MotorFriction, Moved, Ripple,
-    SoftWindup, SpringCurve, Wound,
+    Backlash, Drive, Friction, FrictionElement, GearOutput, Harmonic, Hysteresis, Interpolation, LoadFriction, Loss,
+    Moved, Ripple, SoftWindup, SpringCurve, Wound,
 };
 pub use rotor::Rotor;
 pub use tree::{Body, BodySpec, Frame, JointKind, Tree};

@@ -62,7 +62,10 @@ pub enum Counterbalance {
 pub(crate) enum Balance {
     Between(Linkage),
     /// Bodies that the joints move.
-    Turning { bodies: Vec<usize>, series: TorqueSeries },
+    Turning {
+        bodies: Vec<usize>,
+        series: TorqueSeries,
+    },
 }
 
 /// Two points, and the chains of bodies that carry them from where they part.
