@@ -8,7 +8,7 @@
 //! ```
 
 use super::Kinematics;
-use crate::robot::{Balance, Body, JointKind, Linkage, Strut, Tree, add_angles};
+use crate::robot::{Body, JointKind, Linkage, Strut, Support, Tree, add_angles};
 use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
 use crate::spatial::{Mat3, Vec3};
@@ -81,7 +81,7 @@ impl<T: Scalar> Posture<T> for Kinematics<T> {
 /// Adds what counterbalances ask of each joint to `tau`.
 #[inline(always)]
 pub(super) fn load<T: Scalar, P: Posture<T>>(posture: &P, tree: &Tree, tau: &mut [T]) {
-    if !tree.balances.is_empty() {
+    if !tree.supports.is_empty() {
         simd::phase(Load { posture, tree, tau });
     }
 }
@@ -89,7 +89,7 @@ pub(super) fn load<T: Scalar, P: Posture<T>>(posture: &P, tree: &Tree, tau: &mut
 /// Adds the slopes of that by positions to `by_q`, bodies × bodies.
 #[inline(always)]
 pub(super) fn stiffen<T: Scalar>(k: &Kinematics<T>, tree: &Tree, by_q: &mut [T]) {
-    if !tree.balances.is_empty() {
+    if !tree.supports.is_empty() {
         simd::phase(Stiffen { k, tree, by_q });
     }
 }
@@ -155,9 +155,9 @@ impl<T: Scalar, P: Posture<T>> Kernel for Load<'_, T, P> {
     #[inline(always)]
     fn run(self) {
         let Self { posture, tree, tau } = self;
-        for balance in &tree.balances {
-            match balance {
-                Balance::Between(linkage) => {
+        for support in &tree.supports {
+            match support {
+                Support::Between(linkage) => {
                     let Stretched { stem, ends, apart, density, .. } = Stretched::new(posture, tree, linkage);
                     let pull = apart.scale(density);
                     for ((branch, end), pull) in linkage.branches.iter().zip(&ends).zip([-pull, pull]) {
@@ -169,7 +169,7 @@ impl<T: Scalar, P: Posture<T>> Kernel for Load<'_, T, P> {
                         }
                     }
                 }
-                Balance::Turning { bodies, series } => {
+                Support::Turning { bodies, series } => {
                     let torque = series.torque(turned(posture, tree, bodies)).0;
                     for &i in bodies {
                         tau[tree.bodies[i].joint] -= torque;
@@ -194,9 +194,9 @@ impl<T: Scalar> Kernel for Stiffen<'_, T> {
     fn run(self) {
         let Self { k, tree, by_q } = self;
         let n = tree.len();
-        for balance in &tree.balances {
-            match balance {
-                Balance::Between(linkage) => {
+        for support in &tree.supports {
+            match support {
+                Support::Between(linkage) => {
                     let at = Stretched::new(k, tree, linkage);
                     let joints = || (0..2).flat_map(|s| linkage.branches[s].bodies.iter().map(move |&i| (s, i)));
                     // ∂d/∂q of one joint.
@@ -222,7 +222,7 @@ impl<T: Scalar> Kernel for Stiffen<'_, T> {
                         }
                     }
                 }
-                Balance::Turning { bodies, series } => {
+                Support::Turning { bodies, series } => {
                     let slope = series.torque(turned(k, tree, bodies)).1;
                     for (&i, &j) in bodies.iter().flat_map(|i| bodies.iter().map(move |j| (i, j))) {
                         by_q[tree.bodies[i].joint * n + tree.bodies[j].joint] -= slope;

@@ -6,7 +6,7 @@ mod rotor;
 mod tree;
 
 pub use counterbalance::{Anchor, Counterbalance, GasSpring, Strut, TorqueHarmonic, TorqueSeries};
-pub(crate) use counterbalance::{Balance, Linkage, add_angles};
+pub(crate) use counterbalance::{Linkage, Support, add_angles};
 pub(crate) use drive::SpringRates;
 pub use drive::{
     Backlash, Drive, Friction, FrictionElement, GearOutput, Harmonic, Hysteresis, Interpolation, LoadFriction, Loss,

@@ -1,6 +1,6 @@
 //! The kinematic tree, compiled: bodies in topological order, every joint along or about its own z axis.
 
-use super::counterbalance::Balance;
+use super::counterbalance::Support;
 use super::{Drive, Rotor};
 use crate::check::expect_of;
 use crate::error::RobotError;
@@ -83,7 +83,7 @@ pub struct Tree {
     /// Acceleration of free fall in the base frame [m/s²].
     pub(crate) gravity: Vec3<f64>,
     /// What carries part of the weight.
-    pub(crate) balances: Vec<Balance>,
+    pub(crate) supports: Vec<Support>,
 }
 
 impl Tree {
@@ -112,7 +112,7 @@ impl Tree {
             };
             bodies.push(compile(body, spec, &carrier)?);
         }
-        Ok(Self { bodies, gravity, balances: Vec::new() })
+        Ok(Self { bodies, gravity, supports: Vec::new() })
     }
 
     /// Number of joints.

@@ -59,7 +59,7 @@ pub enum Counterbalance {
 
 /// The same ready for the kernels.
 #[derive(Clone, Debug)]
-pub(crate) enum Balance {
+pub(crate) enum Support {
     Between(Linkage),
     /// Bodies that the joints move.
     Turning {
@@ -100,16 +100,16 @@ impl Tree {
     /// # Errors
     /// Likewise.
     pub fn with_counterbalances(mut self, counterbalances: &[Counterbalance]) -> Result<Self, RobotError> {
-        let compile = |(i, one): (usize, &Counterbalance)| self.balance(&format!("counterbalance {i}"), one);
-        self.balances = counterbalances.iter().enumerate().map(compile).collect::<Result<_, _>>()?;
+        let compile = |(i, one): (usize, &Counterbalance)| self.support(&format!("counterbalance {i}"), one);
+        self.supports = counterbalances.iter().enumerate().map(compile).collect::<Result<_, _>>()?;
         Ok(self)
     }
 
-    fn balance(&self, owner: &str, counterbalance: &Counterbalance) -> Result<Balance, RobotError> {
+    fn support(&self, owner: &str, counterbalance: &Counterbalance) -> Result<Support, RobotError> {
         match counterbalance {
             Counterbalance::Between { ends, strut } => {
                 strut.check(owner)?;
-                self.linkage(owner, ends, *strut).map(Balance::Between)
+                self.linkage(owner, ends, *strut).map(Support::Between)
             }
             Counterbalance::Turning { joints, series } => {
                 series.check(owner)?;
@@ -119,7 +119,7 @@ impl Tree {
                     expect_of(ok, "joint", || owner.into(), joint as f64, "one that turns, once")?;
                     Ok(body.unwrap_or_default())
                 });
-                Ok(Balance::Turning { bodies: bodies.collect::<Result<_, _>>()?, series: series.clone() })
+                Ok(Support::Turning { bodies: bodies.collect::<Result<_, _>>()?, series: series.clone() })
             }
         }
     }

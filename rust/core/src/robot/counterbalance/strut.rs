@@ -123,7 +123,7 @@ mod tests {
     #[allow(clippy::disallowed_methods)]
     fn gas_keeps_its_law() {
         let [.., Strut::Gas(gas)] = struts() else { panic!("a gas spring") };
-        for x in [0.3, 0.6, 0.9] {
+        for x in [0.3_f64, 0.6, 0.9] {
             let pressure = 1.2e7 * (9.6e-4 / (9.6e-4 - 1.7e-3 * (x - 0.6))).powf(1.35);
             assert!((gas.tension(x).0 - 1.7e-3 * (pressure - 1e5)).abs() < 1e-8, "{x}");
         }
