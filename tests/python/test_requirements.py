@@ -41,8 +41,10 @@ LIFT = {
 }
 
 
-def robot(sensor=None, drive=None, **settings):
-    joints = [spring("shoulder", **(drive or {})), spring("elbow", **(drive or {}))]
+def robot(sensor=None, drive=None, elbow=None, **settings):
+    joints = [spring("shoulder", **(drive or {})), spring("elbow", **(drive or {}), **(elbow or {}))]
+    if elbow:
+        joints[1] |= {"motor_inertia": None}
     return Robot.from_urdf(ARM, joints, accelerometers=[TIP | (sensor or {})], **settings)
 
 
@@ -71,6 +73,7 @@ DECLARED = {
     "asymmetry": {"drive": {"motor_friction": {"coulomb": 30.0, "asymmetry": 9.0}}},
     "bearing_friction": {"drive": {"bearing_friction": {"coulomb": 0.3, "stribeck": 0.2}}},
     "counterbalances": {"counterbalances": [LIFT]},
+    "passive": {"elbow": {"passive": True}},
     "link_friction": {"drive": {"link_friction": [0.5, 150.0, 50.0, 2.0, 100.0, 0.5]}},
     "motor_friction": {"drive": {"motor_friction": {"viscous": 40.0, "coulomb": 30.0}}},
 }

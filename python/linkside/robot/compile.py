@@ -1,5 +1,6 @@
 """From a Pinocchio model to the core's kinematic tree."""
 
+import math
 import re
 from typing import Any
 
@@ -214,7 +215,7 @@ def _drive(joint: JointConfig) -> dict[str, Any]:
         "elastic": joint.elastic,
         "stiffness": joint.stiffness or 0.0,
         "damping": joint.damping,
-        "motor_inertia": joint.motor_inertia or 0.0,
+        "motor_inertia": math.inf if joint.passive else joint.motor_inertia or 0.0,
         "cubic_stiffness": joint.cubic_stiffness,
         "soft_windup_stiffness": joint.soft_windup.stiffness,
         "soft_windup_shape": joint.soft_windup.shape,

@@ -187,7 +187,7 @@ class BearingFriction(Friction):
 
 
 class Efficiency(_Section):
-    """How much of a torque comes through a gear, to the link where its motor drives, to the motor where it is driven."""
+    """How much of a torque comes through a gear: to the link when its motor drives, to the motor when driven back."""
 
     driving: Annotated[Number, Field(gt=0, le=1)] = 1.0
     back_driving: Annotated[Number, Field(gt=0, le=1)] = 1.0
@@ -198,6 +198,7 @@ class JointConfig(_Section):
 
     name: Name
     elastic: bool = True
+    passive: bool = False  # nothing drives it, nor reads it: a bearing, a link or a base that bends about angle zero
     stiffness: Positive | None = None  # K, N m/rad; an elastic joint has it or a table; `unknown`: see below
     stiffness_known: bool = True  # else `stiffness` is where a calibration begins, to within a factor of 3
     stiffness_table: StiffnessTable | None = None
@@ -241,9 +242,18 @@ class JointConfig(_Section):
 
     @model_validator(mode="after")
     def _spring_complete(self) -> "JointConfig":
-        for key in ("stiffness", "motor_inertia"):
+        for key in ("stiffness",) if self.passive else ("stiffness", "motor_inertia"):
             if self.elastic and getattr(self, key) is None:
                 raise refusal(f"missing key '{key}': an elastic joint needs a number greater than 0")
+        return self
+
+    @model_validator(mode="after")
+    def _passive_alone(self) -> "JointConfig":
+        if self.passive and not self.elastic:
+            raise refusal("expected an elastic joint: a passive one is a spring", "passive")
+        for key in ("motor_inertia", "gear_ratio", "motor_friction", "efficiency", "ripple"):
+            if self.passive and key in self.model_fields_set and getattr(self, key) is not None:
+                raise refusal("expected none: the joint is passive", key)
         return self
 
     @model_validator(mode="after")
@@ -470,6 +480,12 @@ class RobotConfig(_Section):
         return ("t", *motors, *self.acceleration_channels, *self.gyroscope_channels)
 
     @model_validator(mode="after")
+    def _driven(self) -> "RobotConfig":
+        if all(joint.passive for joint in self.joints):
+            raise refusal("expected a joint with a motor: all are passive", "joints")
+        return self
+
+    @model_validator(mode="after")
     def _names_unique(self) -> "RobotConfig":
         for key in ("joints", "accelerometers", "gyroscopes"):
             seen: dict[str, int] = {}
@@ -480,7 +496,7 @@ class RobotConfig(_Section):
 
     @model_validator(mode="after")
     def _coupling_triangular(self) -> "RobotConfig":
-        order = {joint.name: index for index, joint in enumerate(self.joints) if joint.elastic}
+        order = {joint.name: index for index, joint in enumerate(self.joints) if joint.elastic and not joint.passive}
         for row, entries in self.coupling.items():
             for keys in ((row,), *((row, column) for column in entries)):
                 if keys[-1] not in order:
@@ -497,7 +513,7 @@ class RobotConfig(_Section):
 
     @model_validator(mode="after")
     def _rotors_known(self) -> "RobotConfig":
-        joints = [joint.name for joint in self.joints]
+        joints = [joint.name for joint in self.joints if not joint.passive]
         for motor in self.rotors:
             if motor not in joints:
                 raise refusal(f"expected a joint; {suggest(motor, joints)}", "rotors", motor)

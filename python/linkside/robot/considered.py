@@ -71,8 +71,9 @@ def _of_joints(robot: Robot) -> Iterator[Uncertain]:
         else:
             stds["yielding"] = (2 * np.pi * wide.rigid_frequency) ** -2
         stds["link_friction"] = wide.link_friction if _brakes(drive) else 0.0
-        stds["encoder_zero"] = wide.encoder_zero
-        stds["lost_motion"] = wide.lost_motion
+        if not drive.passive:
+            stds["encoder_zero"] = wide.encoder_zero
+            stds["lost_motion"] = wide.lost_motion
         for kind, std in stds.items():
             if std:
                 name = "mass_scale" if kind == "mass" else kind
@@ -103,7 +104,8 @@ def _of_sensors(robot: Robot) -> Iterator[Uncertain]:
 
 def _of_motors(robot: Robot) -> Iterator[Uncertain]:
     wide = robot.config.tolerances
-    for j, drive in enumerate(robot.drives):
+    driven = ((j, drive) for j, drive in enumerate(robot.drives) if not drive.passive)
+    for j, drive in driven:
         yield Uncertain(f"torque_constant_{drive.name}", "torque_constant", j, 0, wide.torque_constant)
         if drive.motor_friction.viscous or drive.motor_friction.coulomb or any(drive.gear_loss):
             yield Uncertain(f"motor_friction_{drive.name}", "motor_friction", j, 0, wide.motor_friction)

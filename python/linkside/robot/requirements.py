@@ -41,6 +41,7 @@ FEATURES: dict[str, Callable[[Robot], list[str]]] = {
     "backlash": lambda robot: [drive.name for drive in robot.drives if drive.backlash.half_gap],
     "hysteresis": lambda robot: [drive.name for drive in robot.drives if drive.hysteresis],
     "ripple": lambda robot: [drive.name for drive in robot.drives if drive.ripple],
+    "passive": lambda robot: [drive.name for drive in robot.drives if drive.passive],
     "efficiency": lambda robot: [drive.name for drive in robot.drives if drive.efficiency != Efficiency()],
     "load": lambda robot: _frictions(robot, "load"),
     "asymmetry": lambda robot: _frictions(robot, "asymmetry"),
@@ -56,6 +57,12 @@ JOINT_SIDE = tuple(f"{carrier}.{key}" for carrier in ("link_encoder", "joint_tor
 BY_LOAD = ("efficiency", "load")
 """Friction that grows with the torque transmitted."""
 
+REMEDIES = {
+    UNKNOWN: "calibrate first",
+    "passive": "it takes each link to follow a motor, whose encoder tells where it is: use a filter or a smoother",
+}
+"""What to do about them, where it is not the usual."""
+
 UNSUPPORTED: dict[str, tuple[str, ...]] = {
     "the acceleration-driven observer": (
         UNKNOWN,
@@ -64,6 +71,7 @@ UNSUPPORTED: dict[str, tuple[str, ...]] = {
         "hysteresis",
         "ripple",
         *BY_LOAD,
+        "passive",
         "corner_frequency",
         "delay",
     ),
@@ -74,18 +82,19 @@ UNSUPPORTED: dict[str, tuple[str, ...]] = {
         "hysteresis",
         "ripple",
         *BY_LOAD,
+        "passive",
     ),
     "a filter on the jerk-driven model": (UNKNOWN, "coupling", "rotors"),
     "a filter on the elastic-joint model": (UNKNOWN,),
     "a simulation": (UNKNOWN,),
-    "a velocity observer": ("rotors", *BY_LOAD),
-    "a velocity observer on the links": ("rotors", *BY_LOAD, *JOINT_SIDE),
-    "the momentum residual": ("rotors", *BY_LOAD),
-    "the momentum residual on the links": ("rotors", *BY_LOAD, *JOINT_SIDE),
+    "a velocity observer": ("rotors", *BY_LOAD, "passive"),
+    "a velocity observer on the links": ("rotors", *BY_LOAD, "passive", *JOINT_SIDE),
+    "the momentum residual": ("rotors", *BY_LOAD, "passive"),
+    "the momentum residual on the links": ("rotors", *BY_LOAD, "passive", *JOINT_SIDE),
     "a particle filter": ("hysteresis",),
-    "inverse dynamics along a motion": (UNKNOWN, "rotors", "hysteresis"),
-    "state feedback": (UNKNOWN, "rotors", "hysteresis"),
-    "calibration": ("rotors", "stiffness_table", "backlash", "hysteresis", "ripple", *BY_LOAD, "asymmetry"),
+    "inverse dynamics along a motion": (UNKNOWN, "rotors", "hysteresis", "passive"),
+    "state feedback": (UNKNOWN, "rotors", "hysteresis", "passive"),
+    "calibration": ("rotors", "stiffness_table", "backlash", "hysteresis", "ripple", *BY_LOAD, "asymmetry", "passive"),
 }
 """By method: what it does not account for."""
 
@@ -94,7 +103,7 @@ def refuse_unsupported(robot: Robot, method: str) -> None:
     """Raise `EstimatorError` about the first thing that a robot declares and a method does not account for."""
     for key in UNSUPPORTED[method]:
         if owners := FEATURES[key](robot):
-            remedy = "calibrate first" if key == UNKNOWN else "use another method, or take it out"
+            remedy = REMEDIES.get(key, "use another method, or take it out")
             raise EstimatorError(
                 f"robot.yaml gives {', '.join(map(repr, owners))} {key.rpartition('.')[2]}, which {method} does not "
                 f"account for; {remedy}"

@@ -211,6 +211,11 @@ class Robot:
         return _constant([joint.elastic for joint in self.drives], np.bool_)
 
     @cached_property
+    def passive(self) -> NDArray[np.bool_]:
+        """Which joints nothing drives, (n,): a spring holds them at zero, and `theta`, `dtheta`, `tau` are zero."""
+        return _constant([joint.passive for joint in self.drives], np.bool_)
+
+    @cached_property
     def gear_ratio(self) -> Array:
         """Turns of the motor for one of the link, (n,); matters only to logs from the motor's side."""
         return _constant([joint.gear_ratio for joint in self.drives], np.float64)

@@ -80,7 +80,7 @@ pub fn derivative_order(robot: &Robot) -> usize {
 /// O(n p²) a sample, p being [`derivative_order`].
 ///
 /// # Errors
-/// Derivatives that are missing, arrays that do not fit, numbers that are not finite, times that do not rise, a robot that
+/// A joint that nothing drives, derivatives that are missing, arrays that do not fit, numbers that are not finite, times that do not rise, a robot that
 /// would need derivatives beyond [`HIGHEST`].
 pub fn inverse_dynamics(robot: &Robot, path: Path<'_>) -> Result<Desired, DesignError> {
     let further = check(robot, path)?;
@@ -94,6 +94,8 @@ pub fn inverse_dynamics(robot: &Robot, path: Path<'_>) -> Result<Desired, Design
 /// Checks everything; how many derivatives beyond those needed are given and of use.
 fn check(robot: &Robot, path: Path<'_>) -> Result<usize, DesignError> {
     let needed = derivative_order(robot);
+    let driven = robot.drives.iter().all(|drive| !drive.is_passive());
+    expect(driven, "the motor inertia of a joint", f64::INFINITY, "a finite one: nothing drives a passive joint")?;
     expect(needed <= HIGHEST, "the order of derivatives that this robot needs", needed as f64, "at most 17")?;
     let width = path.t.len() * robot.len();
     let given = path.derivatives.len().checked_div(width).unwrap_or(needed + 1);

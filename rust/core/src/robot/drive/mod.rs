@@ -44,7 +44,7 @@ pub struct Drive {
     pub stiffness: f64,
     /// D [N m s/rad].
     pub damping: f64,
-    /// B [kg m²].
+    /// B [kg m²]; infinite where there is no motor: θ stays what it is, and the joint is [passive](Self::is_passive).
     pub motor_inertia: f64,
     /// Hardening of the spring [N m/rad³].
     pub cubic_stiffness: f64,
@@ -108,6 +108,12 @@ impl Drive {
         }
     }
 
+    /// Whether nothing drives the joint: a bearing, a link or a base that bends. Its spring is fixed at the other end.
+    #[inline(always)]
+    pub fn is_passive(&self) -> bool {
+        self.motor_inertia == f64::INFINITY
+    }
+
     /// # Errors
     /// A number that is not finite, and of an elastic joint a stiffness or motor inertia that is not positive, or a
     /// negative damping.
@@ -117,7 +123,7 @@ impl Drive {
         let finite = [
             ("stiffness", self.stiffness),
             ("damping", self.damping),
-            ("motor inertia", self.motor_inertia),
+            ("motor inertia", if self.elastic && self.is_passive() { 1.0 } else { self.motor_inertia }),
             ("cubic stiffness", self.cubic_stiffness),
             ("soft wind-up's stiffness", stiffness),
             ("soft wind-up's shape", shape),
