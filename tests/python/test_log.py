@@ -35,6 +35,10 @@ class Robot:
     columns: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(motor_side=False, names={}))
 
     @property
+    def passive(self) -> np.ndarray:
+        return np.zeros(len(self.names), bool)
+
+    @property
     def acceleration_errors(self) -> tuple[np.ndarray, np.ndarray]:
         return np.zeros(len(self.acceleration_channels)), np.ones(len(self.acceleration_channels))
 

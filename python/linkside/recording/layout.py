@@ -22,6 +22,10 @@ UNMEASURED = ("tau", "ddq", *COMMANDS)
 """Signals with one column a joint, ``<signal>_<joint>``, beside the channels that filters correct with."""
 
 
+OF_MOTORS = ("theta", "dtheta", "tau")
+"""Those that a joint without motor has not."""
+
+
 class ColumnNames(Protocol):
     """How a log's columns differ from ours: on the motor shaft, or by name."""
 
@@ -44,6 +48,10 @@ class RobotColumns(Protocol):
     @property
     def elastic(self) -> npt.NDArray[np.bool_]:
         """Joints with a spring between motor and link, (n,)."""
+
+    @property
+    def passive(self) -> npt.NDArray[np.bool_]:
+        """Joints without motor, and so without columns of one, (n,)."""
 
     @property
     def acceleration_channels(self) -> tuple[str, ...]:
@@ -73,6 +81,7 @@ class Layout:
     wanted: dict[str, tuple[str, ...]]
     found: tuple[str, ...]
     elastic: tuple[bool, ...]
+    passive: tuple[bool, ...]
     shaft_ratio: FloatArray | None
     acceleration_errors: tuple[FloatArray, FloatArray] | None
 
@@ -83,7 +92,9 @@ class Layout:
         ratio = np.asarray(robot.gear_ratio, float) if robot.columns.motor_side else None
         bias, scale = robot.acceleration_errors
         errors = (bias, scale) if np.any(bias) or np.any(scale != 1) else None
-        layout = cls(wanted, tuple(found), tuple(map(bool, robot.elastic)), ratio, errors)
+        layout = cls(
+            wanted, tuple(found), tuple(map(bool, robot.elastic)), tuple(map(bool, robot.passive)), ratio, errors
+        )
         layout._check(source)
         return layout
 
@@ -101,9 +112,18 @@ class Layout:
         if signal in ("acceleration", "rate") and not columns:
             sensor = "accelerometer" if signal == "acceleration" else "gyroscope"
             raise failure(source, f"the robot has no {sensor} to read a column of (needed for {purpose})")
+        kept = [True] * len(columns)
         if signal in ("tau", "ddq"):
-            return [column for column, elastic in zip(columns, self.elastic, strict=True) if elastic]
-        return list(columns)
+            kept = list(self.elastic)
+        if signal in OF_MOTORS:
+            kept = [one and not passive for one, passive in zip(kept, self.passive, strict=True)]
+        return [column for column, one in zip(columns, kept, strict=True) if one]
+
+    def without_motor(self, arrays: dict[str, Any]) -> dict[str, Any]:
+        """Signals with zeros for motors that are not there, where passive joints' springs are fixed."""
+        for signal in _there(arrays, *OF_MOTORS) if any(self.passive) else ():
+            arrays[signal][:, list(self.passive)] = 0.0
+        return arrays
 
     def missing(self, column: str, source: str, why: str = "") -> LogError:
         """Say that a column is missing, and what it might be called instead."""
@@ -134,7 +154,7 @@ class Layout:
         return arrays | changes
 
     def _check(self, source: str) -> None:
-        for column in self.wanted["t"] + self.wanted["theta"]:
+        for column in [*self.wanted["t"], *self.needed("theta", source, "all")]:
             if column not in self.found:
                 raise self.missing(column, source)
         for column in self.present:

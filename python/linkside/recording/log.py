@@ -451,7 +451,7 @@ def _assemble(
     """Arrange columns as arrays of time × channel, on the link side; ``pace`` is found if these are the first rows."""
     arrays: dict[str, Any] = {s: _gather(table, columns, source) for s, columns in layout.wanted.items()}
     arrays["t"] = arrays["t"].reshape(-1) if seconds == 1 else seconds * arrays["t"].reshape(-1)
-    arrays = layout.on_link_side(arrays)
+    arrays = layout.on_link_side(layout.without_motor(arrays))
     frozen = {signal: None if array is None else _frozen(array) for signal, array in arrays.items()}
     log = Log(**frozen, source=source, period=period, pace=pace or Pace(), _layout=layout)  # type: ignore[arg-type]
     return log if pace is not None else replace(log, pace=_pace(log[:_HEAD], layout))

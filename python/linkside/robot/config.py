@@ -9,30 +9,15 @@ from itertools import accumulate, pairwise
 from os import PathLike
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from linkside.files.yaml_source import Source, refusal, suggest
 
-from .section import Name, Section
+from .counterbalances import Counterbalance
+from .section import Listed, Name, NonNegative, Number, Positive, PositiveVector3, Section, Vector3, Vector6
 from .sources import SourcesConfig
 
 T = TypeVar("T")
-
-
-def _listed(value: Any) -> Any:
-    """Take a NumPy array for the list it stands for."""
-    return value.tolist() if hasattr(value, "tolist") else value
-
-
-def _exactly(count: int) -> AfterValidator:
-    """Ask for so many numbers; pydantic's own check of length would not count those it finds fault with."""
-
-    def check(value: tuple[float, ...]) -> tuple[float, ...]:
-        if len(value) != count:
-            raise refusal(f"expected {count} numbers, got {len(value)}")
-        return value
-
-    return AfterValidator(check)
 
 
 def _some(value: tuple[T, ...]) -> tuple[T, ...]:
@@ -45,15 +30,6 @@ def _nonzero(value: float) -> float:
     if value == 0:
         raise refusal("expected a number other than 0, got 0")
     return value
-
-
-# Strict: neither true nor "3" is a number. `float` sheds the subclasses of ruamel.yaml and NumPy.
-Number = Annotated[float, BeforeValidator(_listed), Field(strict=True, allow_inf_nan=False), AfterValidator(float)]
-Positive = Annotated[Number, Field(gt=0)]
-NonNegative = Annotated[Number, Field(ge=0)]
-Vector3 = Annotated[tuple[Number, ...], BeforeValidator(_listed), _exactly(3)]
-PositiveVector3 = Annotated[tuple[Positive, ...], BeforeValidator(_listed), _exactly(3)]
-Vector6 = Annotated[tuple[Number, ...], BeforeValidator(_listed), _exactly(6)]
 
 
 def _direction(value: tuple[float, ...]) -> tuple[float, ...]:
@@ -84,9 +60,9 @@ class StiffnessTable(Section):
     spline (Fritsch and Butland 1984) or by straight lines, and straight beyond the last.
     """
 
-    torque: Annotated[tuple[Number, ...], BeforeValidator(_listed)]  # N m
-    stiffness: Annotated[tuple[Positive, ...], BeforeValidator(_listed)] | None = None  # N m/rad
-    torsion: Annotated[tuple[Number, ...], BeforeValidator(_listed)] | None = None  # rad
+    torque: Annotated[tuple[Number, ...], Listed]  # N m
+    stiffness: Annotated[tuple[Positive, ...], Listed] | None = None  # N m/rad
+    torsion: Annotated[tuple[Number, ...], Listed] | None = None  # rad
     interpolation: Literal["monotone", "linear"] = "monotone"
 
     @model_validator(mode="after")
@@ -182,13 +158,38 @@ class Harmonic(Section):
     of: Literal["motor", "output"] = "motor"  # what turns: the motor's shaft, or the gear's output
 
 
-class MotorFriction(Section):
-    """Friction between motor and ground."""
+class Friction(Section):
+    """Friction of a motor or of a bearing."""
 
     viscous: NonNegative = 0.0  # N m s/rad
     coulomb: NonNegative = 0.0  # N m
+    asymmetry: Number = 0.0  # N m; by how much it is more than coulomb forwards, and less backwards
     stribeck: NonNegative = 0.0  # N m; by how much breaking away takes more than coulomb
     stribeck_velocity: Positive = 0.01  # rad/s; at which that has fallen to 1/e
+    load: Annotated[Number, Field(ge=0, lt=1)] = 0.0  # share of the torque that the spring transmits, on top
+
+    @model_validator(mode="after")
+    def _brakes(self) -> "Friction":
+        if abs(self.asymmetry) > self.coulomb:
+            raise refusal(
+                f"expected at most the coulomb friction of {self.coulomb:g}, got {self.asymmetry:g}", "asymmetry"
+            )
+        return self
+
+
+class MotorFriction(Friction):
+    """Friction between motor and ground."""
+
+
+class BearingFriction(Friction):
+    """Friction between a link and what carries it."""
+
+
+class Efficiency(Section):
+    """How much of a torque comes through a gear: to the link when its motor drives, to the motor when driven back."""
+
+    driving: Annotated[Number, Field(gt=0, le=1)] = 1.0
+    back_driving: Annotated[Number, Field(gt=0, le=1)] = 1.0
 
 
 class JointConfig(Section):
@@ -196,6 +197,7 @@ class JointConfig(Section):
 
     name: Name
     elastic: bool = True
+    passive: bool = False  # nothing drives it, nor reads it: a bearing, a link or a base that bends about angle zero
     stiffness: Positive | None = None  # K, N m/rad; an elastic joint has it or a table; `unknown`: see below
     stiffness_known: bool = True  # else `stiffness` is where a calibration begins, to within a factor of 3
     stiffness_table: StiffnessTable | None = None
@@ -208,7 +210,9 @@ class JointConfig(Section):
     cubic_stiffness: NonNegative = 0.0  # N m/rad³
     soft_windup: SoftWindup = SoftWindup()
     motor_friction: MotorFriction = MotorFriction()
+    efficiency: Efficiency = Efficiency()  # of the gear
     link_friction: Vector6 = (0.0,) * 6  # γ₁ … γ₆ of Ulrich, Sasiadek 2011, eq. (14)
+    bearing_friction: BearingFriction = BearingFriction()  # of the link too, as motors have it
     mass_scale: Positive = 1.0  # factor on mass and inertia of the link that the joint moves, as the URDF has them
 
     @model_validator(mode="before")
@@ -237,9 +241,18 @@ class JointConfig(Section):
 
     @model_validator(mode="after")
     def _spring_complete(self) -> "JointConfig":
-        for key in ("stiffness", "motor_inertia"):
+        for key in ("stiffness",) if self.passive else ("stiffness", "motor_inertia"):
             if self.elastic and getattr(self, key) is None:
                 raise refusal(f"missing key '{key}': an elastic joint needs a number greater than 0")
+        return self
+
+    @model_validator(mode="after")
+    def _passive_alone(self) -> "JointConfig":
+        if self.passive and not self.elastic:
+            raise refusal("expected an elastic joint: a passive one is a spring", "passive")
+        for key in ("motor_inertia", "gear_ratio", "motor_friction", "efficiency", "ripple"):
+            if self.passive and key in self.model_fields_set and getattr(self, key) is not None:
+                raise refusal("expected none: the joint is passive", key)
         return self
 
     @model_validator(mode="after")
@@ -255,6 +268,27 @@ class JointConfig(Section):
         if change > 0.2:
             raise refusal(f"expected to change the output's speed by at most 0.2 of it, got {change:.3g}", "ripple")
         return self
+
+    @model_validator(mode="after")
+    def _loads_known(self) -> "JointConfig":
+        """What a rigid joint transmits depends on accelerations, and those on friction."""
+        for key in ("motor_friction", "bearing_friction"):
+            if getattr(self, key).load and not self.elastic:
+                raise refusal("expected none: the joint is rigid", key, "load")
+        if not self.elastic and self.efficiency != Efficiency():
+            raise refusal("expected none: the joint is rigid", "efficiency")
+        driven = self.gear_loss[1]
+        if driven >= 1:
+            raise refusal(
+                f"expected more than the load friction of {self.motor_friction.load:g}", "efficiency", "back_driving"
+            )
+        return self
+
+    @property
+    def gear_loss(self) -> tuple[float, float]:
+        """Friction as a share of the torque that the motor feels, where it drives and where it is driven."""
+        load = self.motor_friction.load
+        return load + 1 / self.efficiency.driving - 1, load + 1 - self.efficiency.back_driving
 
     @property
     def harmonics(self) -> list[list[float]]:
@@ -414,6 +448,7 @@ class RobotConfig(Section):
     joints: Annotated[tuple[JointConfig, ...], AfterValidator(_some)]
     coupling: dict[str, dict[str, Number]] = {}  # S, kg m²: {link's joint: {motor's joint: value}}
     rotors: dict[str, RotorConfig] = {}  # motors carried by links, by the joint that they drive
+    counterbalances: tuple[Counterbalance, ...] = ()  # what carries part of the weight
     accelerometers: tuple[AccelerometerConfig, ...] = ()
     gyroscopes: tuple[GyroscopeConfig, ...] = ()
     encoder: EncoderConfig = EncoderConfig()
@@ -444,6 +479,12 @@ class RobotConfig(Section):
         return ("t", *motors, *self.acceleration_channels, *self.gyroscope_channels)
 
     @model_validator(mode="after")
+    def _driven(self) -> "RobotConfig":
+        if all(joint.passive for joint in self.joints):
+            raise refusal("expected a joint with a motor: all are passive", "joints")
+        return self
+
+    @model_validator(mode="after")
     def _names_unique(self) -> "RobotConfig":
         for key in ("joints", "accelerometers", "gyroscopes"):
             seen: dict[str, int] = {}
@@ -454,7 +495,7 @@ class RobotConfig(Section):
 
     @model_validator(mode="after")
     def _coupling_triangular(self) -> "RobotConfig":
-        order = {joint.name: index for index, joint in enumerate(self.joints) if joint.elastic}
+        order = {joint.name: index for index, joint in enumerate(self.joints) if joint.elastic and not joint.passive}
         for row, entries in self.coupling.items():
             for keys in ((row,), *((row, column) for column in entries)):
                 if keys[-1] not in order:
@@ -471,12 +512,21 @@ class RobotConfig(Section):
 
     @model_validator(mode="after")
     def _rotors_known(self) -> "RobotConfig":
-        joints = [joint.name for joint in self.joints]
+        joints = [joint.name for joint in self.joints if not joint.passive]
         for motor in self.rotors:
             if motor not in joints:
                 raise refusal(f"expected a joint; {suggest(motor, joints)}", "rotors", motor)
             if any(entries.get(motor) for entries in self.coupling.values()):
                 raise refusal("expected no coupling of this motor: a rotor brings its own", "rotors", motor)
+        return self
+
+    @model_validator(mode="after")
+    def _balanced_joints_known(self) -> "RobotConfig":
+        names = [joint.name for joint in self.joints]
+        for index, balance in enumerate(self.counterbalances):
+            for at, joint in enumerate(balance.joints):
+                if joint not in names:
+                    raise refusal(f"expected a joint; {suggest(joint, names)}", "counterbalances", index, "joints", at)
         return self
 
     @model_validator(mode="after")

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .config import JointConfig
 from .robot import Robot
 
 CoreTolerance = tuple[str, int, int, float]
@@ -69,13 +70,20 @@ def _of_joints(robot: Robot) -> Iterator[Uncertain]:
             stds["cubic_stiffness"] = 0.5 * drive.cubic_stiffness
         else:
             stds["yielding"] = (2 * np.pi * wide.rigid_frequency) ** -2
-        stds["link_friction"] = wide.link_friction if any(drive.link_friction) else 0.0
-        stds["encoder_zero"] = wide.encoder_zero
-        stds["lost_motion"] = wide.lost_motion
+        stds["link_friction"] = wide.link_friction if _brakes(drive) else 0.0
+        if not drive.passive:
+            stds["encoder_zero"] = wide.encoder_zero
+            stds["lost_motion"] = wide.lost_motion
         for kind, std in stds.items():
             if std:
                 name = "mass_scale" if kind == "mass" else kind
                 yield Uncertain(f"{name}_{drive.name}", kind, j, 0, float(std))
+
+
+def _brakes(drive: JointConfig) -> bool:
+    """Whether a link has friction."""
+    bearing = drive.bearing_friction
+    return any((*drive.link_friction, bearing.viscous, bearing.coulomb, bearing.stribeck, bearing.load))
 
 
 def _of_pasts(robot: Robot) -> Iterator[Uncertain]:
@@ -96,9 +104,10 @@ def _of_sensors(robot: Robot) -> Iterator[Uncertain]:
 
 def _of_motors(robot: Robot) -> Iterator[Uncertain]:
     wide = robot.config.tolerances
-    for j, drive in enumerate(robot.drives):
+    driven = ((j, drive) for j, drive in enumerate(robot.drives) if not drive.passive)
+    for j, drive in driven:
         yield Uncertain(f"torque_constant_{drive.name}", "torque_constant", j, 0, wide.torque_constant)
-        if drive.motor_friction.viscous or drive.motor_friction.coulomb:
+        if drive.motor_friction.viscous or drive.motor_friction.coulomb or any(drive.gear_loss):
             yield Uncertain(f"motor_friction_{drive.name}", "motor_friction", j, 0, wide.motor_friction)
         if drive.elastic:
             yield Uncertain(f"motor_inertia_{drive.name}", "motor_inertia", j, 0, wide.motor_inertia)

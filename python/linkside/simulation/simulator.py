@@ -22,6 +22,7 @@ from linkside.errors import EstimatorError
 from linkside.files.writing import writing
 from linkside.kalman.elastic_joint import ElasticJointFilter
 from linkside.observers.acceleration import AccelerationObserver
+from linkside.recording.layout import OF_MOTORS
 from linkside.recording.log import Log
 from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
@@ -259,7 +260,8 @@ def _assemble(robot: Robot, result: Truth, *, left_out: set[str]) -> Simulation:
     for signal, values in signals.items():
         channel = SIGNALS.get(signal)
         columns = joint_columns(signal, robot.names) if channel is None else channel.columns(robot)
-        table |= dict(zip(columns, values.T, strict=True))
+        driven = ~robot.passive if signal in OF_MOTORS else np.ones(len(columns), bool)
+        table |= {name: column for name, column, kept in zip(columns, values.T, driven, strict=True) if kept}
     table = {robot.columns.name_in_log(name): np.ascontiguousarray(values) for name, values in table.items()}
     known = State(*np.split(result.pop("known"), 4, axis=1))
     return Simulation(robot, Log.from_table(table, robot, "simulation", check=False), result, known, table)
