@@ -1,4 +1,4 @@
-"""Draws docs/learning.png, and prints the table of docs/learning.md: repeats of a motion, learnt from by each estimate."""
+"""Draws docs/learning.png, and prints the table of docs/learning.md: a motion, learnt from by each kind of estimate."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Draws transmissions.png, torque over motor angle of each law with the link held, friction.png, counterbalances.png."""
+"""Draws transmissions.png (torque over motor angle of each law, link held), friction.png and counterbalances.png."""
 
 from pathlib import Path
 from typing import Any

@@ -208,6 +208,7 @@ class ExtendedKalmanFilter:
         iterations: int,
         damping: bool,
         tolerances: Sequence[tuple[str, int, int, float]],
+        correlations: Sequence[tuple[int, int, float]] = ...,
         late: Sequence[tuple[float, float, int] | None] | None = None,
         link_disturbance: Mapping[str, Any] | None = None,
     ) -> ExtendedKalmanFilter: ...
@@ -256,6 +257,7 @@ class ElasticJointFilter:
         gate: float | None,
         iterations: int,
         tolerances: Sequence[tuple[str, int, int, float]],
+        correlations: Sequence[tuple[int, int, float]] = ...,
         late: Sequence[tuple[float, float, int] | None] | None = None,
         link_disturbance: Mapping[str, Any] | None = None,
     ) -> ElasticJointFilter: ...
@@ -307,6 +309,7 @@ class ParticleFilter:
         tolerances: Sequence[tuple[str, int, int, float]],
         marginalised: Literal["nothing", "biases", "accelerations"],
         settings: Mapping[str, Any],
+        correlations: Sequence[tuple[int, int, float]] = ...,
         late: Sequence[tuple[float, float, int] | None] | None = None,
     ) -> ParticleFilter: ...
     @property

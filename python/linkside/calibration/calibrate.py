@@ -198,6 +198,6 @@ def _contradictions(problem: Posterior, z: FloatArray) -> tuple[Contradiction, .
         best = Search(alone).maximise(z)
         evidence = alone.evidence(best, detail=True)
         still = [name for name, does in zip(problem.robot.names, moving(log), strict=True) if not does]
-        untold = unidentifiable(alone.free, evidence, still)
+        untold = unidentifiable(alone.free, best, evidence, still)
         fits.append(Alone(best, uncertainty(evidence, log.period), frozenset(untold.reasons)))
     return tuple(compare(problem, fits))

@@ -320,7 +320,7 @@ class ResponseProblem:
                 f[1].value(f[2]) if f else held.get(core, value)
                 for f, core, value in zip(free, of, stated, strict=True)
             ]
-            if not any(values):
+            if not (any(values) or any(free)):
                 continue
             lag = Lag(*(value / period for value in values))
             by = lag.slopes(prediction[:, columns])

@@ -13,6 +13,7 @@ from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from linkside.files.yaml_source import Source, refusal, suggest
 
+from . import correlations
 from .counterbalances import Counterbalance
 from .section import Listed, Name, NonNegative, Number, Positive, PositiveVector3, Section, Vector3, Vector6
 from .sources import SourcesConfig
@@ -417,6 +418,7 @@ class TolerancesConfig(Section):
     torque_constant: Positive = 0.05
     motor_friction: Positive = 0.5
     calibrated: dict[Name, Positive] = {}  # of single parameters, by the names that `calibrate` gives them
+    correlations: dict[Name, dict[Name, Number]] = {}  # {one parameter: {another: -1 to 1}}, each pair once
     encoder_zero: NonNegative = 0.0  # rad; between a motor's encoder and its link; 0: positions are relative to it
     lost_motion: NonNegative = 1e-4  # rad; hysteresis, play and teeth of a gear: three of it are half of 2 arc minutes
     rigid_frequency: Positive = 20.0  # Hz; on which a joint taken as rigid may ring after all
@@ -502,6 +504,13 @@ class RobotConfig(Section):
                     raise refusal(f"expected an elastic joint; {suggest(keys[-1], order)}", "coupling", *keys)
                 if len(keys) == 2 and order[row] >= order[keys[1]]:
                     raise refusal(f"expected a joint after '{row}': S is strictly upper triangular", "coupling", *keys)
+        return self
+
+    @model_validator(mode="after")
+    def _correlations_possible(self) -> "RobotConfig":
+        sensors = (sensor.name for sensor in self.accelerometers)
+        known = correlations.names((joint.name for joint in self.joints), sensors)
+        correlations.refuse_impossible(self.tolerances.correlations, known)
         return self
 
     @model_validator(mode="after")

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from . import correlations
 from .config import JointConfig
+from .correlations import AXES, OF_SENSORS
 from .robot import Robot
 
 CoreTolerance = tuple[str, int, int, float]
 """A parameter as the core has it: kind, joint or sensor, axis, standard deviation."""
-
-AXES = "xyz"
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,14 @@ def considered(robot: Robot, *, motors: bool = False) -> list[Uncertain]:
     return [replace(one, std=known.get(one.name, one.std)) for one in found]
 
 
+def core_settings(robot: Robot, uncertain: Sequence[Uncertain]) -> dict[str, Any]:
+    """Give the settings of a filter of the core that say what of ``robot`` is uncertain."""
+    return {
+        "tolerances": [one.as_tuple for one in uncertain],
+        "correlations": correlations.pairs(robot.config.tolerances.correlations, [one.name for one in uncertain]),
+    }
+
+
 def _of_joints(robot: Robot) -> Iterator[Uncertain]:
     wide = robot.config.tolerances
     for j, drive in enumerate(robot.drives):
@@ -96,7 +105,7 @@ def _of_pasts(robot: Robot) -> Iterator[Uncertain]:
 def _of_sensors(robot: Robot) -> Iterator[Uncertain]:
     wide = robot.config.tolerances
     for s, sensor in enumerate(robot.accelerometers):
-        for kind in ("rotation", "translation", "scale"):
+        for kind in OF_SENSORS:
             for axis in range(3):
                 if kind != "scale" or AXES[axis] in sensor.axes:
                     yield Uncertain(f"{kind}_{sensor.name}_{AXES[axis]}", kind, s, axis, getattr(wide, kind))

@@ -17,7 +17,7 @@ use super::gaussian::{Gaussian, Symmetric};
 use super::model::{Paired, Process};
 use super::recording::{KalmanRecording, KalmanSample};
 use super::transition::Transition;
-use super::uncertain::Tolerance;
+use super::tolerances::Tolerances;
 use crate::check::{check_deviations, check_readings, check_times, expect_length};
 use crate::dynamics::ElasticLayout;
 use crate::error::DesignError;
@@ -176,8 +176,8 @@ impl ElasticModel {
     }
 
     /// The model of a robot of which some numbers are known to a tolerance only.
-    pub fn with_tolerances(mut self, tolerances: Vec<Tolerance>) -> Self {
-        let sensitivity = ElasticSensitivity::new(tolerances, self.process.robot.len());
+    pub fn with_tolerances(mut self, tolerances: impl Into<Tolerances>) -> Self {
+        let sensitivity = ElasticSensitivity::new(tolerances.into(), self.process.robot.len());
         self.process.transition.consider(sensitivity.clone());
         self.measurement.sensitivity = sensitivity;
         self

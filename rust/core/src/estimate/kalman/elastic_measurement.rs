@@ -4,7 +4,7 @@ use super::elastic_sensitivity::ElasticSensitivity;
 use super::model::{Linearised, Measurement, Report};
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample};
-use super::uncertain::Tolerance;
+use super::tolerances::Tolerances;
 use crate::dynamics::{ElasticDynamics, ElasticLayout};
 use crate::error::DesignError;
 use crate::estimate::measurement::{Chained, Channel, Elastic, Values, read_all};
@@ -113,7 +113,7 @@ impl Measurement for ElasticMeasurement {
         read_all(robot, channels, &view, &mut Chained { prediction, rows: jacobian, joints, dense, ddq_by });
     }
 
-    fn tolerances(&self) -> &[Tolerance] {
+    fn tolerances(&self) -> &Tolerances {
         self.sensitivity.tolerances()
     }
 

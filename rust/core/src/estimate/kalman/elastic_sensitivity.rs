@@ -4,6 +4,7 @@
 //! right-hand side a parameter through factors that the step of time has anyway. Columns then ride along with the covariance:
 //! Σ ← Φ Σ + ∫ e^(A s) ∂ẋ/∂p ds over a step, and ∂h/∂p + H Σ at a reading.
 
+use super::tolerances::Tolerances;
 use super::uncertain::{Tolerance, Uncertain, of_sensor, shares_of_link};
 use crate::dynamics::{ElasticDynamics, ElasticLayout};
 use crate::estimate::measurement::Channel;
@@ -18,7 +19,7 @@ use crate::robot::Robot;
 #[derive(Clone, Debug, Default)]
 pub(super) struct ElasticSensitivity {
     /// One column each.
-    tolerances: Vec<Tolerance>,
+    tolerances: Tolerances,
     /// Numbers between rows: parameters, padded.
     stride: usize,
     /// ∂q̈/∂p (n × stride).
@@ -30,14 +31,14 @@ pub(super) struct ElasticSensitivity {
 }
 
 impl ElasticSensitivity {
-    pub(super) fn new(tolerances: Vec<Tolerance>, joints: usize) -> Self {
+    pub(super) fn new(tolerances: Tolerances, joints: usize) -> Self {
         let stride = tolerances.len().next_multiple_of(linear::LANES);
         let [links, motors, transmitted] = core::array::from_fn(|_| vec![0.0; joints * stride]);
         Self { tolerances, stride, links, motors, transmitted }
     }
 
     /// The parameters, in the order of the columns.
-    pub(super) fn tolerances(&self) -> &[Tolerance] {
+    pub(super) fn tolerances(&self) -> &Tolerances {
         &self.tolerances
     }
 
