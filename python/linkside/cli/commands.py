@@ -228,6 +228,8 @@ def merge(robot: str, files: tuple[str, ...], out: str, shifts: tuple[str, ...],
     log = Log.merge(files, loaded, shifts=each, rate=options["rate"], check=not options["no_check"])
     log.write(out)
     click.echo(f"{out}: {log!r}")
+    for words in log.conversions:
+        click.echo(f"  read with units of robot.yaml, written as recorded: {words}")
     for line in rate_lines(log.rates()):
         click.echo(line)
 

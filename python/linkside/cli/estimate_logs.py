@@ -53,13 +53,17 @@ class EstimateJob:
 
 @dataclass
 class Outcome:
-    """What came of a log: its tally, tables for people, or an error; ``kept`` where its estimate was there already."""
+    """What came of a log: its tally, tables for people, or an error.
+
+    ``kept`` where its estimate was there already; ``conversions`` of the log's units, in words.
+    """
 
     job: EstimateJob
     tally: Tally = field(default_factory=Tally)
     tables: list[RenderableType] = field(default_factory=list)
     error: LinksideError | None = None
     kept: bool = False
+    conversions: tuple[str, ...] = ()
 
     @property
     def believable(self) -> bool:
@@ -186,7 +190,7 @@ def _estimate(
     known = None if job.truth is None else Estimate.read(job.truth)
     kept = []
     with EstimateWriter(job.output, metadata) as writer:
-        for piece in _pieces(job, outcome.tally, interruption):
+        for piece in _pieces(job, outcome, interruption):
             writer.write(piece)
             outcome.tally.add(piece)
             progress(job, len(piece))
@@ -206,11 +210,11 @@ def _motors_alone(robot: Robot, estimate: Estimate, known: Estimate) -> Estimate
     return replace(estimate, tool_position=robot.tool_position(estimate.theta)).error_against(known)
 
 
-def _pieces(job: EstimateJob, tally: Tally, interruption: Interruption) -> Iterator[Estimate]:
+def _pieces(job: EstimateJob, outcome: Outcome, interruption: Interruption) -> Iterator[Estimate]:
     with naming(job.log):
         run = job.make()
-    pieces = tally.timed(_read(job), sign=-1)
-    estimates = tally.timed(run(pieces))
+    pieces = outcome.tally.timed(_read(job, outcome), sign=-1)
+    estimates = outcome.tally.timed(run(pieces))
     while True:
         with naming(job.log), interruption.estimating():
             piece = next(estimates, None)
@@ -219,13 +223,15 @@ def _pieces(job: EstimateJob, tally: Tally, interruption: Interruption) -> Itera
         yield piece
 
 
-def _read(job: EstimateJob) -> Iterator[Log]:
-    """The pieces of a log."""
+def _read(job: EstimateJob, outcome: Outcome) -> Iterator[Log]:
+    """The pieces of a log; what is converted in them is noted."""
     if job.rate is not None:
         even = Log.read(job.log, job.robot, allow_gaps=True, check=job.check).resample(job.rate)
+        outcome.conversions = even.conversions
         yield from (even[first : first + job.rows] for first in range(0, len(even), job.rows))
         return
     pieces = Log.stream(job.log, job.robot, job.rows, allow_gaps=job.uneven, check=job.check)
+    outcome.conversions = pieces.conversions
     longest, count, last = 0.0, 0, np.inf
     for piece in pieces:
         steps = np.diff(piece.t, prepend=min(last, piece.t[0]))

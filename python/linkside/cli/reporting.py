@@ -45,6 +45,8 @@ def _in_words(outcome: Outcome) -> None:
         click.echo(f"{outcome.job.output}: up to date")
         return
     click.echo(f"{outcome.job.output}: {outcome.tally}")
+    for words in outcome.conversions:
+        click.echo(f"{outcome.job.log}: converted: {words}")
     for finding in outcome.tally.findings:
         click.echo(f"{outcome.job.log}: {finding}")
 
@@ -72,6 +74,7 @@ def _record(outcome: Outcome) -> dict[str, object]:
         "output": str(outcome.job.output),
         "error": None if outcome.error is None else in_words(outcome.error),
         "up_to_date": outcome.kept,
+        "converted": list(outcome.conversions),
         "rows": tally.rows,
         "motion": tally.motion,
         "seconds": tally.seconds,

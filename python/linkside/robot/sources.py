@@ -8,7 +8,7 @@ from linkside.files.yaml_source import refusal
 
 from .section import Name, Section
 
-SIGNALS = ("theta", "dtheta", "tau", "q", "dq", "ddq", "torque", "qref", "dqref", "ddqref")
+SIGNALS = ("theta", "dtheta", "tau", "current", "q", "dq", "ddq", "torque", "qref", "dqref", "ddqref")
 """Signals with a column a joint."""
 
 JOINT_STATE = {"theta": "position", "dtheta": "velocity", "tau": "effort"}
@@ -26,6 +26,7 @@ class JointsSource(Section):
     theta: Name | None = None
     dtheta: Name | None = None
     tau: Name | None = None
+    current: Name | None = None
     q: Name | None = None
     dq: Name | None = None
     ddq: Name | None = None
