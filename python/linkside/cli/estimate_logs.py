@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import re
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -18,6 +17,8 @@ import numpy as np
 from rich.console import RenderableType
 
 from linkside.errors import EstimatorError, LinksideError, NumericalError, OutputError, RecordingWarning
+from linkside.files.bags import PACKED, STORAGES
+from linkside.files.opening import FORMATS
 from linkside.recording.estimate import Estimate, EstimateError
 from linkside.recording.log import Log
 from linkside.recording.opening import log_rows
@@ -263,9 +264,11 @@ def output_folder(out: str, logs: Sequence[str]) -> Iterator[list[Path]]:
 
 
 def _stem(log: str) -> str:
-    return re.sub(
-        r"\.(parquet|csv|csv\.gz|mcap|mcap\.zstd|db3|db3\.zstd|mat|h5|hdf5)$", "", Path(log).name, flags=re.IGNORECASE
-    )
+    """A log's name without the suffix of its format."""
+    suffixes = [*FORMATS, *STORAGES, *(storage + PACKED for storage in STORAGES)]
+    name = Path(log).name
+    ending = max((suffix for suffix in suffixes if name.lower().endswith(suffix)), key=len, default="")
+    return name[: len(name) - len(ending)]
 
 
 @contextmanager

@@ -305,6 +305,18 @@ def reading(source: str) -> Iterator[None]:
         raise failure(source, f"cannot be read: {reason}") from error
 
 
+@contextmanager
+def parsing(source: str) -> Iterator[None]:
+    """Turn into one line whatever a library raises over broken data: it is of no kind in particular."""
+    try:
+        with reading(source):
+            yield
+    except LogError:
+        raise
+    except Exception as error:
+        raise failure(source, f"cannot be read: {error}") from error
+
+
 def failure(source: str, text: str) -> LogError:
     """Make a one-line error that begins with where the samples come from."""
     return LogError(" ".join(f"{source}: {text}".splitlines()))

@@ -333,7 +333,7 @@ class LogStream:
         self._layout = Layout.of(robot, self._file.names, self.source)
         self.conversions = self._layout.conversions
         (time,) = self._layout.wanted["t"]
-        head = next(self._file.batches([time], _HEAD), pa.table({time: pa.array([], pa.float64())}))
+        head = next(self._file.batches(self._layout.present, _HEAD), pa.table({time: pa.array([], pa.float64())}))
         self._seconds, self.period = _clock(
             numbers(head, time, self.source), self._layout, self.source, _inspector(robot, self.source, check)
         )

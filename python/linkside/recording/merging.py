@@ -11,11 +11,11 @@ import numpy as np
 import pyarrow as pa
 
 from linkside.errors import EstimatorError, RecordingWarning
+from linkside.files.joining import Part, join
 from linkside.files.tables import column_names, failure, numbers, reading, to_arrow
 
 from .checks import clock
 from .checks.inspector import able
-from .joining import Part, join
 from .layout import COMMANDS, RobotColumns, currents, signal_columns, time_unit
 from .opening import open_recording
 

@@ -13,10 +13,10 @@ import pyarrow as pa
 from linkside.arrays import FloatArray
 from linkside.errors import RecordingWarning
 from linkside.files.bags import Bag, Series, Stamps, Wanted
+from linkside.files.joining import Part, join
 from linkside.files.tables import ArrowTable, failure
 from linkside.robot.sources import JointsSource, SourcesConfig
 
-from .joining import Part, join
 from .layout import COMMANDS, RobotColumns, currents, signal_columns, time_unit
 
 NONE = "linear_acceleration_covariance", "angular_velocity_covariance"
