@@ -19,6 +19,7 @@ from rich.console import RenderableType
 from linkside.errors import EstimatorError, LinksideError, NumericalError, OutputError, RecordingWarning
 from linkside.files.bags import PACKED, STORAGES
 from linkside.files.opening import FORMATS
+from linkside.recording.checks.finding import Finding
 from linkside.recording.estimate import Estimate, EstimateError
 from linkside.recording.log import Log
 from linkside.recording.opening import log_rows
@@ -56,7 +57,8 @@ class EstimateJob:
 class Outcome:
     """What came of a log: its tally, tables for people, or an error.
 
-    ``kept`` where its estimate was there already; ``conversions`` of the log's units, in words.
+    ``kept`` where its estimate was there already; ``conversions`` of the log's units, in words, and
+    ``suspicions`` of the checks of recordings.
     """
 
     job: EstimateJob
@@ -65,6 +67,7 @@ class Outcome:
     error: LinksideError | None = None
     kept: bool = False
     conversions: tuple[str, ...] = ()
+    suspicions: tuple[Finding, ...] = ()
 
     @property
     def believable(self) -> bool:
@@ -225,23 +228,27 @@ def _pieces(job: EstimateJob, outcome: Outcome, interruption: Interruption) -> I
 
 
 def _read(job: EstimateJob, outcome: Outcome) -> Iterator[Log]:
-    """The pieces of a log; what is converted in them is noted."""
-    if job.rate is not None:
-        even = Log.read(job.log, job.robot, allow_gaps=True, check=job.check).resample(job.rate)
-        outcome.conversions = even.conversions
-        yield from (even[first : first + job.rows] for first in range(0, len(even), job.rows))
-        return
-    pieces = Log.stream(job.log, job.robot, job.rows, allow_gaps=job.uneven, check=job.check)
-    outcome.conversions = pieces.conversions
+    """The pieces of a log; what was converted or is suspicious in them is noted."""
     longest, count, last = 0.0, 0, np.inf
-    for piece in pieces:
-        steps = np.diff(piece.t, prepend=min(last, piece.t[0]))
-        count += int(np.count_nonzero(steps > pieces.longest_step))
-        longest, last = max(longest, float(steps.max())), float(piece.t[-1])
+    for piece in read_log(job):
+        outcome.conversions, outcome.suspicions = piece.conversions, piece.findings
+        if job.rate is None:
+            steps = np.diff(piece.t, prepend=min(last, piece.t[0]))
+            count += int(np.count_nonzero(steps > piece.pace.longest_step(piece.period)))
+            longest, last = max(longest, float(steps.max())), float(piece.t[-1])
         yield piece
     if count:
         text = f"{job.log}: {count} gaps, the longest of {longest:.6g} s, which the model alone bridges"
         warnings.warn(text, RecordingWarning, stacklevel=2)
+
+
+def read_log(job: EstimateJob) -> Iterator[Log]:
+    """The pieces of a log, as the method gets them."""
+    if job.rate is None:
+        yield from Log.stream(job.log, job.robot, job.rows, allow_gaps=job.uneven, check=job.check)
+        return
+    even = Log.read(job.log, job.robot, allow_gaps=True, check=job.check).resample(job.rate)
+    yield from (even[first : first + job.rows] for first in range(0, len(even), job.rows))
 
 
 @contextmanager

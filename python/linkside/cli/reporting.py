@@ -29,6 +29,11 @@ def tell(outcome: Outcome, manner: Manner) -> None:
 
 def summary(outcomes: Sequence[Outcome]) -> None:
     """Show a table of all logs, the worst first."""
+    show([all_logs(outcomes)])
+
+
+def all_logs(outcomes: Sequence[Outcome]) -> Titled:
+    """A table of all logs, the worst first."""
     heads = ("log", "rows", "good", "NIS per reading", "verdict")
     table = Titled("all logs, the worst first", heads)
     for outcome in sorted(outcomes, key=_badness, reverse=True):
@@ -36,7 +41,7 @@ def summary(outcomes: Sequence[Outcome]) -> None:
         good = f"{100 * tally.status['good'] / tally.rows:.1f} %" if tally.rows else "–"
         nis = f"{tally.nis / tally.used:.2f}" if tally.used else "–"
         table.add_row(outcome.job.log, str(tally.rows or "–"), good, nis, _verdict(outcome))
-    show([table])
+    return table
 
 
 def _in_words(outcome: Outcome) -> None:
