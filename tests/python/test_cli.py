@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -313,6 +314,29 @@ def test_an_estimate_that_is_left_alone_is_no_better_for_it(batch):
     assert again.exit_code == 3
     assert again.stdout.count(": up to date") == 3
     assert "up to date, contradicted" in again.stdout
+
+
+def test_an_estimate_that_is_left_alone_is_judged_by_all_its_readings(batch):
+    """Its NIS, findings and verdict are those of when it was made."""
+    Path("noise.yaml").write_text("acceleration: 0.035\n")
+    told = (*batch, "--with", "ekf", "--tuning", "noise.yaml", "--skip-existing", "--json")
+    first = [json.loads(line) for line in linkside(*told).stdout.splitlines()]
+    again = [json.loads(line) for line in linkside(*told).stdout.splitlines()]
+    assert all(one["up_to_date"] for one in again)
+    for one, other in zip(sorted(first, key=itemgetter("log")), sorted(again, key=itemgetter("log")), strict=True):
+        assert one["nis"] == pytest.approx(other["nis"], rel=1e-9)
+        different = ("nis", "seconds", "up_to_date")
+        assert {k: v for k, v in one.items() if k not in different} == {k: other[k] for k in one if k not in different}
+    assert not any(one["believable"] for one in again)
+
+
+def test_an_estimate_without_its_outcome_is_made_anew(batch):
+    succeed(*batch)
+    path = Path("new/a.estimate.parquet")
+    table = pq.read_table(path)
+    made_from = {key: value for key, value in pq.read_metadata(path).metadata.items() if key == b"linkside.made_from"}
+    pq.write_table(table.replace_schema_metadata(made_from), path)
+    assert succeed(*batch, "--skip-existing").count(": up to date") == 2
 
 
 def test_a_batch_speaks_json_or_not_at_all(batch):

@@ -26,6 +26,7 @@ from linkside.recording.opening import log_rows
 from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
 
+from . import kept
 from .error_tables import error_tables
 from .methods import Run
 from .provenance import METADATA, is_up_to_date
@@ -174,9 +175,10 @@ def _outcome(
     outcome = Outcome(job)
     try:
         metadata = {METADATA: job.made_from()} if job.output.suffix.lower() == ".parquet" else {}
-        if keep and is_up_to_date(job.output, metadata):
+        told = kept.recall(job.output) if keep and is_up_to_date(job.output, metadata) else None
+        if told is not None:
             outcome.kept = True
-            outcome.tally.add(Estimate.read(job.output))
+            outcome.tally, outcome.conversions, outcome.suspicions = told
         else:
             _estimate(job, metadata, outcome, progress, interruption)
     except LinksideError as error:
@@ -192,17 +194,18 @@ def _estimate(
     interruption: Interruption,
 ) -> None:
     known = None if job.truth is None else Estimate.read(job.truth)
-    kept = []
+    pieces = []
     with EstimateWriter(job.output, metadata) as writer:
         for piece in _pieces(job, outcome, interruption):
             writer.write(piece)
             outcome.tally.add(piece)
             progress(job, len(piece))
             if known is not None:
-                kept.append(piece)
+                pieces.append(piece)
         with naming(str(job.truth)):  # still inside: an estimate that cannot be compared as asked is not kept
-            estimate = None if known is None else Estimate.concatenate(kept)
+            estimate = None if known is None else Estimate.concatenate(pieces)
             error = None if estimate is None or known is None else estimate.error_against(known)
+        writer.note(kept.record(outcome.tally, outcome.conversions, outcome.suspicions))
     if error is not None and estimate is not None and known is not None:
         outcome.tables += error_tables(error, _motors_alone(job.robot, estimate, known), job.robot, str(job.truth))
 

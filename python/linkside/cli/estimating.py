@@ -106,7 +106,7 @@ def estimate(
     sources = [robot, _urdf(robot, loaded), *([options["tuning"]] if options["tuning"] else [])]
     if options["tuning"] is not None:
         options["tuning"] = METHODS[method].read_tuning(options["tuning"])
-    settings = method, rate, {name: options[name] for name in METHODS[method].takes}
+    settings = method, rate, no_check, {name: options[name] for name in METHODS[method].takes}
     spill = Path(os.path.realpath(out))
     make = partial(METHODS[method].build, loaded, Options(**options, spill=spill if spill.is_dir() else spill.parent))
     with naming(robot):
