@@ -18,6 +18,7 @@ LAYERS = (
     ("arguments",),
     ("statistics", "files"),
     ("figures",),
+    ("report",),
     ("robot",),
     ("recording",),
     ("observers", "kalman", "observability", "velocity"),

@@ -20,7 +20,7 @@ from linkside.channels import CHANNELS
 from linkside.kalman.late_sensors import sensors
 from linkside.recording.log import Log
 from linkside.robot import Robot
-from linkside.robot.config import Lateness
+from linkside.robot.sensors import Lateness
 
 from .band import Band
 from .lag import Lag

@@ -14,7 +14,8 @@ from linkside.recording.estimate import Estimate
 from linkside.robot import Robot
 from linkside.text import Titled
 
-from .commands import _example, _refuse_clashes, main
+from .group import main
+from .options import example, refuse_clashes
 from .terminal import show
 
 
@@ -31,13 +32,13 @@ class Gains(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
             self.fail(f"{value!r} is not a number, nor a list of numbers with commas between", param, ctx)
 
 
-@main.group(epilog=_example("linkside learn start robot.yaml log.parquet --kp 4e5 --kd 1e4 --out learning.parquet"))
+@main.group(epilog=example("linkside learn start robot.yaml log.parquet --kp 4e5 --kd 1e4 --out learning.parquet"))
 def learn() -> None:
     """Improve a motion from repeat to repeat, by estimates of where the links went (iterative learning control)."""
 
 
 @learn.command(
-    epilog=_example("linkside learn start robot.yaml log.parquet --kp 4e5,2e5 --kd 1e4,6e3 --out learning.parquet")
+    epilog=example("linkside learn start robot.yaml log.parquet --kp 4e5,2e5 --kd 1e4,6e3 --out learning.parquet")
 )
 @click.argument("robot", type=click.Path())
 @click.argument("motion", type=click.Path())
@@ -48,7 +49,7 @@ def learn() -> None:
 @click.option("--out", required=True, type=click.Path(), help="State of the iteration, a Parquet file.")
 def start(robot: str, motion: str, out: str, **settings: Any) -> None:
     """Begin to learn MOTION of ROBOT's links: columns t and qref_<joint>, or q_<joint>."""
-    _refuse_clashes([Path(out)], [robot, motion])
+    refuse_clashes([Path(out)], [robot, motion])
     check_writable(out, (".parquet",))
     loaded = Robot.load(robot)
     learning = PathLearning(loaded, wanted_motion(motion, loaded), **settings)
@@ -62,7 +63,7 @@ def start(robot: str, motion: str, out: str, **settings: Any) -> None:
 
 
 @learn.command(
-    "next", epilog=_example("linkside learn next robot.yaml learning.parquet estimate.parquet --out learning.parquet")
+    "next", epilog=example("linkside learn next robot.yaml learning.parquet estimate.parquet --out learning.parquet")
 )
 @click.argument("robot", type=click.Path())
 @click.argument("state", type=click.Path())
@@ -73,7 +74,7 @@ def next_(robot: str, state: str, estimate: str, out: str) -> None:
 
     Exit status 3: the errors are below the estimate's own standard deviation, so that no more can be learnt.
     """
-    _refuse_clashes([Path(out)], [robot, estimate])
+    refuse_clashes([Path(out)], [robot, estimate])
     check_writable(out, (".parquet",))
     learning = read(state, Robot.load(robot))
     last = learning.learn(Estimate.read(estimate))

@@ -5,16 +5,23 @@ from __future__ import annotations
 from pathlib import Path
 
 from linkside.files.bags import PACKED, STORAGES, Bag, is_bag
+from linkside.files.clocked import ClockedTable
 from linkside.files.opening import FORMATS, open_table
 from linkside.files.tables import Table
 
-from .layout import RobotColumns
+from .layout import COMMANDS, RobotColumns, signal_columns, time_unit
 from .sources import robot_table
 
 
 def open_recording(path: str | Path, robot: RobotColumns) -> Table:
     """Open a file by its suffix, or a bag by the robot's ``sources``; `LogError` when that cannot be."""
-    return robot_table(Bag(path), robot) if is_bag(path) else open_table(path)
+    if is_bag(path):
+        return robot_table(Bag(path), robot)
+    table = open_table(path)
+    if not isinstance(table, ClockedTable):
+        return table
+    columns = signal_columns(robot)
+    return table.for_log(columns["t"][0], time_unit(robot), {c for signal in COMMANDS for c in columns[signal]})
 
 
 def log_rows(path: str | Path) -> int | None:

@@ -11,13 +11,17 @@ from linkside import _core
 from linkside.errors import ConfigError
 from linkside.files.yaml_source import Source, suggest
 
-from .config import FrameConfig, JointConfig, RobotConfig, RotorConfig, SensorConfig
+from . import units
+from .config import RobotConfig
 from .counterbalances import Anchor, Counterbalance
+from .joints import JointConfig, RotorConfig
+from .sensors import FrameConfig, SensorConfig
 from .urdf import impossible
 
 # About or along any axis; RUB and RevoluteUnbounded are URDF's continuous joints, whose q is (cos, sin).
 SINGLE_AXIS = re.compile(r"JointModel(R|RUB|P|Revolute|RevoluteUnbounded|Prismatic)(X|Y|Z|Unaligned)")
 UNIQUE = "\x1f"  # ends what makes a frame's name unique for a while
+MOTOR_SIGNALS = ("theta", "dtheta", "tau")  # those of its shaft, where a log is of the motor's side
 NO_TORSION = 1e-5
 """The torque of so small a torsion counts as none where friction grows with load [rad]."""
 
@@ -33,6 +37,7 @@ def reduce(model: Any, config: RobotConfig, source: Source) -> Any:
     reduced = _lock(model, locked)
     reduced.gravity.linear = np.array(config.gravity)
     _refuse_unknown_links(reduced, config, source)
+    _refuse_unfit_units(reduced, config, source)
     _load(reduced, config)
     return reduced
 
@@ -172,6 +177,21 @@ def _refuse_unknown_links(model: Any, config: RobotConfig, source: Source) -> No
                 raise ConfigError(
                     f"{source.where(*where, 'joints', at)}joint '{joint}' slides, expected one that turns"
                 )
+
+
+def _refuse_unfit_units(model: Any, config: RobotConfig, source: Source) -> None:
+    for key, fault in column_units(model, config)[1].items():
+        raise ConfigError(f"{source.where('units', key)}{fault}")
+
+
+def column_units(model: Any, config: RobotConfig) -> tuple[dict[str, units.Unit], dict[str, str]]:
+    """Units of a log's columns by our names, and by key what is wrong with one; a motor's shaft turns in any case."""
+    columns = config.columns_by_kind
+    slides = [model.joints[model.getJointId(j.name)].shortname().startswith("JointModelP") for j in config.joints]
+    shafts = MOTOR_SIGNALS if config.columns.motor_side else ()
+    of_joints = [kind for kind in columns if kind not in ("t", "acceleration", "rate")]
+    turning = {c: kind in shafts or not s for kind in of_joints for c, s in zip(columns[kind], slides, strict=True)}
+    return units.column_units(config.units, columns, turning)
 
 
 def _refuse_unknown_link(

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from . import correlations
-from .config import JointConfig
 from .correlations import AXES, OF_SENSORS
+from .joints import JointConfig
 from .robot import Robot
 
 CoreTolerance = tuple[str, int, int, float]

@@ -6,7 +6,8 @@ from pydantic import Field, model_validator
 
 from linkside.files.yaml_source import refusal
 
-from .section import Name, NonNegative, Number, Positive, Section, Vector3
+from .section import Name, Section
+from .values import NonNegative, Number, Positive, Vector3
 
 PIECES = ("spring", "gas", "series")
 """Of these a counterbalance has one."""

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 from linkside.errors import EstimatorError
 
-from .config import Efficiency
 from .robot import Robot
+from .transmission import Efficiency
 
 UNKNOWN = "stiffness: unknown"
 """What only a calibration accounts for."""

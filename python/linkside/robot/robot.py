@@ -18,15 +18,10 @@ from linkside.files.yaml_source import Source
 
 from . import bodies
 from . import compile as tree
-from .config import (
-    AccelerometerConfig,
-    ColumnsConfig,
-    FrameConfig,
-    GyroscopeConfig,
-    JointConfig,
-    RobotConfig,
-    RobotFile,
-)
+from .config import ColumnsConfig, RobotConfig, RobotFile
+from .joints import JointConfig
+from .sensors import AccelerometerConfig, FrameConfig, GyroscopeConfig
+from .units import Unit
 from .urdf import Urdf
 
 Array = NDArray[np.float64]
@@ -266,6 +261,16 @@ class Robot:
     def gyroscope_channels(self) -> tuple[str, ...]:
         """Columns of angular rate, `<gyroscope>_wx` and so on."""
         return self.config.gyroscope_channels
+
+    @cached_property
+    def column_units(self) -> dict[str, Unit]:
+        """Units of a log's columns, by our names, of those that are not in SI units."""
+        return tree.column_units(self.model, self.config)[0]
+
+    @cached_property
+    def torque_constant(self) -> tuple[float | None, ...]:
+        """Torque of a motor's current [N m/A], of those whose is known."""
+        return tuple(joint.torque_constant for joint in self.drives)
 
     @cached_property
     def velocity_index(self) -> NDArray[np.intp]:

@@ -23,6 +23,7 @@ class JointsSource(Section):
     theta: Name | None = None
     dtheta: Name | None = None
     tau: Name | None = None
+    current: Name | None = None
     q: Name | None = None
     dq: Name | None = None
     ddq: Name | None = None

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from linkside.arrays import FloatArray
-from linkside.files.tables import failure
+
+from .tables import failure
 
 SAME = 0.01
 """Stamps closer than this part of the shortest period are of one time."""
