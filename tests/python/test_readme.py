@@ -11,7 +11,7 @@ from linkside import AccelerationObserver, Estimate, Log, Robot
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "tests/data"
-PAGES = [page for page in sorted((ROOT / "docs").rglob("*.md")) if "api" not in page.parts]
+PAGES = sorted((ROOT / "docs").rglob("*.md"))
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *PAGES]
 
 
