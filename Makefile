@@ -33,11 +33,13 @@ bench: $(VENV) ## beside what one would use instead
 	$(PIP) ".[test,bench]"
 	$(BIN)/python benches/python/run.py
 
-docs: $(VENV) ## API reference of both languages, into docs/api
+docs: $(VENV) ## the pages, and the API reference of both languages beside them, into site
 	$(PIP) ".[docs]"
 	$(RUSTDOC)
-	rm -rf docs/api && mkdir -p docs/api && cp -r target/doc docs/api/rust
-	$(BIN)/pdoc --docformat numpy --math -o docs/api/python linkside
+	rm -rf site
+	PYTHONPATH=docs $(BIN)/zensical build --strict
+	$(BIN)/pdoc --docformat numpy --math -o site/api/python linkside
+	cp -r target/doc site/api/rust
 
 lock: $(VENV) ## renew constraints.txt
 	$(PIP) uv
@@ -45,7 +47,7 @@ lock: $(VENV) ## renew constraints.txt
 	    --custom-compile-command "make lock" pyproject.toml -o constraints.txt
 
 clean:
-	rm -rf $(VENV) target docs/api
+	rm -rf $(VENV) target site
 
 $(VENV):
 	$(PYTHON) -m venv $(VENV)

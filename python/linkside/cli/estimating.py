@@ -66,34 +66,34 @@ class Poles(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
 @click.option("--poles", type=Poles(), default="250", show_default=True, help="Frequency [rad/s], or bessel:250 …")
 @click.option("--bias", is_flag=True, help="Estimate a bias of each link acceleration as well.")
 @click.option("--form", type=click.Choice(["current", "predictor"]), default="current", show_default=True)
-@click.option("--tuning", type=click.Path(), help="As `linkside tune` writes it for this method.")
-@click.option("--gate", type=float, help="Leave out readings more than so many standard deviations off.")
+@click.option("--tuning", type=click.Path(), help="A tuning file, as `linkside tune` writes it.")
+@click.option("--gate", type=float, help="Reject readings this many standard deviations from the prediction.")
 @click.option(
     "--link-disturbance",
     type=click.Choice(["auto", "on", "off"]),
     default="auto",
     show_default=True,
-    help="Whether links may be pushed by torques that the model lacks.",
+    help="Whether to estimate torques on the links that the model lacks.",
 )
-@click.option("--particles", type=int, default=1000, show_default=True, help="How many a particle filter has.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of a particle filter's random numbers.")
+@click.option("--particles", type=int, default=1000, show_default=True, help="Number of particles.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random numbers of a particle filter.")
 @click.option("--gain", type=float, default=100, show_default=True, help="Gain of a velocity observer [1/s].")
-@click.option("--rate", type=float, help="Resample logs to this rate [Hz], whole in memory, as observers need it.")
-@click.option("--strict", is_flag=True, help="Exit with status 3 where readings contradict the model.")
+@click.option("--rate", type=float, help="Resample logs to this even rate [Hz], in memory; for observers.")
+@click.option("--strict", is_flag=True, help="Exit with status 3 if readings contradict the model.")
 @no_check
 @report
-@click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this file; one for each log.")
-@click.option("-j", "--jobs", "workers", type=click.IntRange(1), help="Logs at a time.  [default: one for each core]")
-@click.option("--skip-existing", is_flag=True, help="Leave alone Parquet estimates that were made from the same.")
-@click.option("--json", "manner", flag_value="json", default="words", help="Say what came of it as a JSON line a log.")
-@click.option("--quiet", "manner", flag_value="quiet", help="Say nothing but errors.")
+@click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this truth; one for each log.")
+@click.option("-j", "--jobs", "workers", type=click.IntRange(1), help="Logs at a time.  [default: one per core]")
+@click.option("--skip-existing", is_flag=True, help="Skip estimates whose inputs are unchanged.")
+@click.option("--json", "manner", flag_value="json", default="words", help="Report each log as one line of JSON.")
+@click.option("--quiet", "manner", flag_value="quiet", help="Print errors only.")
 def estimate(
     robot: str, logs: tuple[str, ...], method: str, out: str, strict: bool, no_check: bool, **options: Any
 ) -> int:
     """Estimate the motion of ROBOT's links from recordings.
 
     ROBOT is a robot.yaml, each LOG a Parquet or CSV file. Logs are read piece by piece and may be larger than memory.
-    Exit status: 0 done, 1 some of several logs could not be estimated, 2 wrong use, 3 not to be believed (--strict).
+    Exit status: 0 done, 1 some of several logs failed, 2 wrong usage, 3 readings contradict the model (--strict).
     """
     told = options.pop("report")
     truths, manner, keep = options.pop("truths"), options.pop("manner"), options.pop("skip_existing")

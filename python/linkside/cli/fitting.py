@@ -30,16 +30,16 @@ if TYPE_CHECKING:
 @click.argument("robot", type=click.Path())
 @click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
 @click.option("--with", "method", type=click.Choice(["ekf", "observer"]), default="ekf", show_default=True)
-@click.option("--out", required=True, type=click.Path(), help="The tuning file, for `linkside estimate --tuning`.")
+@click.option("--out", required=True, type=click.Path(), help="The tuning file to write, for `estimate --tuning`.")
 @click.option("--start", type=click.Path(), help="A tuning file to start from (ekf).")
-@click.option("--free", help="Which values, by their keys in that file, a,b,c.  [default: transmission, poles]")
-@click.option("--states", multiple=True, type=click.Path(), help="What the links did, one for each LOG (observer).")
+@click.option("--free", help="Keys in that file to tune: a,b,c.  [default: transmission, poles]")
+@click.option("--states", multiple=True, type=click.Path(), help="True link states, one for each LOG (observer).")
 @click.option("--figure", type=click.Path(), help="Draw the Pareto front (observer).")
 @no_check
 @report
-@click.option("--evaluations", type=click.IntRange(1), default=2000, help="How often to estimate LOGs (observer).")
+@click.option("--evaluations", type=click.IntRange(1), default=2000, help="Number of evaluations (observer).")
 def tune(robot: str, logs: tuple[str, ...], method: str, **options: Any) -> None:
-    """Find the noise of a Kalman filter under which recordings are most likely, or the poles of an observer.
+    """Tune the noise of a Kalman filter to the likelihood of recordings, or the poles of an observer.
 
     With `--with observer` also stiffness, damping and motor_inertia of ROBOT's drives can be free; the links' states
     are measured ones (--states), or the smoother's.
@@ -99,17 +99,17 @@ def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> 
 )
 @click.argument("robot", type=click.Path())
 @click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
-@click.option("--out", required=True, type=click.Path(), help="The calibrated robot.yaml.")
+@click.option("--out", required=True, type=click.Path(), help="The calibrated robot.yaml to write.")
 @report
-@click.option("--free", help="Kinds or names of parameters, a,b,c; by default those that the logs can tell.")
-@click.option("--torque/--no-torque", default=None, help="Whether motor torques are readings, too.")
-@click.option("--bound", "bounds", multiple=True, help="NAME=LOW:HIGH, least and largest value of a parameter.")
-@click.option("--held-out", type=click.Path(), multiple=True, help="A log that only tests the outcome.")
+@click.option("--free", help="Parameters to free: a,b,c.  [default: all that are identifiable]")
+@click.option("--torque/--no-torque", default=None, help="Whether to use motor torques as measurements.")
+@click.option("--bound", "bounds", multiple=True, help="NAME=LOW:HIGH, bounds of a parameter.")
+@click.option("--held-out", type=click.Path(), multiple=True, help="A log used only to test the result.")
 @no_check
-@click.option("--resume", is_flag=True, help="Go on with an interrupted run.")
-@click.option("--force", is_flag=True, help="Write the outcome even where it is not to be believed.")
+@click.option("--resume", is_flag=True, help="Resume an interrupted run.")
+@click.option("--force", is_flag=True, help="Write the result even if it is refused.")
 def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **options: Any) -> None:
-    """Find ROBOT's stiffness, damping, load and sensor errors from its own recordings.
+    """Identify stiffness, damping, load and sensor errors of ROBOT from its own recordings.
 
     An outcome that does not foretell readings better than ROBOT as it is, or that is at a bound or far from it, is not
     written, and the exit status is 3.

@@ -9,9 +9,9 @@ from .failures import Commands
 
 @click.group(cls=Commands, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="linkside")
-@click.option("--debug", is_flag=True, help="Show where in the program an error comes from.")
+@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 @click.pass_context
 def main(ctx: click.Context, debug: bool) -> None:
-    """Where the links of an elastic-joint robot really are."""
+    """Estimate where the links of a robot with elastic joints really are."""
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())

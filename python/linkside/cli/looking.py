@@ -25,14 +25,14 @@ from .terminal import show
 @main.command(epilog=example("linkside check robot.yaml log.parquet --figure check.png"))
 @click.argument("robot", type=click.Path())
 @click.argument("log", type=click.Path(), required=False)
-@click.option("--figure", type=click.Path(), help="Draw it: a file that ends in .png, .pdf or .svg.")
-@click.option("--over", metavar="JOINT,JOINT", help="Joints of the figure's map.  [default: those that matter most]")
-@click.option("--at", "held", metavar="JOINT=POSITION", multiple=True, help="Where the map holds a joint [rad, m].")
+@click.option("--figure", type=click.Path(), help="Draw a figure: a .png, .pdf or .svg file.")
+@click.option("--over", metavar="JOINT,JOINT", help="Joints of the figure's axes.  [default: those that matter most]")
+@click.option("--at", "held", metavar="JOINT=POSITION", multiple=True, help="Where other joints are [rad, m].")
 @report
 def check(
     robot: str, log: str | None, figure: str | None, over: str | None, held: tuple[str, ...], report: str | None
 ) -> None:
-    """Say what ROBOT's sensors see, how well and where; along LOG if it is given, which is looked at for mistakes."""
+    """Report what the sensors of ROBOT observe, how well and where; with LOG, along it, and check LOG for mistakes."""
     from linkside.observability import analysis as module
     from linkside.observability.words import check_tables
 
@@ -70,22 +70,22 @@ def check(
 @main.command(epilog=example("linkside compare truth.parquet estimate.parquet --segments rests"))
 @click.argument("reference", type=click.Path())
 @click.argument("estimates", metavar="ESTIMATE...", type=click.Path(), nargs=-1, required=True)
-@click.option("--robot", type=click.Path(), help="A robot.yaml: the tool's path where a file has none.")
-@click.option("--names", help="What to call the estimates, a,b,c.  [default: their files]")
+@click.option("--robot", type=click.Path(), help="A robot.yaml: tool paths where a file has none.")
+@click.option("--names", help="Names of estimates: a,b,c.  [default: their files]")
 @click.option(
     "--align",
     type=click.Choice(["time", "start"]),
     default="time",
     show_default=True,
-    help="By time, or both from their first row.",
+    help="Align rows by time, or by their first rows.",
 )
 @click.option(
-    "--shift", type=Shift(), default="0", show_default=True, help="What estimates are late by [s]; auto finds it."
+    "--shift", type=Shift(), default="0", show_default=True, help="Delay of the estimates [s]; auto finds it."
 )
-@click.option("--segments", help="A CSV file with start, end, name; or rests, for the parts between rests.")
-@click.option("--repeats", is_flag=True, help="Estimates are repeats of one motion: their mean and spread as well.")
-@click.option("--out", type=click.Path(), help="Write it: a file that ends in .json, .csv, .tex or .txt.")
-@click.option("--figure", type=click.Path(), help="Draw it: a file that ends in .png, .pdf or .svg.")
+@click.option("--segments", help="A CSV file with start, end, name; or `rests`, for the parts between rests.")
+@click.option("--repeats", is_flag=True, help="The estimates repeat one motion: report their mean and spread too.")
+@click.option("--out", type=click.Path(), help="Write the result: a .json, .csv, .tex or .txt file.")
+@click.option("--figure", type=click.Path(), help="Draw a figure: a .png, .pdf or .svg file.")
 @report
 def compare(reference: str, estimates: tuple[str, ...], **options: Any) -> None:
     """Measure how far ESTIMATEs are from REFERENCE: a truth, another estimate, or a log, for its commanded path."""
@@ -126,19 +126,19 @@ def compare(reference: str, estimates: tuple[str, ...], **options: Any) -> None:
 @main.command(epilog=example("linkside place robot.yaml log.parquet --link link3 --link link4 --out sensors.yaml"))
 @click.argument("robot", type=click.Path())
 @click.argument("logs", metavar="[LOG]...", type=click.Path(), nargs=-1)
-@click.option("--link", "links", multiple=True, help="A link that can carry a sensor; on a grid around its frame.")
-@click.option("--reach", type=float, default=0.3, show_default=True, help="How far that grid goes either way [m].")
-@click.option("--steps", type=click.IntRange(1), default=3, show_default=True, help="Its points along each direction.")
+@click.option("--link", "links", multiple=True, help="A link that can carry a sensor, on a grid around its frame.")
+@click.option("--reach", type=float, default=0.3, show_default=True, help="Half the width of the grid [m].")
+@click.option("--steps", type=click.IntRange(1), default=3, show_default=True, help="Grid points along each axis.")
 @click.option("--axes", default="xyz", show_default=True, help="Three-axis sensors, or x,y,z for single axes.")
 @click.option("--candidates", type=click.Path(), help="A file with `accelerometers` to choose from, as in robot.yaml.")
-@click.option("--count", type=int, help="Sensors in the set.  [default: the fewest that can do]")
-@click.option("--limit", type=float, help="Take the smallest set whose score is at most this.")
+@click.option("--count", type=int, help="Number of sensors.  [default: the fewest that suffice]")
+@click.option("--limit", type=float, help="Choose the smallest set within this score.")
 @click.option("--by", type=click.Choice(["condition", "covariance"]), default="condition", show_default=True)
-@click.option("--out", type=click.Path(), help="Where to write the chosen `accelerometers`, YAML.")
+@click.option("--out", type=click.Path(), help="Write the chosen `accelerometers` to this YAML file.")
 @no_check
-@click.option("--figure", type=click.Path(), help="Draw where it is singular: a file that ends in .png, .pdf or .svg.")
+@click.option("--figure", type=click.Path(), help="Draw singular postures: a .png, .pdf or .svg file.")
 def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: Any) -> None:
-    """Choose accelerometers for ROBOT: those that see its joints best along LOGs, or in the whole workspace."""
+    """Choose accelerometers that observe the joints of ROBOT best along LOGs, or in the whole workspace."""
     from linkside.observability import placement
 
     out, inputs = options["out"], [robot, *logs, options["candidates"]]
@@ -163,7 +163,7 @@ def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: 
 
 
 @main.command(epilog=example("linkside demo --figure demo.png"))
-@click.option("--figure", type=click.Path(), default="linkside-demo.png", show_default=True, help="Where to draw it.")
+@click.option("--figure", type=click.Path(), default="linkside-demo.png", show_default=True, help="Figure to write.")
 def demo(figure: str) -> None:
     """Run the observer on a robot and a recording that come with the package."""
     from linkside.demo import run as module

@@ -13,7 +13,7 @@ from linkside.errors import OutputError
 from linkside.files.writing import check_writable
 from linkside.report.page import SUFFIXES
 
-no_check = click.option("--no-check", is_flag=True, help="Believe the recordings without looking at them first.")
+no_check = click.option("--no-check", is_flag=True, help="Skip the checks of the recordings.")
 
 
 report = click.option("--report", type=click.Path(), help="A report: one HTML file that needs no other.")

@@ -21,15 +21,15 @@ from .terminal import rate_lines, show
 
 @main.command(epilog=example("linkside init robot.urdf --gear-ratio joint_1=121"))
 @click.argument("urdf", type=click.Path())
-@click.option("--out", type=click.Path(), default="robot.yaml", show_default=True, help="The file to begin.")
+@click.option("--out", type=click.Path(), default="robot.yaml", show_default=True, help="The file to write.")
 @click.option(
-    "--drive", type=click.Choice(list(DRIVES)), default="strain-wave", show_default=True, help="Of its joints."
+    "--drive", type=click.Choice(list(DRIVES)), default="strain-wave", show_default=True, help="Kind of its gears."
 )
 @click.option(
-    "--gear-ratio", "ratios", multiple=True, metavar="JOINT=N", help="Of a joint; logs are then of motor shafts."
+    "--gear-ratio", "ratios", multiple=True, metavar="JOINT=N", help="Its gear ratio; logs then hold shaft values."
 )
 def init(urdf: str, out: str, drive: str, ratios: tuple[str, ...]) -> None:
-    """Begin a robot.yaml from URDF: its joints and links, and typical values with their ranges.
+    """Start a robot.yaml from URDF: its joints and links, and typical values with their ranges.
 
     What it asks for is marked ASKED. The file must not be there yet.
     """
@@ -45,12 +45,12 @@ def init(urdf: str, out: str, drive: str, ratios: tuple[str, ...]) -> None:
 @main.command(epilog=example("linkside merge robot.yaml joints.parquet imu.csv --out log.parquet"))
 @click.argument("robot", type=click.Path())
 @click.argument("files", metavar="FILE...", type=click.Path(), nargs=-1, required=True)
-@click.option("--out", required=True, type=click.Path(), help="The log, a file that ends in .parquet or .csv.")
-@click.option("--shift", "shifts", multiple=True, metavar="FILE=SECONDS", help="By how much a FILE's clock is ahead.")
-@click.option("--rate", type=float, help="Resample to this rate [Hz], as observers need it.")
+@click.option("--out", required=True, type=click.Path(), help="The log to write: a .parquet or .csv file.")
+@click.option("--shift", "shifts", multiple=True, metavar="FILE=SECONDS", help="How far the clock of a FILE is ahead.")
+@click.option("--rate", type=float, help="Resample to this even rate [Hz]; for observers.")
 @no_check
 def merge(robot: str, files: tuple[str, ...], out: str, shifts: tuple[str, ...], **options: Any) -> None:
-    """Merge FILEs of sensors that were recorded apart into one log, by time.
+    """Merge FILEs of separately recorded sensors into one log, by time.
 
     Each has a column of time and some of ROBOT's other columns. The log has a row for each time, NaN where a sensor has
     no reading.
@@ -73,8 +73,8 @@ def merge(robot: str, files: tuple[str, ...], out: str, shifts: tuple[str, ...],
 
 @main.command(epilog=example("linkside convert bag --joints /joint_states --imu tool_acc=/imu_tool --out log.parquet"))
 @click.argument("bag", type=click.Path())
-@click.option("--out", type=click.Path(), help="The log, a file that ends in .parquet or .csv.")
-@click.option("--robot", type=click.Path(), help="A robot.yaml with `sources`, in place of the options below.")
+@click.option("--out", type=click.Path(), help="The log to write: a .parquet or .csv file.")
+@click.option("--robot", type=click.Path(), help="A robot.yaml with `sources`, instead of these options.")
 @click.option(
     "--joints",
     multiple=True,
@@ -83,9 +83,9 @@ def merge(robot: str, files: tuple[str, ...], out: str, shifts: tuple[str, ...],
 )
 @click.option("--imu", multiple=True, metavar="NAME=TOPIC", help="Imu: columns NAME_x, _y, _z and NAME_wx, _wy, _wz.")
 @click.option("--wrench", multiple=True, metavar="NAME=TOPIC", help="WrenchStamped: NAME_fx, _fy, _fz and NAME_tx, …")
-@click.option("--field", "fields", multiple=True, metavar="COLUMN=TOPIC:PATH", help="A number of any message.")
+@click.option("--field", "fields", multiple=True, metavar="COLUMN=TOPIC:PATH", help="A numeric field of any message.")
 def convert(bag: str, out: str | None, robot: str | None, **options: tuple[str, ...]) -> None:
-    """Make a log of BAG, or without options say what is in it.
+    """Convert BAG to a log, or without options list what it contains.
 
     BAG is an MCAP file, an SQLite file of rosbag2, or the directory of either. Time is that of the messages' stamps,
     from the first one on; a row for each time, NaN where a sensor has no reading. JointState has the sides of gears
