@@ -18,7 +18,7 @@ test: $(VENV) ## everything that must hold
 	RUSTFLAGS="--cfg one_level" cargo test --locked -p linkside-core -p linkside-bag
 	cargo test --locked --workspace --release --test '*' # of the workspace: with the wheel's features, on its build of the core
 	$(BIN)/python -m mypy.stubtest linkside._core
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile # a worker a core, not two
 
 lint: $(VENV)
 	$(PIP) ".[test,lint]"
