@@ -237,7 +237,8 @@ def test_what_cannot_be_learnt_is_refused(tmp_path):
         "bandwidth is 0": {"bandwidth": 0.0},
         "bandwidth is 600": {"bandwidth": 600.0},
         "rate is 2": {"rate": 2.0},
-        "would not converge on a robot of": {"bandwidth": 200.0, "rate": 1.0},
+        "deviations is -1": {"deviations": -1.0},
+        "would not converge on a robot of": {"bandwidth": 200.0, "rate": 1.0, "deviations": 3.0},
     }.items():
         with pytest.raises(EstimatorError, match=message):
             PathLearning(SQUARE, motion, **{"kp": kp, "kd": kd, **changed})

@@ -19,17 +19,11 @@ from linkside.statistics import rms
 
 from .loop import Loop, Motion
 
-BANDWIDTH = 20.0
-"""Frequency up to which a robot learns, unless its margin asks for less [Hz]."""
-
-SLOWEST = 2.0
-"""The lowest that is tried [Hz]."""
+BANDWIDTHS = (20.0, 14.0, 10.0, 7.0, 5.0, 3.5, 2.5)
+"""Frequencies up to which a robot may learn: the first with which it converges is taken [Hz]."""
 
 ALLOWED = 0.95
-"""Contraction that the worst robot within tolerances may have."""
-
-DEVIATIONS = 2.0
-"""Standard deviations of stiffness and masses to which convergence is looked at."""
+"""Contraction that the worst robot within tolerances may then have."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +68,7 @@ class Margin:
     contraction : float
         Factor by which each repeat brings the correction at least nearer to its limit, on the robot as known.
     worst : float
-        The same on the worst of the robots with stiffnesses and masses two standard deviations off.
+        The same on the worst of the robots with stiffnesses and masses off by their tolerances.
     stiffness, mass : float
         Factors of that robot on the known one.
     """
@@ -110,11 +104,13 @@ class PathLearning:
     kp, kd
         Gains of the motors' controller, one number or one a joint, link side [N m/rad, N m s/rad].
     bandwidth
-        Frequency up to which it learns [Hz]. By default `BANDWIDTH`, halved until every robot within tolerances
-        converges.
+        Frequency up to which it learns [Hz]. By default the first of `BANDWIDTHS` with which every robot within
+        tolerances converges.
     rate
         How much of what is beyond its bandwidth a repeat may change: 1 learns at once, smaller numbers average the
         noise of more repeats.
+    deviations
+        Standard deviations by which stiffnesses and masses may be off.
     margin
         As it was found before for the same settings, ``bandwidth`` among them; by default it is looked for.
 
@@ -142,18 +138,21 @@ class PathLearning:
         *,
         bandwidth: float | None = None,
         rate: float = 0.5,
+        deviations: float = 1.0,
         margin: Margin | None = None,
     ) -> None:
         robot.require_masses("learning")
         if bandwidth is not None and not 0 < bandwidth < 0.5 / motion.period:
             raise EstimatorError(f"bandwidth is {bandwidth!r}, expected more than 0 and less than half the sample rate")
+        if not 0 <= deviations < np.inf:
+            raise EstimatorError(f"deviations is {deviations!r}, expected 0 or more")
         if not 0 < rate <= 1:
             raise EstimatorError(f"rate is {rate!r}, expected more than 0 and at most 1")
         self.robot, self.motion, self.rate = robot, motion, rate
         self.kp, self.kd = (_gains(name, gain, robot.n) for name, gain in (("kp", kp), ("kd", kd)))
         self._loop = Loop(robot, motion, self.kp, self.kd)
         if bandwidth is None or margin is None:
-            bandwidth, margin = self._designed(bandwidth)
+            bandwidth, margin = self._designed(bandwidth, deviations)
         self.bandwidth, self.margin = bandwidth, margin
         self.curvature = np.zeros_like(motion.q)
         self.trials: tuple[Trial, ...] = ()
@@ -233,14 +232,13 @@ class PathLearning:
         n = self.robot.n
         return _core.LearningStep(self._loop.core, weight, [rough] * n, [rough * (1 - self.rate) / self.rate] * n)
 
-    def _designed(self, bandwidth: float | None) -> tuple[float, Margin]:
+    def _designed(self, bandwidth: float | None, deviations: float) -> tuple[float, Margin]:
         """The bandwidth and its margin: that which is given, or the widest that converges."""
-        others = self._within_tolerances()
-        tried = BANDWIDTH if bandwidth is None else bandwidth
-        margin = self._margin_at(tried, others)
-        while bandwidth is None and margin.worst > ALLOWED and tried > SLOWEST:
-            tried /= 2
+        others = self._within(deviations)
+        for tried in BANDWIDTHS if bandwidth is None else (bandwidth,):
             margin = self._margin_at(tried, others)
+            if margin.worst <= ALLOWED:
+                break
         if not margin.monotone:
             raise EstimatorError(
                 f"learning up to {tried:g} Hz would not converge on a robot of {margin.stiffness:.2f} times the "
@@ -257,13 +255,13 @@ class PathLearning:
         (stiffness, mass), worst = max(factors.items(), key=lambda pair: pair[1])
         return Margin(factors[1.0, 1.0], worst, stiffness, mass)
 
-    def _within_tolerances(self) -> dict[tuple[float, float], Loop]:
+    def _within(self, deviations: float) -> dict[tuple[float, float], Loop]:
         """Loops of robots with other stiffnesses and masses, by factors on these; the known one is among them."""
         stds = {
             kind: max((one.std for one in considered(self.robot) if one.kind == kind), default=0.0)
             for kind in ("stiffness", "mass")
         }
-        sides = {kind: np.exp(DEVIATIONS * std * np.array([-1.0, 1.0])) for kind, std in stds.items()}
+        sides = {kind: np.exp(deviations * std * np.array([-1.0, 1.0])) for kind, std in stds.items()}
         loops = {(1.0, 1.0): self._loop}
         for stiffness in sides["stiffness"]:
             for mass in sides["mass"]:
