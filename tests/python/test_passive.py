@@ -168,5 +168,5 @@ def test_a_robot_needs_a_motor():
 
 
 def test_observers_say_why_they_cannot():
-    with pytest.raises(EstimatorError, match=r"'bend' passive, which the acc.* observer .* whose encoder"):
+    with pytest.raises(EstimatorError, match=r"'bend' passive, which the acc.* observer .*: no motor moves it"):
         AccelerationObserver(bending())
