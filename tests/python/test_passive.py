@@ -103,6 +103,33 @@ def test_estimates_know_the_link_that_bends(motion):
         assert (estimate.status == 0).mean() > 0.98, name
 
 
+def test_a_base_may_rock_beside():
+    """Two of them, one about an axis askew."""
+    rocking = BENDING.replace(
+        '<link name="base"/>',
+        """<link name="floor"/><link name="base"><inertial><mass value="20"/>
+    <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+  <joint name="rock" type="revolute"><parent link="floor"/><child link="base"/><origin xyz="0 0 -0.3"/>
+    <axis xyz="0.6 0.8 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>""",
+    )
+    rock = {"name": "rock", "passive": True, "stiffness": 3e4, "damping": 40.0}
+    foot = {"name": "foot", "link": "base", "xyz": [0.1, 0.1, 0.1], "noise_std": 0.02}
+    robot = Robot.from_urdf(
+        rocking,
+        [rock, spring("shoulder"), spring("elbow"), BEND],
+        accelerometers=[*SENSORS, foot],
+        encoder={"resolution": 1e-6},
+        tool={"link": "hand", "xyz": [0, 0, 0.2]},
+    )
+    gears = [Gear(3e4, 40.0, np.inf), *GEARS]
+    motion = move(robot, gears, lambda t: tuple(np.append(0.0, part) for part in reference(t)), 0.8)
+    assert np.ptp(motion.q[:, 0]) > 1e-3
+    for name in ("EKF", "elastic smoother"):
+        estimate = METHODS[name](robot).run(motion.log(robot, 1e-6, 0.02))
+        assert tool_error(estimate, motion, 200) < 4e-3, name
+        assert (np.abs(estimate.q - motion.q) < 3 * estimate.q_std).mean() > 0.98, name
+
+
 def test_an_arm_that_bends_moves_as_the_other_simulator_says(motion):
     robot = bending()
 
@@ -168,5 +195,5 @@ def test_a_robot_needs_a_motor():
 
 
 def test_observers_say_why_they_cannot():
-    with pytest.raises(EstimatorError, match=r"'bend' passive, which the acc.* observer .* whose encoder"):
+    with pytest.raises(EstimatorError, match=r"'bend' passive, which the acc.* observer .*: no motor moves it"):
         AccelerationObserver(bending())

@@ -363,6 +363,33 @@ fn rates_of_friction_elements_have_the_derivatives_of_dual_numbers() {
     }
 }
 
+/// A motor that is infinitely heavy stays: what is left is the link on its spring.
+#[test]
+fn passive_joints_keep_the_end_of_their_spring() {
+    const DENSE: usize = 8;
+    let mut robot = space_arm();
+    robot.coupling.fill(0.0);
+    robot.drives[1].motor_inertia = f64::INFINITY;
+    assert!(robot.drives[1].is_passive() && !robot.drives[0].is_passive());
+    let (layout, tau, x) = (ElasticLayout::new(&robot, false), [0.7, 0.0], [0.3, -0.1, 0.5, -1.1, 0.35, 0.0, 1.4, 0.0]);
+    assert_eq!(layout.dense, DENSE);
+    let mut dynamics = ElasticDynamics::<f64>::new(&robot, &layout);
+    let a = dynamics.linearise(&robot, &layout, &x, &tau);
+    assert_eq!(dynamics.ddtheta[1], 0.0);
+    // As heavy as no motor is, which is all but that.
+    robot.drives[1].motor_inertia = 1e12;
+    let mut heavy = ElasticDynamics::<Dual<DENSE>>::new(&robot, &layout);
+    let varied: Vec<_> = x.iter().enumerate().map(|(i, &x)| Dual::variable(x, i)).collect();
+    heavy.accelerate(&robot, &layout, &varied, &tau.map(Dual::constant));
+    for (j, ddq) in heavy.ddq.iter().enumerate() {
+        assert!((dynamics.ddq[j] - ddq.value).abs() < 1e-9 * ddq.value.abs());
+        for (found, expected) in a[(2 + j) * DENSE..][..DENSE].iter().zip(ddq.gradient) {
+            assert!((found - expected).abs() <= 1e-9 * (1.0 + expected.abs()), "{found} {expected}");
+        }
+    }
+    assert!(a[layout.dtheta[1] * DENSE..][..DENSE].iter().all(|&entry| entry == 0.0));
+}
+
 /// q̈ and θ̈ of [`space_arm`] by its printed matrices (Ulrich and Sasiadek 2011, eqs. (1)–(16)).
 fn closed_form([q, dq, qm, _, tau]: &[Vec<f64>; 5]) -> Vec<f64> {
     let (a, b, c) = (50.878125, 15.2634375, 10.175625);

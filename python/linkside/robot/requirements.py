@@ -57,11 +57,8 @@ JOINT_SIDE = tuple(f"{carrier}.{key}" for carrier in ("link_encoder", "joint_tor
 BY_LOAD = ("efficiency", "load")
 """Friction that grows with the torque transmitted."""
 
-REMEDIES = {
-    UNKNOWN: "calibrate first",
-    "passive": "it takes each link to follow a motor, whose encoder tells where it is: use a filter or a smoother",
-}
-"""What to do about them, where it is not the usual."""
+WHY = {"passive": "no motor moves it, whose encoder would tell where its link is"}
+"""Reasons that a key does not give by itself."""
 
 UNSUPPORTED: dict[str, tuple[str, ...]] = {
     "the acceleration-driven observer": (
@@ -103,8 +100,9 @@ def refuse_unsupported(robot: Robot, method: str) -> None:
     """Raise `EstimatorError` about the first thing that a robot declares and a method does not account for."""
     for key in UNSUPPORTED[method]:
         if owners := FEATURES[key](robot):
-            remedy = REMEDIES.get(key, "use another method, or take it out")
+            remedy = "calibrate first" if key == UNKNOWN else "use another method, or take it out"
+            reason = f": {WHY[key]}" if key in WHY else ""
             raise EstimatorError(
                 f"robot.yaml gives {', '.join(map(repr, owners))} {key.rpartition('.')[2]}, which {method} does not "
-                f"account for; {remedy}"
+                f"account for{reason}; {remedy}"
             )

@@ -94,9 +94,11 @@ pub(super) fn stiffen<T: Scalar>(k: &Kinematics<T>, tree: &Tree, by_q: &mut [T])
     }
 }
 
-/// From the first end of a strut to its second, and both ends, each with where its chain of bodies begins.
+/// A strut between two points as bodies now are.
 struct Stretched<T> {
+    /// Where the chains of bodies to both points begin.
     stem: Pose<T>,
+    /// The points, and the way from the first to the second.
     ends: [Vec3<T>; 2],
     apart: Vec3<T>,
     /// N/ℓ, and its slope by ℓ²/2.
