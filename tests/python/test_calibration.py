@@ -370,6 +370,17 @@ def test_the_long_run_variance_of_correlated_scores():
     assert long_run(scores, 100)[0, 0] / len(scores) == pytest.approx(25, rel=0.15)
 
 
+@pytest.mark.parametrize("lags", [0, 3, 40])
+def test_the_long_run_variance_is_newey_and_wests(lags):
+    scores = np.cumsum(np.random.default_rng(1).standard_normal((30, 2)), axis=0)
+    centred = scores - scores.mean(axis=0)
+    expected = centred.T @ centred
+    for lag in range(1, min(lags, 29) + 1):
+        part = centred[lag:].T @ centred[:-lag]
+        expected = expected + (1 - lag / (lags + 1)) * (part + part.T)
+    np.testing.assert_allclose(long_run(scores, lags), expected, atol=1e-10)
+
+
 def test_derivatives_of_a_cubic_are_exact_and_gaps_stay_gaps():
     t = 1e-3 * np.arange(50)
     values = np.stack([t**3, np.where(t == t[20], np.nan, t**2)], axis=1)

@@ -21,9 +21,10 @@ from .calibration import Calibration
 from .filter_run import FilterRun
 from .parameters import OF_LINK_ENCODERS, Bounds, Parameter, choose
 from .posterior import Posterior
+from .prepared import kinds, recordings
 from .problem import Problem
 from .recordings import refuse, use_torque
-from .response import ResponseProblem, kinds, recordings
+from .response import ResponseProblem
 from .response_run import ResponseRun
 from .result import Estimated
 from .search import Progress, Search

@@ -13,6 +13,7 @@ from linkside.arrays import FloatArray
 from .parameters import NOISE, OF_LINK_ENCODERS, Parameter
 from .posterior import Posterior
 from .problem import Evidence
+from .products import products
 
 MEMORY = 0.1
 """Errors of a model are correlated over about this time [s]."""
@@ -125,13 +126,14 @@ def uncertainty(evidence: Evidence, period: float) -> Uncertainty:
 
 
 def long_run(scores: FloatArray, lags: int) -> FloatArray:
-    """Variance of the sum of (T, p) correlated vectors, with Bartlett's weights up to ``lags``."""
-    centred = scores - scores.mean(axis=0)
-    total = np.asarray(centred.T @ centred)
-    for lag in range(1, min(lags, len(scores) - 1) + 1):
-        part = centred[lag:].T @ centred[:-lag]
-        total = total + (1 - lag / (lags + 1)) * (part + part.T)
-    return total
+    """Variance of the sum of (T, p) correlated vectors, with Bartlett's weights up to ``lags``.
+
+    Those weights are what the squares of sums over ``lags`` + 1 neighbours have, all of them in turn.
+    """
+    count = len(scores)
+    until = np.concatenate([np.zeros((1, scores.shape[1])), np.cumsum(scores - scores.mean(axis=0), axis=0)])
+    last = np.arange(count + lags)
+    return products(until[np.minimum(last + 1, count)] - until[np.maximum(last - lags, 0)]) / (lags + 1)
 
 
 def unidentifiable(
