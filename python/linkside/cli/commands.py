@@ -90,7 +90,7 @@ def main(ctx: click.Context, debug: bool) -> None:
 @click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
 @click.option("--with", "method", type=click.Choice(list(METHODS)), default="observer", show_default=True)
 @click.option("--out", required=True, help="Parquet or CSV file; for several logs a directory, or a name with {stem}.")
-@click.option("--poles", type=Poles(), default="250", show_default=True, help="Frequency [rad/s], or bessel:250 …")
+@click.option("--poles", type=Poles(), default="250", show_default=True, help="Frequency [rad/s], or bessel:250.")
 @click.option("--bias", is_flag=True, help="Estimate a bias of each link acceleration as well.")
 @click.option("--form", type=click.Choice(["current", "predictor"]), default="current", show_default=True)
 @click.option("--tuning", type=click.Path(), help="A tuning file, as `linkside tune` writes it.")
@@ -194,7 +194,7 @@ def _refuse_untaken(method: str) -> None:
 def init(urdf: str, out: str, drive: str, ratios: tuple[str, ...]) -> None:
     """Start a robot.yaml from URDF: its joints and links, and typical values with their ranges.
 
-    What it asks for is marked ASKED. The file must not be there yet.
+    Lines marked ASKED are for you to fill in. The file must not exist yet.
     """
     check_writable(out, (".yaml", ".yml"))
     if Path(out).exists():
@@ -215,8 +215,8 @@ def init(urdf: str, out: str, drive: str, ratios: tuple[str, ...]) -> None:
 def merge(robot: str, files: tuple[str, ...], out: str, shifts: tuple[str, ...], **options: Any) -> None:
     """Merge FILEs of separately recorded sensors into one log, by time.
 
-    Each has a column of time and some of ROBOT's other columns. The log has a row for each time, NaN where a sensor has
-    no reading.
+    Each FILE has a column of time and some of the other columns of ROBOT. The log has a row for each time, and NaN
+    where a sensor has no reading.
     """
     check_writable(out)
     _refuse_clashes([Path(out)], [robot, *files])
@@ -243,14 +243,14 @@ def merge(robot: str, files: tuple[str, ...], out: str, shifts: tuple[str, ...],
     help="JointState: position, velocity and effort are columns theta_, dtheta_, tau_JOINT; or arrays of any message.",
 )
 @click.option("--imu", multiple=True, metavar="NAME=TOPIC", help="Imu: columns NAME_x, _y, _z and NAME_wx, _wy, _wz.")
-@click.option("--wrench", multiple=True, metavar="NAME=TOPIC", help="WrenchStamped: NAME_fx, _fy, _fz and NAME_tx, …")
+@click.option("--wrench", multiple=True, metavar="NAME=TOPIC", help="WrenchStamped: NAME_fx, _fy, _fz, _tx, _ty, _tz.")
 @click.option("--field", "fields", multiple=True, metavar="COLUMN=TOPIC:PATH", help="A numeric field of any message.")
 def convert(bag: str, out: str | None, robot: str | None, **options: tuple[str, ...]) -> None:
     """Convert BAG to a log, or without options list what it contains.
 
-    BAG is an MCAP file, an SQLite file of rosbag2, or the directory of either. Time is that of the messages' stamps,
-    from the first one on; a row for each time, NaN where a sensor has no reading. JointState has the sides of gears
-    that its publisher means: q= takes it for the links', theta= for the motors'.
+    BAG is an MCAP file, an SQLite file of rosbag2, or the directory of either. Times are the stamps of the messages,
+    counted from the first. The log has a row for each time, and NaN where a sensor has no reading. JointState does not
+    state the side of the gear: q= assigns positions to the links, theta= to the motors.
     """
     given = any(options.values())
     if given and robot is not None:
@@ -294,8 +294,8 @@ def _named_number(option: str, text: str) -> tuple[str, float]:
 def tune(robot: str, logs: tuple[str, ...], method: str, **options: Any) -> None:
     """Tune the noise of a Kalman filter to the likelihood of recordings, or the poles of an observer.
 
-    With `--with observer` also stiffness, damping and motor_inertia of ROBOT's drives can be free; the links' states
-    are measured ones (--states), or the smoother's.
+    `--with observer` can also free the stiffness, damping and motor_inertia of the drives. It compares with measured
+    states of the links (--states), or else with the smoother.
     """
     for option in ("start",) if method == "observer" else ("states", "figure"):
         if options[option]:
@@ -354,8 +354,8 @@ def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> 
 def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **options: Any) -> None:
     """Identify stiffness, damping, load and sensor errors of ROBOT from its own recordings.
 
-    An outcome that does not foretell readings better than ROBOT as it is, or that is at a bound or far from it, is not
-    written, and the exit status is 3.
+    The result is not written, and the exit status is 3, if it does not predict held-back readings better than ROBOT as
+    it is, if an estimate is at a bound, or if one is far from ROBOT.
     """
     from . import calibrate_logs
 
