@@ -40,7 +40,7 @@ ROWS = 8192
 WHOLE = 2**62
 """More rows than a log has."""
 
-_no_check = click.option("--no-check", is_flag=True, help="Skip the checks of the recordings.")
+_no_check = click.option("--no-check", is_flag=True, help="Believe the recordings without looking at them first.")
 
 PATTERNS: dict[str, Callable[[float], patterns.PolePattern]] = {
     "damped": patterns.damped,
@@ -72,10 +72,10 @@ class Poles(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
 
 @click.group(cls=Commands, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="linkside")
-@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+@click.option("--debug", is_flag=True, help="Show where in the program an error comes from.")
 @click.pass_context
 def main(ctx: click.Context, debug: bool) -> None:
-    """Estimate where the links of a robot with elastic joints really are."""
+    """Where the links of an elastic-joint robot really are."""
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
 
@@ -90,36 +90,36 @@ def main(ctx: click.Context, debug: bool) -> None:
 @click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
 @click.option("--with", "method", type=click.Choice(list(METHODS)), default="observer", show_default=True)
 @click.option("--out", required=True, help="Parquet or CSV file; for several logs a directory, or a name with {stem}.")
-@click.option("--poles", type=Poles(), default="250", show_default=True, help="Frequency [rad/s], or bessel:250.")
+@click.option("--poles", type=Poles(), default="250", show_default=True, help="Frequency [rad/s], or bessel:250 …")
 @click.option("--bias", is_flag=True, help="Estimate a bias of each link acceleration as well.")
 @click.option("--form", type=click.Choice(["current", "predictor"]), default="current", show_default=True)
-@click.option("--tuning", type=click.Path(), help="A tuning file, as `linkside tune` writes it.")
-@click.option("--gate", type=float, help="Reject readings this many standard deviations from the prediction.")
+@click.option("--tuning", type=click.Path(), help="As `linkside tune` writes it for this method.")
+@click.option("--gate", type=float, help="Leave out readings more than so many standard deviations off.")
 @click.option(
     "--link-disturbance",
     type=click.Choice(["auto", "on", "off"]),
     default="auto",
     show_default=True,
-    help="Whether to estimate torques on the links that the model lacks.",
+    help="Whether links may be pushed by torques that the model lacks.",
 )
-@click.option("--particles", type=int, default=1000, show_default=True, help="Number of particles.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random numbers of a particle filter.")
+@click.option("--particles", type=int, default=1000, show_default=True, help="How many a particle filter has.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of a particle filter's random numbers.")
 @click.option("--gain", type=float, default=100, show_default=True, help="Gain of a velocity observer [1/s].")
-@click.option("--rate", type=float, help="Resample logs to this even rate [Hz], in memory; for observers.")
-@click.option("--strict", is_flag=True, help="Exit with status 3 if readings contradict the model.")
+@click.option("--rate", type=float, help="Resample logs to this rate [Hz], whole in memory, as observers need it.")
+@click.option("--strict", is_flag=True, help="Exit with status 3 where readings contradict the model.")
 @_no_check
-@click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this truth; one for each log.")
-@click.option("-j", "--jobs", "workers", type=click.IntRange(1), help="Logs at a time.  [default: one per core]")
-@click.option("--skip-existing", is_flag=True, help="Skip estimates whose inputs are unchanged.")
-@click.option("--json", "manner", flag_value="json", default="words", help="Report each log as one line of JSON.")
-@click.option("--quiet", "manner", flag_value="quiet", help="Print errors only.")
+@click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this file; one for each log.")
+@click.option("-j", "--jobs", "workers", type=click.IntRange(1), help="Logs at a time.  [default: one for each core]")
+@click.option("--skip-existing", is_flag=True, help="Leave alone Parquet estimates that were made from the same.")
+@click.option("--json", "manner", flag_value="json", default="words", help="Say what came of it as a JSON line a log.")
+@click.option("--quiet", "manner", flag_value="quiet", help="Say nothing but errors.")
 def estimate(
     robot: str, logs: tuple[str, ...], method: str, out: str, strict: bool, no_check: bool, **options: Any
 ) -> int:
     """Estimate the motion of ROBOT's links from recordings.
 
     ROBOT is a robot.yaml, each LOG a Parquet or CSV file. Logs are read piece by piece and may be larger than memory.
-    Exit status: 0 done, 1 some of several logs failed, 2 wrong usage, 3 readings contradict the model (--strict).
+    Exit status: 0 done, 1 some of several logs could not be estimated, 2 wrong use, 3 not to be believed (--strict).
     """
     truths, manner, keep = options.pop("truths"), options.pop("manner"), options.pop("skip_existing")
     rate = options.pop("rate")
@@ -184,17 +184,17 @@ def _refuse_untaken(method: str) -> None:
 
 @main.command(epilog=_example("linkside init robot.urdf --gear-ratio joint_1=121"))
 @click.argument("urdf", type=click.Path())
-@click.option("--out", type=click.Path(), default="robot.yaml", show_default=True, help="The file to write.")
+@click.option("--out", type=click.Path(), default="robot.yaml", show_default=True, help="The file to begin.")
 @click.option(
-    "--drive", type=click.Choice(list(DRIVES)), default="strain-wave", show_default=True, help="Kind of its gears."
+    "--drive", type=click.Choice(list(DRIVES)), default="strain-wave", show_default=True, help="Of its joints."
 )
 @click.option(
-    "--gear-ratio", "ratios", multiple=True, metavar="JOINT=N", help="Its gear ratio; logs then hold shaft values."
+    "--gear-ratio", "ratios", multiple=True, metavar="JOINT=N", help="Of a joint; logs are then of motor shafts."
 )
 def init(urdf: str, out: str, drive: str, ratios: tuple[str, ...]) -> None:
-    """Start a robot.yaml from URDF: its joints and links, and typical values with their ranges.
+    """Begin a robot.yaml from URDF: its joints and links, and typical values with their ranges.
 
-    Lines marked ASKED are for you to fill in. The file must not exist yet.
+    What it asks for is marked ASKED. The file must not be there yet.
     """
     check_writable(out, (".yaml", ".yml"))
     if Path(out).exists():
@@ -208,15 +208,15 @@ def init(urdf: str, out: str, drive: str, ratios: tuple[str, ...]) -> None:
 @main.command(epilog=_example("linkside merge robot.yaml joints.parquet imu.csv --out log.parquet"))
 @click.argument("robot", type=click.Path())
 @click.argument("files", metavar="FILE...", type=click.Path(), nargs=-1, required=True)
-@click.option("--out", required=True, type=click.Path(), help="The log to write: a .parquet or .csv file.")
-@click.option("--shift", "shifts", multiple=True, metavar="FILE=SECONDS", help="How far the clock of a FILE is ahead.")
-@click.option("--rate", type=float, help="Resample to this even rate [Hz]; for observers.")
+@click.option("--out", required=True, type=click.Path(), help="The log, a file that ends in .parquet or .csv.")
+@click.option("--shift", "shifts", multiple=True, metavar="FILE=SECONDS", help="By how much a FILE's clock is ahead.")
+@click.option("--rate", type=float, help="Resample to this rate [Hz], as observers need it.")
 @_no_check
 def merge(robot: str, files: tuple[str, ...], out: str, shifts: tuple[str, ...], **options: Any) -> None:
-    """Merge FILEs of separately recorded sensors into one log, by time.
+    """Merge FILEs of sensors that were recorded apart into one log, by time.
 
-    Each FILE has a column of time and some of the other columns of ROBOT. The log has a row for each time, and NaN
-    where a sensor has no reading.
+    Each has a column of time and some of ROBOT's other columns. The log has a row for each time, NaN where a sensor has
+    no reading.
     """
     check_writable(out)
     _refuse_clashes([Path(out)], [robot, *files])
@@ -234,8 +234,8 @@ def merge(robot: str, files: tuple[str, ...], out: str, shifts: tuple[str, ...],
 
 @main.command(epilog=_example("linkside convert bag --joints /joint_states --imu tool_acc=/imu_tool --out log.parquet"))
 @click.argument("bag", type=click.Path())
-@click.option("--out", type=click.Path(), help="The log to write: a .parquet or .csv file.")
-@click.option("--robot", type=click.Path(), help="A robot.yaml with `sources`, instead of these options.")
+@click.option("--out", type=click.Path(), help="The log, a file that ends in .parquet or .csv.")
+@click.option("--robot", type=click.Path(), help="A robot.yaml with `sources`, in place of the options below.")
 @click.option(
     "--joints",
     multiple=True,
@@ -243,14 +243,14 @@ def merge(robot: str, files: tuple[str, ...], out: str, shifts: tuple[str, ...],
     help="JointState: position, velocity and effort are columns theta_, dtheta_, tau_JOINT; or arrays of any message.",
 )
 @click.option("--imu", multiple=True, metavar="NAME=TOPIC", help="Imu: columns NAME_x, _y, _z and NAME_wx, _wy, _wz.")
-@click.option("--wrench", multiple=True, metavar="NAME=TOPIC", help="WrenchStamped: NAME_fx, _fy, _fz, _tx, _ty, _tz.")
-@click.option("--field", "fields", multiple=True, metavar="COLUMN=TOPIC:PATH", help="A numeric field of any message.")
+@click.option("--wrench", multiple=True, metavar="NAME=TOPIC", help="WrenchStamped: NAME_fx, _fy, _fz and NAME_tx, …")
+@click.option("--field", "fields", multiple=True, metavar="COLUMN=TOPIC:PATH", help="A number of any message.")
 def convert(bag: str, out: str | None, robot: str | None, **options: tuple[str, ...]) -> None:
-    """Convert BAG to a log, or without options list what it contains.
+    """Make a log of BAG, or without options say what is in it.
 
-    BAG is an MCAP file, an SQLite file of rosbag2, or the directory of either. Times are the stamps of the messages,
-    counted from the first. The log has a row for each time, and NaN where a sensor has no reading. JointState does not
-    state the side of the gear: q= assigns positions to the links, theta= to the motors.
+    BAG is an MCAP file, an SQLite file of rosbag2, or the directory of either. Time is that of the messages' stamps,
+    from the first one on; a row for each time, NaN where a sensor has no reading. JointState has the sides of gears
+    that its publisher means: q= takes it for the links', theta= for the motors'.
     """
     given = any(options.values())
     if given and robot is not None:
@@ -284,18 +284,18 @@ def _named_number(option: str, text: str) -> tuple[str, float]:
 @click.argument("robot", type=click.Path())
 @click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
 @click.option("--with", "method", type=click.Choice(["ekf", "observer"]), default="ekf", show_default=True)
-@click.option("--out", required=True, type=click.Path(), help="The tuning file to write, for `estimate --tuning`.")
+@click.option("--out", required=True, type=click.Path(), help="The tuning file, for `linkside estimate --tuning`.")
 @click.option("--start", type=click.Path(), help="A tuning file to start from (ekf).")
-@click.option("--free", help="Keys in that file to tune: a,b,c.  [default: transmission, poles]")
-@click.option("--states", multiple=True, type=click.Path(), help="True link states, one for each LOG (observer).")
+@click.option("--free", help="Which values, by their keys in that file, a,b,c.  [default: transmission, poles]")
+@click.option("--states", multiple=True, type=click.Path(), help="What the links did, one for each LOG (observer).")
 @click.option("--figure", type=click.Path(), help="Draw the Pareto front (observer).")
 @_no_check
-@click.option("--evaluations", type=click.IntRange(1), default=2000, help="Number of evaluations (observer).")
+@click.option("--evaluations", type=click.IntRange(1), default=2000, help="How often to estimate LOGs (observer).")
 def tune(robot: str, logs: tuple[str, ...], method: str, **options: Any) -> None:
-    """Tune the noise of a Kalman filter to the likelihood of recordings, or the poles of an observer.
+    """Find the noise of a Kalman filter under which recordings are most likely, or the poles of an observer.
 
-    `--with observer` can also free the stiffness, damping and motor_inertia of the drives. It compares with measured
-    states of the links (--states), or else with the smoother.
+    With `--with observer` also stiffness, damping and motor_inertia of ROBOT's drives can be free; the links' states
+    are measured ones (--states), or the smoother's.
     """
     for option in ("start",) if method == "observer" else ("states", "figure"):
         if options[option]:
@@ -342,20 +342,20 @@ def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> 
 )
 @click.argument("robot", type=click.Path())
 @click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
-@click.option("--out", required=True, type=click.Path(), help="The calibrated robot.yaml to write.")
-@click.option("--report", type=click.Path(), help="Write a report with figures: one HTML file.")
-@click.option("--free", help="Parameters to free: a,b,c.  [default: all that are identifiable]")
-@click.option("--torque/--no-torque", default=None, help="Whether to use motor torques as measurements.")
-@click.option("--bound", "bounds", multiple=True, help="NAME=LOW:HIGH, bounds of a parameter.")
-@click.option("--held-out", type=click.Path(), multiple=True, help="A log used only to test the result.")
+@click.option("--out", required=True, type=click.Path(), help="The calibrated robot.yaml.")
+@click.option("--report", type=click.Path(), help="A report with figures, one HTML file.")
+@click.option("--free", help="Kinds or names of parameters, a,b,c; by default those that the logs can tell.")
+@click.option("--torque/--no-torque", default=None, help="Whether motor torques are readings, too.")
+@click.option("--bound", "bounds", multiple=True, help="NAME=LOW:HIGH, least and largest value of a parameter.")
+@click.option("--held-out", type=click.Path(), multiple=True, help="A log that only tests the outcome.")
 @_no_check
-@click.option("--resume", is_flag=True, help="Resume an interrupted run.")
-@click.option("--force", is_flag=True, help="Write the result even if it is refused.")
+@click.option("--resume", is_flag=True, help="Go on with an interrupted run.")
+@click.option("--force", is_flag=True, help="Write the outcome even where it is not to be believed.")
 def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **options: Any) -> None:
-    """Identify stiffness, damping, load and sensor errors of ROBOT from its own recordings.
+    """Find ROBOT's stiffness, damping, load and sensor errors from its own recordings.
 
-    The result is not written, and the exit status is 3, if it does not predict held-back readings better than ROBOT as
-    it is, if an estimate is at a bound, or if one is far from ROBOT.
+    An outcome that does not foretell readings better than ROBOT as it is, or that is at a bound or far from it, is not
+    written, and the exit status is 3.
     """
     from . import calibrate_logs
 
@@ -378,11 +378,11 @@ def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **optio
 @main.command(epilog=_example("linkside check robot.yaml log.parquet --figure check.png"))
 @click.argument("robot", type=click.Path())
 @click.argument("log", type=click.Path(), required=False)
-@click.option("--figure", type=click.Path(), help="Draw a figure: a .png, .pdf or .svg file.")
-@click.option("--over", metavar="JOINT,JOINT", help="Joints of the figure's axes.  [default: those that matter most]")
-@click.option("--at", "held", metavar="JOINT=POSITION", multiple=True, help="Where other joints are [rad, m].")
+@click.option("--figure", type=click.Path(), help="Draw it: a file that ends in .png, .pdf or .svg.")
+@click.option("--over", metavar="JOINT,JOINT", help="Joints of the figure's map.  [default: those that matter most]")
+@click.option("--at", "held", metavar="JOINT=POSITION", multiple=True, help="Where the map holds a joint [rad, m].")
 def check(robot: str, log: str | None, figure: str | None, over: str | None, held: tuple[str, ...]) -> None:
-    """Report what the sensors of ROBOT observe, how well and where; with LOG, along it, and check LOG for mistakes."""
+    """Say what ROBOT's sensors see, how well and where; along LOG if it is given, which is looked at for mistakes."""
     from linkside.observability import analysis as module
     from linkside.observability.words import check_tables
 
@@ -429,22 +429,22 @@ class Shift(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
 @main.command(epilog=_example("linkside compare truth.parquet estimate.parquet --segments rests"))
 @click.argument("reference", type=click.Path())
 @click.argument("estimates", metavar="ESTIMATE...", type=click.Path(), nargs=-1, required=True)
-@click.option("--robot", type=click.Path(), help="A robot.yaml: tool paths where a file has none.")
-@click.option("--names", help="Names of estimates: a,b,c.  [default: their files]")
+@click.option("--robot", type=click.Path(), help="A robot.yaml: the tool's path where a file has none.")
+@click.option("--names", help="What to call the estimates, a,b,c.  [default: their files]")
 @click.option(
     "--align",
     type=click.Choice(["time", "start"]),
     default="time",
     show_default=True,
-    help="Align rows by time, or by their first rows.",
+    help="By time, or both from their first row.",
 )
 @click.option(
-    "--shift", type=Shift(), default="0", show_default=True, help="Delay of the estimates [s]; auto finds it."
+    "--shift", type=Shift(), default="0", show_default=True, help="What estimates are late by [s]; auto finds it."
 )
-@click.option("--segments", help="A CSV file with start, end, name; or `rests`, for the parts between rests.")
-@click.option("--repeats", is_flag=True, help="The estimates repeat one motion: report their mean and spread too.")
-@click.option("--out", type=click.Path(), help="Write the result: a .json, .csv, .tex or .txt file.")
-@click.option("--figure", type=click.Path(), help="Draw a figure: a .png, .pdf or .svg file.")
+@click.option("--segments", help="A CSV file with start, end, name; or rests, for the parts between rests.")
+@click.option("--repeats", is_flag=True, help="Estimates are repeats of one motion: their mean and spread as well.")
+@click.option("--out", type=click.Path(), help="Write it: a file that ends in .json, .csv, .tex or .txt.")
+@click.option("--figure", type=click.Path(), help="Draw it: a file that ends in .png, .pdf or .svg.")
 def compare(reference: str, estimates: tuple[str, ...], **options: Any) -> None:
     """Measure how far ESTIMATEs are from REFERENCE: a truth, another estimate, or a log, for its commanded path."""
     from linkside import comparison as module
@@ -475,7 +475,7 @@ def compare(reference: str, estimates: tuple[str, ...], **options: Any) -> None:
 
 
 @main.command(epilog=_example("linkside demo --figure demo.png"))
-@click.option("--figure", type=click.Path(), default="linkside-demo.png", show_default=True, help="Figure to write.")
+@click.option("--figure", type=click.Path(), default="linkside-demo.png", show_default=True, help="Where to draw it.")
 def demo(figure: str) -> None:
     """Run the observer on a robot and a recording that come with the package."""
     from linkside.demo import run as module
@@ -492,19 +492,19 @@ def demo(figure: str) -> None:
 @main.command(epilog=_example("linkside place robot.yaml log.parquet --link link3 --link link4 --out sensors.yaml"))
 @click.argument("robot", type=click.Path())
 @click.argument("logs", metavar="[LOG]...", type=click.Path(), nargs=-1)
-@click.option("--link", "links", multiple=True, help="A link that can carry a sensor, on a grid around its frame.")
-@click.option("--reach", type=float, default=0.3, show_default=True, help="Half the width of the grid [m].")
-@click.option("--steps", type=click.IntRange(1), default=3, show_default=True, help="Grid points along each axis.")
+@click.option("--link", "links", multiple=True, help="A link that can carry a sensor; on a grid around its frame.")
+@click.option("--reach", type=float, default=0.3, show_default=True, help="How far that grid goes either way [m].")
+@click.option("--steps", type=click.IntRange(1), default=3, show_default=True, help="Its points along each direction.")
 @click.option("--axes", default="xyz", show_default=True, help="Three-axis sensors, or x,y,z for single axes.")
 @click.option("--candidates", type=click.Path(), help="A file with `accelerometers` to choose from, as in robot.yaml.")
-@click.option("--count", type=int, help="Number of sensors.  [default: the fewest that suffice]")
-@click.option("--limit", type=float, help="Choose the smallest set within this score.")
+@click.option("--count", type=int, help="Sensors in the set.  [default: the fewest that can do]")
+@click.option("--limit", type=float, help="Take the smallest set whose score is at most this.")
 @click.option("--by", type=click.Choice(["condition", "covariance"]), default="condition", show_default=True)
-@click.option("--out", type=click.Path(), help="Write the chosen `accelerometers` to this YAML file.")
+@click.option("--out", type=click.Path(), help="Where to write the chosen `accelerometers`, YAML.")
 @_no_check
-@click.option("--figure", type=click.Path(), help="Draw singular postures: a .png, .pdf or .svg file.")
+@click.option("--figure", type=click.Path(), help="Draw where it is singular: a file that ends in .png, .pdf or .svg.")
 def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: Any) -> None:
-    """Choose accelerometers that observe the joints of ROBOT best along LOGs, or in the whole workspace."""
+    """Choose accelerometers for ROBOT: those that see its joints best along LOGs, or in the whole workspace."""
     from linkside.observability import placement
 
     out, inputs = options["out"], [robot, *logs, options["candidates"]]
