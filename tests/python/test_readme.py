@@ -83,6 +83,10 @@ def test_table_of_tool_errors_is_true():
             assert centred_rms(tool, truth) == pytest.approx(float(stated), abs=0.51 * last_digit), name
 
 
+def test_readme_is_short():
+    assert len(DOCUMENTS[0].read_text().splitlines()) <= 120
+
+
 def test_figures_are_the_same_on_every_page():
     """Tool errors with default settings stand in four tables; what each recording's row says is the same in all."""
 
