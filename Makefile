@@ -38,8 +38,7 @@ docs: $(VENV) ## the pages, and the API reference of both languages beside them,
 	$(RUSTDOC)
 	rm -rf site
 	PYTHONPATH=docs $(BIN)/zensical build --strict
-	$(BIN)/pdoc --docformat numpy --math -o site/api/python linkside
-	cp -r target/doc site/api/rust
+	cp -r target/doc site/rust
 
 lock: $(VENV) ## renew constraints.txt
 	$(PIP) uv

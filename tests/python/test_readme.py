@@ -20,7 +20,9 @@ def blocks(document, language):
 
 
 def with_blocks(language):
-    return [pytest.param(d, id=str(d.relative_to(ROOT))) for d in DOCUMENTS if blocks(d, language)]
+    """Pages with code; tutorials, which are followed block by block, have a test of their own."""
+    found = [d for d in DOCUMENTS if blocks(d, language) and d.parent.name != "tutorials"]
+    return [pytest.param(d, id=str(d.relative_to(ROOT))) for d in found]
 
 
 @pytest.mark.parametrize("document", with_blocks("python"))
@@ -79,6 +81,10 @@ def test_table_of_tool_errors_is_true():
         for stated, tool in zip((motor, observer), tools, strict=True):
             last_digit = 10.0 ** -len(stated.partition(".")[2])
             assert centred_rms(tool, truth) == pytest.approx(float(stated), abs=0.51 * last_digit), name
+
+
+def test_readme_is_short():
+    assert len(DOCUMENTS[0].read_text().splitlines()) <= 120
 
 
 def test_figures_are_the_same_on_every_page():

@@ -1,13 +1,16 @@
-"""The site leads to every page, and its formulas can be drawn."""
+"""The site leads to every page and every public name, and its formulas can be drawn."""
 
+import pkgutil
 import re
 from pathlib import Path
 
 import pytest
 
+import linkside
+
 ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
-BUILT = "api/"  # by `make docs`, not from a page
+BUILT = "rust/"  # by rustdoc, not from a page
 
 
 def test_every_page_is_in_the_navigation_once():
@@ -15,6 +18,16 @@ def test_every_page_is_in_the_navigation_once():
     entries = re.findall(r"([\w/.-]+\.(?:md|html))$", navigation, re.MULTILINE)
     listed = sorted(entry for entry in entries if not entry.startswith(BUILT))
     assert listed == sorted(str(page.relative_to(ROOT / "docs")) for page in PAGES)
+
+
+def test_every_public_name_is_described():
+    text = "".join(page.read_text() for page in sorted((ROOT / "docs/api").glob("*.md")))
+    described = re.findall(r"^::: ([\w.]+)$", text, re.MULTILINE)
+    assert len(described) == len(set(described))
+    for name in described:
+        pkgutil.resolve_name(name)
+    missing = {f"linkside.{name}" for name in linkside.__all__} - set(described)
+    assert missing == {"linkside.control", "linkside.demo"}  # its parts are described; the data of the demo
 
 
 @pytest.mark.parametrize("page", [pytest.param(p, id=str(p.relative_to(ROOT))) for p in PAGES])

@@ -63,7 +63,7 @@ class Poles(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
 @click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
 @click.option("--with", "method", type=click.Choice(list(METHODS)), default="observer", show_default=True)
 @click.option("--out", required=True, help="Parquet or CSV file; for several logs a directory, or a name with {stem}.")
-@click.option("--poles", type=Poles(), default="250", show_default=True, help="Frequency [rad/s], or bessel:250 …")
+@click.option("--poles", type=Poles(), default="250", show_default=True, help="Frequency [rad/s], or bessel:250.")
 @click.option("--bias", is_flag=True, help="Estimate a bias of each link acceleration as well.")
 @click.option("--form", type=click.Choice(["current", "predictor"]), default="current", show_default=True)
 @click.option("--tuning", type=click.Path(), help="A tuning file, as `linkside tune` writes it.")

@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 def tune(robot: str, logs: tuple[str, ...], method: str, **options: Any) -> None:
     """Tune the noise of a Kalman filter to the likelihood of recordings, or the poles of an observer.
 
-    With `--with observer` also stiffness, damping and motor_inertia of ROBOT's drives can be free; the links' states
-    are measured ones (--states), or the smoother's.
+    `--with observer` can also free the stiffness, damping and motor_inertia of the drives. It compares with measured
+    states of the links (--states), or else with the smoother.
     """
     for option in ("start",) if method == "observer" else ("states", "figure"):
         if options[option]:
@@ -111,8 +111,8 @@ def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> 
 def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **options: Any) -> None:
     """Identify stiffness, damping, load and sensor errors of ROBOT from its own recordings.
 
-    An outcome that does not foretell readings better than ROBOT as it is, or that is at a bound or far from it, is not
-    written, and the exit status is 3.
+    The result is not written, and the exit status is 3, if it does not predict held-back readings better than ROBOT as
+    it is, if an estimate is at a bound, or if one is far from ROBOT.
     """
     from . import calibrate_logs
 

@@ -31,7 +31,7 @@ from .terminal import rate_lines, show
 def init(urdf: str, out: str, drive: str, ratios: tuple[str, ...]) -> None:
     """Start a robot.yaml from URDF: its joints and links, and typical values with their ranges.
 
-    What it asks for is marked ASKED. The file must not be there yet.
+    Lines marked ASKED are for you to fill in. The file must not exist yet.
     """
     check_writable(out, (".yaml", ".yml"))
     if Path(out).exists():
@@ -52,8 +52,8 @@ def init(urdf: str, out: str, drive: str, ratios: tuple[str, ...]) -> None:
 def merge(robot: str, files: tuple[str, ...], out: str, shifts: tuple[str, ...], **options: Any) -> None:
     """Merge FILEs of separately recorded sensors into one log, by time.
 
-    Each has a column of time and some of ROBOT's other columns. The log has a row for each time, NaN where a sensor has
-    no reading.
+    Each FILE has a column of time and some of the other columns of ROBOT. The log has a row for each time, and NaN
+    where a sensor has no reading.
     """
     check_writable(out)
     refuse_clashes([Path(out)], [robot, *files])
@@ -82,14 +82,14 @@ def merge(robot: str, files: tuple[str, ...], out: str, shifts: tuple[str, ...],
     help="JointState: position, velocity and effort are columns theta_, dtheta_, tau_JOINT; or arrays of any message.",
 )
 @click.option("--imu", multiple=True, metavar="NAME=TOPIC", help="Imu: columns NAME_x, _y, _z and NAME_wx, _wy, _wz.")
-@click.option("--wrench", multiple=True, metavar="NAME=TOPIC", help="WrenchStamped: NAME_fx, _fy, _fz and NAME_tx, …")
+@click.option("--wrench", multiple=True, metavar="NAME=TOPIC", help="WrenchStamped: NAME_fx, _fy, _fz, _tx, _ty, _tz.")
 @click.option("--field", "fields", multiple=True, metavar="COLUMN=TOPIC:PATH", help="A numeric field of any message.")
 def convert(bag: str, out: str | None, robot: str | None, **options: tuple[str, ...]) -> None:
     """Convert BAG to a log, or without options list what it contains.
 
-    BAG is an MCAP file, an SQLite file of rosbag2, or the directory of either. Time is that of the messages' stamps,
-    from the first one on; a row for each time, NaN where a sensor has no reading. JointState has the sides of gears
-    that its publisher means: q= takes it for the links', theta= for the motors'.
+    BAG is an MCAP file, an SQLite file of rosbag2, or the directory of either. Times are the stamps of the messages,
+    counted from the first. The log has a row for each time, and NaN where a sensor has no reading. JointState does not
+    state the side of the gear: q= assigns positions to the links, theta= to the motors.
     """
     given = any(options.values())
     if given and robot is not None:
