@@ -53,8 +53,6 @@ pub(super) struct Consider {
     lasting: Vec<f64>,
     /// The most that it lately was; at least 1.
     peak: Vec<f64>,
-    /// Whether a channel's innovations may move the parameters (channels).
-    teaches: Vec<bool>,
     /// Sums of each channel's residuals over the present block, and samples taken.
     sums: Vec<f64>,
     taken: u32,
@@ -93,7 +91,6 @@ impl Consider {
             moment: Symmetric::zeros(stride),
             lasting: vec![0.0; m],
             peak: vec![1.0; m],
-            teaches: (0..m).map(|i| model.teaches(i)).collect(),
             sums: vec![0.0; m],
             taken: 0,
             gain: vec![0.0; stride],
@@ -160,12 +157,12 @@ impl Consider {
         model.signatures(self.sensitivity.stride, &mut self.sensitivity.signatures);
         model.swings(&mut self.swings);
         self.sensitivity.update(model, correction);
-        self.weigh(correction);
+        self.weigh(model, correction);
     }
 
     /// Residuals of the innovations, the noise that lasts in them, and the parameters by them.
     #[inline(always)]
-    fn weigh(&mut self, correction: &Correction) {
+    fn weigh(&mut self, model: &impl Model, correction: &Correction) {
         self.taken += 1;
         let stride = self.sensitivity.stride;
         let learn = self.taken.is_multiple_of(THIN);
@@ -191,7 +188,7 @@ impl Consider {
                 let known = linear::dot(&self.gain, signature);
                 self.variances[i] = 1.0 + known * weight * weight;
                 let (value, variance) = (residual / weight, noise + known);
-                if self.teaches[i] && value * value < STRANGE * STRANGE * variance {
+                if model.teaches(i) && value * value < STRANGE * STRANGE * variance {
                     self.learn(value, variance);
                 }
             }
@@ -208,7 +205,7 @@ impl Consider {
         }
         if learn {
             self.moment.data.copy_from_slice(&self.spread.data);
-            let doubt = self.doubt_of_model();
+            let doubt = self.doubt_of_model(model);
             let rows = self.moment.data.chunks_exact_mut(stride);
             for ((m, row), open) in self.mean.iter().zip(rows).zip(&self.open) {
                 linear::add_scaled(row, *m, &self.mean);
@@ -223,9 +220,9 @@ impl Consider {
     /// Deviation of what lasts and no parameter explains, in deviations of the noise; at least 1. As long as it is there,
     /// the error that the parameters tell of is not all of the model's.
     #[inline(always)]
-    fn doubt_of_model(&self) -> f64 {
+    fn doubt_of_model(&self, model: &impl Model) -> f64 {
         let (mut sum, mut count) = (0.0, 0.0);
-        for (lasting, _) in self.lasting.iter().zip(&self.teaches).filter(|(_, teaches)| **teaches) {
+        for (lasting, _) in self.lasting.iter().zip(0..).filter(|(_, i)| model.teaches(*i)) {
             (sum, count) = (sum + lasting, count + 1.0);
         }
         if count > 0.0 { f64::max(sum / count, 1.0).sqrt() } else { 1.0 }
