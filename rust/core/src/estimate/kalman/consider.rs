@@ -23,6 +23,8 @@ const THIN: u32 = 8;
 const KEPT: f64 = 0.03;
 /// A residual beyond so many standard deviations teaches nothing of parameters: it is something else.
 const STRANGE: f64 = 5.0;
+/// From so many on what parameters may do to it is asked at once: a motion that begins with a shock is no news.
+const SURPRISING: f64 = 2.5;
 
 /// How the error of the state depends on the parameters, and what is known of these.
 ///
@@ -178,7 +180,7 @@ impl Consider {
             // parameters.
             let residual = (innovation.value - linear::dot(signature, &self.mean)) * weight;
             self.sums[i] += residual;
-            if learn {
+            if learn || residual * residual > SURPRISING * SURPRISING * self.variances[i] {
                 // Friedland's second stage (1969): the innovation is a reading of p by s, of the filter's variance and
                 // what lasts.
                 let noise = self.lasting[i].max(1.0) * innovation.variance;
@@ -188,7 +190,7 @@ impl Consider {
                 let known = linear::dot(&self.gain, signature);
                 self.variances[i] = 1.0 + known * weight * weight;
                 let (value, variance) = (residual / weight, noise + known);
-                if model.teaches(i) && value * value < STRANGE * STRANGE * variance {
+                if learn && model.teaches(i) && value * value < STRANGE * STRANGE * variance {
                     self.learn(value, variance);
                 }
             }
@@ -277,10 +279,10 @@ impl Consider {
         self.peak[i]
     }
 
-    /// By how much the parameters widen the standard deviation of channel `i`'s innovation.
+    /// By how much the parameters widen the variance of channel `i`'s innovation.
     #[inline(always)]
     pub(super) fn factor(&self, i: usize) -> f64 {
-        self.variances[i].sqrt()
+        self.variances[i]
     }
 
     /// E[p] and the standard deviations of p given the readings so far.
