@@ -129,8 +129,8 @@ def drawn(seed: int) -> Specimen:
     """The robot of a number: half of them with accelerometers, every third a public arm, smooth and rough motions."""
     rng = np.random.default_rng(seed)
     rough, seen, public = bool(seed & 1), bool(seed & 2), seed % 3 == 2
-    urdf, links, names = _public(rng) if public else _chain(rng, int(rng.integers(1, 7)))
-    robot = _dressed(urdf, links, names, rng, sensors=seen, zero=ZERO if seed % 5 == 0 else 0.0)
+    urdf, links, names = public_arm(str(rng.choice(public_files()))) if public else _chain(rng, int(rng.integers(1, 7)))
+    robot = dressed(urdf, links, names, rng, sensors=seen, zero=ZERO if seed % 5 == 0 else 0.0)
     true, torque = _drawn_from(robot, urdf, rng)
     q, log = _recorded(robot, true, torque, rng, rough=rough)
     kind = f"{Path(urdf).stem if public else 'chain'}, {robot.n} joints"
@@ -139,12 +139,16 @@ def drawn(seed: int) -> Specimen:
     )
 
 
-def _public(rng: np.random.Generator) -> tuple[str, list[str], list[str]]:
-    """A public arm: its file, its links and its joints."""
+def public_files() -> list[str]:
+    """Public arms."""
+    return sorted(PUBLIC)
+
+
+def public_arm(file: str) -> tuple[str, list[str], list[str]]:
+    """A public arm: its URDF, its links and its joints."""
     import pinocchio as pin
 
     folder = Path(distribution("example-robot-data").locate_file("cmeel.prefix/share/example-robot-data/robots"))  # type: ignore[arg-type]
-    file = str(rng.choice(sorted(PUBLIC)))
     model = pin.buildModelFromUrdf(str(folder / file))
     names = [str(name) for name in model.names[1 : PUBLIC[file] + 1]]
     links = [
@@ -173,7 +177,7 @@ def _chain(rng: np.random.Generator, joints: int) -> tuple[str, list[str], list[
     return "".join([*parts, "</robot>"]), [f"l{i + 1}" for i in range(joints)], names
 
 
-def _dressed(
+def dressed(
     urdf: str, links: list[str], names: list[str], rng: np.random.Generator, *, sensors: bool, zero: float
 ) -> Robot:
     """What a URDF does not say: drives that ring at 6 to 20 Hz, with dampers or without, and sensors."""

@@ -11,14 +11,15 @@ STUDY = runpy.run_path(str(Path(__file__).parents[2] / "docs/drawn_robots.py"))
 
 @pytest.mark.parametrize(("first", "count"), [(0, 10), pytest.param(0, 100, marks=pytest.mark.slow)])
 def test_errors_are_as_large_as_said(first, count):
-    """Medians in proportion, few rows off without a word, squares of normalised errors no larger than they should be.
+    """Medians in proportion, few rows off without a word or flagged without need, squares of normalised errors no larger than they should be.
 
     A robot's errors are one draw, whatever the number of rows: its share of rows off is all or nothing.
     """
     verdicts = [STUDY["judged"](specimen) for specimen in STUDY["specimens"](count, first)]
     for method in STUDY["METHODS"]:
-        ratio, off, silent, nees = (
-            np.array([getattr(v[method], what) for v in verdicts]) for what in ("ratio", "off", "silent", "nees")
+        ratio, off, silent, nees, good = (
+            np.array([getattr(v[method], what) for v in verdicts])
+            for what in ("ratio", "off", "silent", "nees", "good")
         )
         assert 0.2 < np.median(ratio) < 1.5, method
         assert ratio.max() < 3, method
@@ -26,6 +27,7 @@ def test_errors_are_as_large_as_said(first, count):
         assert off.mean() <= 0.03, method
         assert 0.1 < np.median(nees) < 1.5, method
         assert nees.mean() < 1.5, method
+        assert good.mean() > 0.9, method
 
 
 def test_a_specimen_is_another_robot_than_its_yaml_says():

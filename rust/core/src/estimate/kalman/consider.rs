@@ -24,6 +24,8 @@ const THIN: u32 = 8;
 const KEPT: f64 = 0.03;
 /// A residual beyond so many standard deviations teaches nothing of parameters: it is something else.
 const STRANGE: f64 = 5.0;
+/// From so many on what parameters may do to it is asked at once: a motion that begins with a shock is no news.
+const SURPRISING: f64 = 2.5;
 
 /// How the error of the state depends on the parameters, and what is known of these.
 ///
@@ -56,8 +58,6 @@ pub(super) struct Consider {
     lasting: Vec<f64>,
     /// The most that it lately was; at least 1.
     peak: Vec<f64>,
-    /// Whether a channel's innovations may move the parameters (channels).
-    teaches: Vec<bool>,
     /// Sums of each channel's residuals over the present block, and samples taken.
     sums: Vec<f64>,
     taken: u32,
@@ -97,7 +97,6 @@ impl Consider {
             moment: Symmetric::zeros(stride),
             lasting: vec![0.0; m],
             peak: vec![1.0; m],
-            teaches: (0..m).map(|i| model.teaches(i)).collect(),
             sums: vec![0.0; m],
             taken: 0,
             gain: vec![0.0; stride],
@@ -167,12 +166,12 @@ impl Consider {
         model.signatures(self.sensitivity.stride, &mut self.sensitivity.signatures);
         model.swings(&mut self.swings);
         self.sensitivity.update(model, correction);
-        self.weigh(correction);
+        self.weigh(model, correction);
     }
 
     /// Residuals of the innovations, the noise that lasts in them, and the parameters by them.
     #[inline(always)]
-    fn weigh(&mut self, correction: &Correction) {
+    fn weigh(&mut self, model: &impl Model, correction: &Correction) {
         self.taken += 1;
         let stride = self.sensitivity.stride;
         let learn = self.taken.is_multiple_of(THIN);
@@ -188,7 +187,7 @@ impl Consider {
             // parameters.
             let residual = (innovation.value - linear::dot(signature, &self.mean)) * weight;
             self.sums[i] += residual;
-            if learn {
+            if learn || residual * residual > SURPRISING * SURPRISING * self.variances[i] {
                 // Friedland's second stage (1969): the innovation is a reading of p by s, of the filter's variance and
                 // what lasts.
                 let noise = self.lasting[i].max(1.0) * innovation.variance;
@@ -198,7 +197,7 @@ impl Consider {
                 let known = linear::dot(&self.gain, signature);
                 self.variances[i] = 1.0 + known * weight * weight;
                 let (value, variance) = (residual / weight, noise + known);
-                if self.teaches[i] && value * value < STRANGE * STRANGE * variance {
+                if learn && model.teaches(i) && value * value < STRANGE * STRANGE * variance {
                     self.learn(value, variance);
                 }
             }
@@ -215,7 +214,7 @@ impl Consider {
         }
         if learn {
             self.moment.data.copy_from_slice(&self.spread.data);
-            let doubt = self.doubt_of_model();
+            let doubt = self.doubt_of_model(model);
             let rows = self.moment.data.chunks_exact_mut(stride);
             for ((m, row), open) in self.mean.iter().zip(rows).zip(&self.open) {
                 linear::add_scaled(row, *m, &self.mean);
@@ -234,9 +233,9 @@ impl Consider {
     /// Deviation of what lasts and no parameter explains, in deviations of the noise; at least 1. As long as it is there,
     /// the error that the parameters tell of is not all of the model's.
     #[inline(always)]
-    fn doubt_of_model(&self) -> f64 {
+    fn doubt_of_model(&self, model: &impl Model) -> f64 {
         let (mut sum, mut count) = (0.0, 0.0);
-        for (lasting, _) in self.lasting.iter().zip(&self.teaches).filter(|(_, teaches)| **teaches) {
+        for (lasting, _) in self.lasting.iter().zip(0..).filter(|(_, i)| model.teaches(*i)) {
             (sum, count) = (sum + lasting, count + 1.0);
         }
         if count > 0.0 { f64::max(sum / count, 1.0).sqrt() } else { 1.0 }
@@ -291,10 +290,10 @@ impl Consider {
         self.peak[i]
     }
 
-    /// By how much the parameters widen the standard deviation of channel `i`'s innovation.
+    /// By how much the parameters widen the variance of channel `i`'s innovation.
     #[inline(always)]
     pub(super) fn factor(&self, i: usize) -> f64 {
-        self.variances[i].sqrt()
+        self.variances[i]
     }
 
     /// E[p] and the standard deviations of p given the readings so far.

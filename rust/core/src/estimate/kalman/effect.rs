@@ -134,12 +134,6 @@ impl Effect {
     pub(super) fn release(&mut self, channel: usize, now: u64) {
         self.add(Step { channel, since: now, found: now, size: -self.faults[channel] }, f64::MIN_POSITIVE);
     }
-
-    /// Whether some link is off by more than its standard deviation, of these variances.
-    #[inline(always)]
-    pub(super) fn counts(&self, mut variances: impl Iterator<Item = f64>) -> bool {
-        self.error.iter().zip(&mut variances).any(|(error, variance)| error * error > variance)
-    }
 }
 
 /// x⁻'s error and s at each sample of a stretch, from the first with an effect on.

@@ -153,26 +153,29 @@ impl ElasticModel {
             biased.then(|| states - 1)
         };
         let biases: Vec<_> = settings.biased.iter().map(&mut number).collect();
-        let (reading, mut sources) = (noise.reading.clone(), sources(&robot, &layout, &noise));
+        let measurement = [&noise.reading[..], &noise.torque];
+        let measurement =
+            ElasticMeasurement::new(Arc::clone(&robot), layout.clone(), channels, biases.clone(), measurement);
+        let mut sources = sources(&robot, &layout, &noise);
         if let (Some(first), Some(links)) = (layout.link_disturbance, &links) {
             sources.extend(links.walk.iter().enumerate().map(|(j, walk)| (first + j, *walk)));
         }
         let n = robot.len();
         let process = ElasticProcess {
-            transition: Transition::new(&robot, layout.clone(), settings.discretization, states, sources),
+            transition: Transition::new(&robot, layout, settings.discretization, states, sources),
             tau: vec![0.0; n],
             age: vec![0.0; n],
             before: vec![0.0; n],
             after: vec![0.0; n],
             outage: vec![(0.0, 0.0); n],
             held: settings.held,
-            robot: Arc::clone(&robot),
-            biases: biases.clone(),
+            robot,
+            biases,
             states,
             noise,
             links: links.map_or_else(Vec::new, |links| links.initial),
         };
-        Ok(Self::of(process, ElasticMeasurement::new(robot, layout, channels, biases, reading)))
+        Ok(Self::of(process, measurement))
     }
 
     /// The model of a robot of which some numbers are known to a tolerance only.

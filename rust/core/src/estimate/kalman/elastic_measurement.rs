@@ -1,7 +1,7 @@
 //! The elastic-joint model's channels: motors are states, accelerations functions of the state and the torques.
 
 use super::elastic_sensitivity::ElasticSensitivity;
-use super::model::{Linearised, Measurement, Report};
+use super::model::{Linearised, Measurement, Report, teaches};
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample};
 use super::tolerances::Tolerances;
@@ -11,6 +11,9 @@ use crate::estimate::measurement::{Chained, Channel, Elastic, Values, read_all};
 use crate::linear;
 use crate::robot::Robot;
 use std::sync::Arc;
+
+/// Part of the noise of a channel's own from which on the noise of torques in it counts.
+const HEARD: f64 = 0.1;
 
 /// See the module.
 ///
@@ -27,8 +30,16 @@ pub struct ElasticMeasurement {
     /// What is measured, in the order of the readings, and which state is its bias.
     channels: Vec<Channel>,
     biases: Vec<Option<usize>>,
-    /// One reading's standard deviation (channels).
+    /// Variance of one reading's noise (channels), and of one reading of each motor torque (n).
     reading: Vec<f64>,
+    torque: Vec<f64>,
+    /// Whether motor torques reach links without a spring in between: what they read then shows at once in other readings.
+    direct: bool,
+    /// Variances of readings' noise with what that adds (channels).
+    variance: Vec<f64>,
+    /// Scratch: what each torque does to each channel (channels × n), and how much to all of them (n).
+    felt: Vec<f64>,
+    sums: Vec<f64>,
     /// h (channels), and ∂h/∂x (channels × dense).
     prediction: Vec<f64>,
     jacobian: Vec<f64>,
@@ -46,10 +57,18 @@ impl ElasticMeasurement {
         layout: ElasticLayout,
         channels: Vec<Channel>,
         biases: Vec<Option<usize>>,
-        reading: Vec<f64>,
+        [reading, torque]: [&[f64]; 2],
     ) -> Self {
         let m = channels.len();
+        let squares = |std: &[f64]| std.iter().map(|s| s * s).collect::<Vec<_>>();
+        let coupled = !robot.rotors.is_empty() || robot.coupling.iter().any(|&s| s != 0.0);
         Self {
+            direct: (coupled || robot.drives.iter().any(|drive| !drive.elastic)) && torque.iter().any(|&s| s > 0.0),
+            variance: squares(reading),
+            felt: vec![0.0; m * robot.len()],
+            sums: vec![0.0; robot.len()],
+            torque: squares(torque),
+            reading: squares(reading),
             dynamics: ElasticDynamics::new(&robot, &layout),
             prediction: vec![0.0; m],
             jacobian: vec![0.0; m * layout.dense],
@@ -60,7 +79,41 @@ impl ElasticMeasurement {
             layout,
             channels,
             biases,
-            reading,
+        }
+    }
+
+    /// What the noise of motor torques is to accelerometers and joint torque sensors: of a motor behind a rigid drive, or
+    /// coupled to links, it is acceleration at once.
+    ///
+    /// One motor's noise is in many channels at once, g gᵀ; what each has of it by itself, |gᵢ| Σₖ|gₖ|, is no less than that in
+    /// any combination of channels.
+    #[inline(always)]
+    fn hear_torques(&mut self) {
+        let Self { robot, dynamics, channels, reading, torque, variance, felt, sums, .. } = self;
+        let n = robot.len();
+        felt.fill(0.0);
+        sums.fill(0.0);
+        for (channel, felt) in channels.iter().zip(felt.chunks_exact_mut(n)) {
+            match *channel {
+                Channel::Acceleration { sensor, axis } => {
+                    dynamics.kinematics.acceleration_map(&robot.tree, &robot.accelerometers[sensor].frame, |j, by| {
+                        linear::add_scaled(felt, by.0[axis], &dynamics.ddq_by_tau[j * n..][..n]);
+                    });
+                }
+                Channel::Torque(j) if !robot.drives[j].elastic => {
+                    felt[j] = 1.0;
+                    linear::add_scaled(felt, -robot.drives[j].motor_inertia, &dynamics.ddq_by_tau[j * n..][..n]);
+                    for (k, s) in dynamics.coupling(j) {
+                        linear::add_scaled(felt, -s, &dynamics.ddq_by_tau[k * n..][..n]);
+                    }
+                }
+                _ => continue,
+            }
+            sums.iter_mut().zip(&*felt).for_each(|(sum, by)| *sum += by.abs());
+        }
+        for ((variance, own), felt) in variance.iter_mut().zip(reading).zip(felt.chunks_exact(n)) {
+            let shares = felt.iter().zip(&*sums).zip(&*torque);
+            *variance = *own + shares.map(|((by, sum), torque)| by.abs() * sum * torque).sum::<f64>();
         }
     }
 }
@@ -111,6 +164,9 @@ impl Measurement for ElasticMeasurement {
         let view = Elastic { layout, dynamics, state: reference };
         let (joints, dense, ddq_by) = (robot.len(), layout.dense, &dynamics.ddq_by);
         read_all(robot, channels, &view, &mut Chained { prediction, rows: jacobian, joints, dense, ddq_by });
+        if self.direct {
+            self.hear_torques();
+        }
     }
 
     fn tolerances(&self) -> &Tolerances {
@@ -122,6 +178,13 @@ impl Measurement for ElasticMeasurement {
         let Self { robot, layout, dynamics, channels, tau, sensitivity, reference, .. } = self;
         sensitivity.set(robot, layout, dynamics, reference, tau);
         sensitivity.signatures(robot, dynamics, channels, stride, out);
+    }
+
+    /// What a torque's noise does is explained by whatever parameter that torque, or the acceleration by it, is multiplied
+    /// with: a channel that hears it says nothing of parameters.
+    #[inline(always)]
+    fn teaches(&self, channel: usize) -> bool {
+        teaches(self.channels[channel]) && self.variance[channel] <= (1.0 + HEARD) * self.reading[channel]
     }
 
     fn start_columns(&mut self, stride: usize, scratch: &mut [f64], columns: &mut [f64]) {
@@ -159,7 +222,7 @@ impl Measurement for ElasticMeasurement {
 
     #[inline(always)]
     fn variance(&self, channel: usize) -> f64 {
-        self.reading[channel] * self.reading[channel]
+        self.variance[channel]
     }
 }
 

@@ -372,6 +372,48 @@ mod tests {
         }
     }
 
+    /// What a torque's noise does to readings, by torques that differ: each channel's variance is no less than its own and
+    /// that, and of all channels together in any combination as well.
+    #[test]
+    fn readings_hear_the_noise_of_torques() {
+        let mut ours = model(robot(false, U::Mass(9), 0.0));
+        let m = ours.channels();
+        let readings = vec![0.0; m];
+        let mut read = |tau: &[f64]| {
+            let sample = KalmanSample { dt: 1e-3, readings: &readings, inputs: Inputs { tau, ..Inputs::default() } };
+            let measured = ours.measurement_mut();
+            measured.take(&sample, true);
+            measured.linearise(&state());
+            let variances: Vec<f64> = (0..m).map(|i| measured.variance(i)).collect();
+            (measured.linearised().prediction.to_vec(), variances)
+        };
+        let (_, variances) = read(&TAU);
+        let by: Vec<Vec<f64>> = (0..N)
+            .map(|j| {
+                let [less, more] = [-1.0, 1.0].map(|by| {
+                    let mut tau = TAU;
+                    tau[j] += by;
+                    read(&tau).0
+                });
+                more.iter().zip(&less).map(|(a, b)| 0.5 * (a - b)).collect()
+            })
+            .collect();
+        let own = 1e-6; // of a reading and of a torque alike
+        for i in 0..m {
+            let heard: f64 = by.iter().map(|g| g[i].abs() * g.iter().map(|g| g.abs()).sum::<f64>()).sum();
+            near(variances[i], own * (1.0 + heard), own * (1.0 + heard), 1e-9, &i);
+        }
+        let heard = |j: usize| by[j].iter().any(|g| g.abs() > 1e-6);
+        assert!(heard(2) && by[2][N..N + 2].iter().all(|g| g.abs() > 1e-3)); // the rigid one, by both axes
+        for seed in 0..50_u32 {
+            let x: Vec<f64> = (0..m).map(|i| f64::from(seed * 7 + i as u32 * 13).sin()).collect();
+            let along = |g: &Vec<f64>| g.iter().zip(&x).map(|(g, x)| g * x).sum::<f64>();
+            let true_one: f64 = own * (linear::dot(&x, &x) + by.iter().map(|g| along(g).powi(2)).sum::<f64>());
+            let ours: f64 = variances.iter().zip(&x).map(|(v, x)| v * x * x).sum();
+            assert!(ours >= true_one * (1.0 - 1e-9));
+        }
+    }
+
     /// Ψ as the model has it, and by robots that differ: the largest difference of each.
     fn step_error(dt: f64) -> Vec<f64> {
         let tolerances = parameters();

@@ -4,8 +4,9 @@ use super::consider::Consider;
 use super::correction::Correction;
 use super::driven::JerkDriven;
 use super::effect::Step;
+use super::findings::Finding;
 use super::gaussian::{Gaussian, Symmetric};
-use super::monitor::{Finding, Monitor};
+use super::monitor::Monitor;
 use super::output::{FilterOutput, Keep, Tool};
 use super::phases::{Judge, Linearise, Phases, Predict, Update, WriteReport};
 use super::recording::{KalmanRecording, KalmanSample};
@@ -176,7 +177,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
 
     /// Contradictions between readings and model since the start.
     pub fn findings(&self) -> &[Finding] {
-        self.monitor.as_ref().map_or(&[], |monitor| &monitor.findings)
+        self.monitor.as_ref().map_or(&[], |monitor| &monitor.findings.list)
     }
 
     /// Goes by these faults from now on, and looks for no others.

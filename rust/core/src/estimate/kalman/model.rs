@@ -133,6 +133,11 @@ pub trait Measurement: Clone + Send + Sync {
     /// Numbers of the robot that are known to a tolerance only, and count in covariances; none unless asked for.
     fn tolerances(&self) -> &Tolerances;
 
+    /// Whether a channel's present reading may say something of those numbers.
+    fn teaches(&self, channel: usize) -> bool {
+        teaches(self.channels()[channel])
+    }
+
     /// ∂h/∂p where the channels were linearised (channels × `stride`).
     fn signatures(&mut self, _stride: usize, _out: &mut [f64]) {}
 
@@ -155,6 +160,13 @@ pub trait Measurement: Clone + Send + Sync {
     fn motor_velocity(&self, _j: usize) -> Option<usize> {
         None
     }
+}
+
+/// Whether a channel may say something of parameters. A motor's reading says it only by way of how smoothly links are taken
+/// to move, which is a guess.
+#[inline(always)]
+pub(super) fn teaches(channel: Channel) -> bool {
+    !matches!(channel, Channel::Motor(_) | Channel::MotorVelocity(_))
 }
 
 /// What an estimate says of links and motors.
@@ -254,11 +266,8 @@ pub trait Model: Clone + Send + Sync {
     /// See [`Measurement::tolerances`].
     fn tolerances(&self) -> &Tolerances;
 
-    /// Whether a channel may say something of the parameters. A motor's reading says it only by way of how smoothly
-    /// links are taken to move, which is a guess.
-    fn teaches(&self, channel: usize) -> bool {
-        !matches!(self.channel_kinds()[channel], Channel::Motor(_) | Channel::MotorVelocity(_))
-    }
+    /// See [`Measurement::teaches`].
+    fn teaches(&self, channel: usize) -> bool;
 
     /// Columns (states × `stride`, one a tolerance) through the step last predicted: Σ ← F Σ + ∂f/∂p.
     fn carry(&mut self, columns: &mut [f64], stride: usize, dt: f64);
@@ -476,6 +485,11 @@ impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
 
     fn tolerances(&self) -> &Tolerances {
         self.measurement.tolerances()
+    }
+
+    #[inline(always)]
+    fn teaches(&self, channel: usize) -> bool {
+        self.measurement.teaches(channel)
     }
 
     #[inline(always)]

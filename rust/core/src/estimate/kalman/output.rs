@@ -1,8 +1,8 @@
 //! What a filter or a smoother gives back.
 
 use super::correction::Correction;
+use super::findings::Finding;
 use super::model::Model;
-use super::monitor::Finding;
 use crate::dynamics::Kinematics;
 use crate::error::DesignError;
 use crate::memory::filled;
