@@ -22,7 +22,7 @@ LAYERS = (
     ("robot",),
     ("recording",),
     ("observers", "kalman", "observability", "velocity"),
-    ("particle", "comparison", "consistency", "control"),
+    ("particle", "scene", "comparison", "consistency", "control"),
     ("tuning", "calibration", "simulation", "learning", "demo"),
     ("linkside", "cli"),
 )

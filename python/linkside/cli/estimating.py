@@ -103,7 +103,7 @@ def estimate(
         raise click.UsageError(f"--truth is there {len(truths)} times, for {len(logs)} logs")
     _refuse_untaken(method)
     loaded = Robot.load(robot)
-    sources = [robot, _urdf(robot, loaded), *([options["tuning"]] if options["tuning"] else [])]
+    sources = [robot, urdf_of(robot, loaded), *([options["tuning"]] if options["tuning"] else [])]
     if options["tuning"] is not None:
         options["tuning"] = METHODS[method].read_tuning(options["tuning"])
     settings = method, rate, no_check, {name: options[name] for name in METHODS[method].takes}
@@ -166,7 +166,8 @@ def _plain(value: object) -> str:
     return "none" if value is None else f"{value}"
 
 
-def _urdf(robot: str, loaded: Robot) -> Path:
+def urdf_of(robot: str, loaded: Robot) -> Path:
+    """Where the URDF of a robot.yaml is."""
     assert isinstance(loaded.config, RobotFile)  # it was read from a file
     return Path(robot).parent / loaded.config.urdf
 

@@ -98,6 +98,10 @@ class JerkDrivenFilter(LiveFilter[Core]):
 class JerkDriven(KalmanMethod):
     """What filter and smoother on the jerk-driven model share; parameters as of `ExtendedKalmanFilter`."""
 
+    # The state has no motor velocity: what springs, damping and link accelerations say of it is 20 times further off
+    # than a usual reading of it, or than the slope of motor positions.
+    left_out = ("dtheta",)
+
     def __init__(
         self,
         robot: Robot,

@@ -86,6 +86,8 @@ class Estimate:
         Normalised innovation squared, where the method has innovations; its mean should be the number of readings used.
     findings : tuple of Fault
         Contradictions between readings and model, from the recording's start on; not in files.
+    left_out : tuple of str
+        Fields that are no columns, and are not compared: the recording itself knows them better than the method.
     """
 
     t: FloatArray
@@ -104,6 +106,7 @@ class Estimate:
     disturbance: FloatArray | None = None
     disturbance_std: FloatArray | None = None
     findings: tuple[Fault, ...] = ()
+    left_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check shapes, once."""
@@ -168,7 +171,7 @@ class Estimate:
         out: dict[str, npt.NDArray[Any]] = {}
         for group, columns in _groups(self.names).items():
             array = getattr(self, group)
-            if array is not None:
+            if array is not None and group not in self.left_out:
                 out |= zip(columns, np.atleast_2d(array.T), strict=True)
         return out
 
@@ -256,7 +259,7 @@ class Estimate:
         return f"Estimate({len(self)} rows, {len(self.names)} joints, {groups}; status: {status or 'none'})"
 
     def _form(self) -> tuple[tuple[str, ...], list[str]]:
-        arrays = (f.name for f in fields(self) if f.name not in ("names", "channels", "findings"))
+        arrays = (f.name for f in fields(self) if f.name not in ("names", "channels", "findings", "left_out"))
         there = [name for name in arrays if getattr(self, name) is not None]
         return self.names, there
 
