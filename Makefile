@@ -18,7 +18,7 @@ test: $(VENV) ## everything that must hold
 	RUSTFLAGS="--cfg one_level" cargo test --locked -p linkside-core -p linkside-bag
 	cargo test --locked --workspace --release --test '*' # of the workspace: with the wheel's features, on its build of the core
 	$(BIN)/python -m mypy.stubtest linkside._core
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile # a worker a core, not two
 
 lint: $(VENV)
 	$(PIP) ".[test,lint]"
@@ -33,11 +33,12 @@ bench: $(VENV) ## beside what one would use instead
 	$(PIP) ".[test,bench]"
 	$(BIN)/python benches/python/run.py
 
-docs: $(VENV) ## API reference of both languages, into docs/api
+docs: $(VENV) ## the pages, and the API reference of both languages beside them, into site
 	$(PIP) ".[docs]"
 	$(RUSTDOC)
-	rm -rf docs/api && mkdir -p docs/api && cp -r target/doc docs/api/rust
-	$(BIN)/pdoc --docformat numpy --math -o docs/api/python linkside
+	rm -rf site
+	PYTHONPATH=docs $(BIN)/zensical build --strict
+	cp -r target/doc site/rust
 
 lock: $(VENV) ## renew constraints.txt
 	$(PIP) uv
@@ -45,7 +46,7 @@ lock: $(VENV) ## renew constraints.txt
 	    --custom-compile-command "make lock" pyproject.toml -o constraints.txt
 
 clean:
-	rm -rf $(VENV) target docs/api
+	rm -rf $(VENV) target site
 
 $(VENV):
 	$(PYTHON) -m venv $(VENV)

@@ -1,33 +1,59 @@
-"""Draws docs/tool_error.png for the README: the tool's error from motor positions alone, and from the observer."""
+"""Draws docs/tool_error.svg for the README: a robot, and the path of its tool by its motors and by the observer."""
 
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+import pinocchio
 
 from linkside import AccelerationObserver, Estimate, Log, Robot
+from linkside.figures.style import COLOURS, finish
 
 HERE = Path(__file__).parent
-FOLDER = HERE.parent / "tests/data/kr15_long"
+FOLDER = HERE.parent / "tests/data/arm2_square"
+MAGNIFIED = 10  # so that millimetres show on a square of 20 cm
 
 
 def main() -> None:
-    """Estimate a motion of the first three axes, and draw its error."""
+    """Estimate a square path of a two-joint arm, and draw it."""
     robot = Robot.load(FOLDER / "robot.yaml")
     log = Log.read(FOLDER / "log.parquet", robot)
-    truth = Estimate.read(FOLDER / "truth.parquet").tool_position
-    tools = {
-        "motor positions only": robot.tool_position(log.theta),
-        "observer": AccelerationObserver(robot).run(log).tool_position,
+    truth = Estimate.read(FOLDER / "truth.parquet")
+    path = truth.tool_position
+    errors = {
+        name: (tool - path) - (tool - path).mean(axis=0)
+        for name, tool in {
+            "motor positions only": robot.tool_position(log.theta),
+            "observer": AccelerationObserver(robot).run(log).tool_position,
+        }.items()
     }
-    figure, axes = plt.subplots(figsize=(7, 2.6), layout="constrained")
-    for name, tool in tools.items():
-        error = tool - truth
-        axes.semilogy(log.t, 1e3 * np.linalg.norm(error - error.mean(axis=0), axis=1), label=name, linewidth=1)
-    axes.set(xlabel="time [s]", ylabel="tool error [mm]", ylim=(0.01, 20), title="kr15_long, constant offset out")
-    axes.legend()
-    axes.grid(alpha=0.3)
-    figure.savefig(HERE / "tool_error.png", dpi=110)
+    plt.rcParams["svg.hashsalt"] = "linkside"
+    figure, (arm, square, time) = plt.subplots(1, 3, figsize=(10, 3), layout="constrained", width_ratios=(1, 1, 1.6))
+    draw_arm(arm, robot, truth.q[0])
+    arm.plot(path[::4, 0], path[::4, 2], color="black", linewidth=1)
+    square.plot(path[::4, 0], path[::4, 2], color="black", linewidth=1, label="true path")
+    for (name, error), colour in zip(errors.items(), (COLOURS[1], COLOURS[0]), strict=True):
+        drawn = path + MAGNIFIED * error
+        square.plot(drawn[::4, 0], drawn[::4, 2], color=colour, linewidth=0.8)
+        time.semilogy(log.t[::4], 1e3 * np.linalg.norm(error[::4], axis=1), color=colour, linewidth=0.8, label=name)
+    square.set(title=f"path of the tool, errors × {MAGNIFIED}", aspect="equal", xlabel="x [m]")
+    arm.set(title="robot and path", aspect="equal", xlabel="x [m]", ylabel="z [m]")
+    time.set(title="tool error, constant offset removed", xlabel="time [s]", ylabel="[mm]", ylim=(3e-3, 20))
+    time.legend(loc="upper right", frameon=False, ncols=2)
+    for axes in (arm, square, time):
+        finish(axes, legend=False)
+    figure.savefig(HERE / "tool_error.svg", metadata={"Date": None})
+
+
+def draw_arm(axes: plt.Axes, robot: Robot, q: np.ndarray) -> None:
+    """Joints as discs and links as bars, in the plane of x and z."""
+    data = robot.model.createData()
+    pinocchio.forwardKinematics(robot.model, data, robot.to_pinocchio(q))
+    joints = [data.oMi[index].translation for index in range(1, robot.model.njoints)]
+    points = np.array([np.zeros(3), *joints, robot.tool_position(q[None])[0]])
+    axes.plot(points[:, 0], points[:, 2], color="0.7", linewidth=7, solid_capstyle="round", solid_joinstyle="round")
+    axes.plot(points[1:-1, 0], points[1:-1, 2], "o", color=COLOURS[0], markersize=8)
+    axes.plot(points[0, 0], points[0, 2], "s", color="0.4", markersize=10)
 
 
 if __name__ == "__main__":

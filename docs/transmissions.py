@@ -1,4 +1,4 @@
-"""Draws docs/transmissions.png: torque over motor angle of each law, the link being held fast."""
+"""Draws transmissions.png (torque over motor angle of each law, link held), friction.png and counterbalances.png."""
 
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,18 @@ LAWS: dict[str, dict[str, Any]] = {
     },
     "ripple": {"stiffness": 5e3, "ripple": [{"order": 2000, "amplitude": 5e-5, "of": "output"}]},
 }
+FRICTION: dict[str, tuple[float, dict[str, Any]]] = {
+    "coulomb, asymmetry, viscous": (0.0, {"motor_friction": {"coulomb": 8, "asymmetry": 3, "viscous": 20}}),
+    "stribeck": (0.0, {"motor_friction": {"coulomb": 8, "stribeck": 5, "stribeck_velocity": 0.05}}),
+    "efficiency, under +40 N m": (40.0, {"efficiency": {"driving": 0.8, "back_driving": 0.7}}),
+}
+ENDS = [{"link": "base", "xyz": [0.5, 0, 0]}, {"link": "arm", "xyz": [0.2, 0, 0]}]
+GAS = {"pressure": 5e6, "volume": 2e-4, "length": 0.3, "area": 2e-4, "exponent": 1.2}
+COUNTERBALANCES: dict[str, dict[str, Any]] = {
+    "spring": {"ends": ENDS, "spring": {"stiffness": 3e3, "length": 0.2}},
+    "gas": {"ends": ENDS, "gas": {**GAS, "acts": "pull"}},
+    "series": {"joints": ["axis"], "series": [{"order": 1, "sine": -200}, {"order": 3, "sine": 40}]},
+}
 TIME, AMPLITUDE, RATE = 3.0, 2e-3, 1000.0
 
 
@@ -41,8 +53,43 @@ def measured(drive: dict[str, Any]) -> tuple[Any, Any]:
     return 1e3 * run.truth["theta"][:, 0], run.log.torque[:, 0]
 
 
+def friction(load: float, drive: dict[str, Any]) -> tuple[Any, Any]:
+    """Speed [rad/s] and the torque that friction takes of a motor [N m]."""
+    joint = {"name": "axis", "motor_inertia": 1.5, "stiffness": 1e4, **drive}
+    speed = np.linspace(-0.3, 0.3, 2001)[:, None]
+    return speed[:, 0], Robot.from_urdf(HELD, [joint]).motor_friction(speed, np.full_like(speed, load))[:, 0]
+
+
+def lift(counterbalance: dict[str, Any]) -> tuple[Any, Any]:
+    """Joint angle [rad] and the torque that a counterbalance gives the link [N m]."""
+    joint = {"name": "axis", "motor_inertia": 1.5, "stiffness": 1e4}
+    robot = Robot.from_urdf(HELD, [joint], counterbalances=[counterbalance], gravity=[0, 0, 0])
+    angle = np.linspace(-np.pi, np.pi, 401)[:, None]
+    return angle[:, 0], -robot.gravity_torque(angle)[:, 0]
+
+
+def row(curves: dict[str, tuple[Any, Any]], abscissa: str, ordinate: str, file: str) -> None:
+    """Draw curves side by side."""
+    figure, panels = plt.subplots(1, len(curves), figsize=(9, 2.7), layout="constrained")
+    for axes, (name, curve) in zip(panels, curves.items(), strict=True):
+        axes.plot(*curve, linewidth=1)
+        axes.set_title(name, fontsize=10)
+        axes.set_xlabel(abscissa)
+        axes.grid(alpha=0.3)
+    panels[0].set_ylabel(ordinate)
+    figure.savefig(HERE / file, dpi=110)
+
+
 def main() -> None:
     """Draw them side by side."""
+    frictions = {name: friction(*law) for name, law in FRICTION.items()}
+    row(frictions, "motor speed [rad/s]", "friction [N m]", "friction.png")
+    row(
+        {name: lift(law) for name, law in COUNTERBALANCES.items()},
+        "joint angle [rad]",
+        "torque [N m]",
+        "counterbalances.png",
+    )
     figure, panels = plt.subplots(2, 3, figsize=(9, 5), layout="constrained", sharex=True)
     for axes, (name, drive) in zip(panels.flat, LAWS.items(), strict=True):
         axes.plot(*measured(drive), linewidth=1)

@@ -1,4 +1,4 @@
-"""The first session of README.md, as type checkers see it."""
+"""The first session of README.md and of docs/kalman.md, as type checkers see it."""
 
 # ruff: noqa: B905, E402
 
@@ -19,13 +19,16 @@ for theta, tau, acceleration in zip(*log.require("theta", "tau", "acceleration")
     state = observer.step(theta=theta, tau=tau, acceleration=acceleration)
     link, velocity, tool = state.q, state.dq, state.tool_position
 
-from linkside import Estimate, ExtendedKalmanFilter, RauchTungStriebelSmoother
+import linkside
+from linkside import Estimate, ExtendedKalmanFilter, Log, RauchTungStriebelSmoother, Robot
 from linkside.consistency import consistency
 
-smoothed = RauchTungStriebelSmoother(robot).run(log)  # each row by all samples
+robot = Robot.load(linkside.demo.ROBOT)
+log = Log.read(linkside.demo.LOG, robot)
+smoothed = RauchTungStriebelSmoother(robot).run(log)  # each row from all samples
 tool, tool_std = smoothed.require("tool_position", "tool_std")
 print(tool[1000], tool_std[1000])  # [m]
 print(smoothed.error_against(linkside.demo.TRUTH).tool_rms_centred_mm)  # 0.042
 
-filtered = ExtendedKalmanFilter(robot).run(log, innovations=True)  # each row by the samples up to it
-print(consistency(filtered, Estimate.read(linkside.demo.TRUTH)).to_text())  # is it to be believed?
+filtered = ExtendedKalmanFilter(robot).run(log, innovations=True)  # each row from the samples up to it
+print(consistency(filtered, Estimate.read(linkside.demo.TRUTH)).to_text())  # can it be trusted?

@@ -108,13 +108,13 @@ def main() -> None:
     print(f"k0 = {design.gain:.4f} 1/s; by separate bounds {design.conservative:.2f}; region {design.region:.4f} rad/s")
     example_1(robot, design.gain, out / "bounded.png")
     hybrid = design.hybrid(bound=1.5, levels=6)
-    observer = ReducedOrderObserver(robot, hybrid, period=PERIOD)
+    observer = ReducedOrderObserver(robot, hybrid, period=PERIOD, start="rest")
     t, x, found, level = simulate(observer, lambda t, x, dq: np.array([np.sin(t), 1 + np.sin(2 * t)]))
     report("example 2", t, x, found)
     tell_jumps(t, level)
     print(f"q(20) = {np.round(x[-1, :2], 4)}")
     draw(out / "beyond.png", t, x, found, level)
-    observer = ReducedOrderObserver(robot, hybrid, period=PERIOD)
+    observer = ReducedOrderObserver(robot, hybrid, period=PERIOD, start="rest")
     stiffness, damping = np.array([40.0, 20.0]), np.array([60.0, 30.0])
     t, x, found, level = simulate(observer, lambda t, x, dq: stiffness * (TARGET - x[:2]) - damping * dq)
     report("example 3", t, x, found)
@@ -125,9 +125,13 @@ def main() -> None:
 
 def example_1(robot: Robot, gain: float, path: Path) -> None:
     """Constant gains."""
-    observers: dict[str, ReducedOrderObserver] = {"reduced order": ReducedOrderObserver(robot, gain, period=PERIOD)}
+    observers: dict[str, ReducedOrderObserver] = {
+        "reduced order": ReducedOrderObserver(robot, gain, period=PERIOD, start="rest")
+    }
     for spring in (10.0, 100.0, 500.0, 2000.0):
-        observers[f"Nicosia-Tomei, K_P = {spring:g}"] = NicosiaTomeiObserver(robot, gain, spring, period=PERIOD)
+        observers[f"Nicosia-Tomei, K_P = {spring:g}"] = NicosiaTomeiObserver(
+            robot, gain, spring, period=PERIOD, start="rest"
+        )
     figure, axes = plt.subplots()
     for name, observer in observers.items():
         t, x, found, _ = simulate(observer, lambda t, x, dq: np.array([np.cos(t / 2), -np.cos(t)]))

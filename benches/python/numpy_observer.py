@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from linkside import Robot
-from linkside.robot.config import FrameConfig, JointConfig
+from linkside.robot.joints import JointConfig
+from linkside.robot.sensors import FrameConfig
 
 Array = NDArray[np.float64]
 

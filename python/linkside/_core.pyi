@@ -12,6 +12,8 @@ __all__ = [
     "BagCollector",
     "ElasticJointFilter",
     "ExtendedKalmanFilter",
+    "LearningLoop",
+    "LearningStep",
     "Likelihood",
     "McapReader",
     "ParticleFilter",
@@ -49,6 +51,7 @@ class Robot:
         gyroscopes: Sequence[Mapping[str, Any]],
         tool: Mapping[str, Any] | None,
         rotors: Sequence[Mapping[str, Any]],
+        counterbalances: Sequence[Mapping[str, Any]],
     ) -> Robot: ...
     @property
     def n(self) -> int: ...
@@ -58,8 +61,8 @@ class Robot:
     def forward_dynamics(self, q: _Array, dq: _Array, theta: _Array, dtheta: _Array, tau: _Array) -> _Array: ...
     def coriolis_matrix(self, q: _Array, dq: _Array) -> _Array: ...
     def gravity_torque(self, q: _Array) -> _Array: ...
-    def link_friction(self, dq: _Array) -> _Array: ...
-    def motor_friction(self, dtheta: _Array) -> _Array: ...
+    def link_friction(self, dq: _Array, load: _Array) -> _Array: ...
+    def motor_friction(self, dtheta: _Array, load: _Array) -> _Array: ...
     def specific_force(self, q: _Array, dq: _Array, ddq: _Array) -> _Array: ...
     def specific_force_derivatives(self, q: _Array, dq: _Array, ddq: _Array) -> _Array: ...
     def angular_rate(self, q: _Array, dq: _Array) -> _Array: ...
@@ -137,6 +140,24 @@ class State:
     def covariance(self) -> _Array: ...
 
 @final
+class LearningLoop:
+    def __new__(cls, transition: _Array, posture: Sequence[int], entry: _Array, output: _Array) -> LearningLoop: ...
+    def answer(self, v: _Array) -> _Array: ...
+    def adjoint(self, e: _Array) -> _Array: ...
+
+@final
+class LearningStep:
+    def __new__(
+        cls,
+        model: LearningLoop,
+        weight: _Array,
+        roughness: Sequence[float],
+        change: Sequence[float],
+    ) -> LearningStep: ...
+    def solve(self, e: _Array, mean: _Array) -> _Array: ...
+    def contraction(self, real: LearningLoop, start: _Array) -> float: ...
+
+@final
 class Likelihood:
     """Likelihood of one recording."""
 
@@ -187,6 +208,7 @@ class ExtendedKalmanFilter:
         iterations: int,
         damping: bool,
         tolerances: Sequence[tuple[str, int, int, float]],
+        correlations: Sequence[tuple[int, int, float]] = ...,
         late: Sequence[tuple[float, float, int] | None] | None = None,
         link_disturbance: Mapping[str, Any] | None = None,
     ) -> ExtendedKalmanFilter: ...
@@ -235,6 +257,7 @@ class ElasticJointFilter:
         gate: float | None,
         iterations: int,
         tolerances: Sequence[tuple[str, int, int, float]],
+        correlations: Sequence[tuple[int, int, float]] = ...,
         late: Sequence[tuple[float, float, int] | None] | None = None,
         link_disturbance: Mapping[str, Any] | None = None,
     ) -> ElasticJointFilter: ...
@@ -286,6 +309,7 @@ class ParticleFilter:
         tolerances: Sequence[tuple[str, int, int, float]],
         marginalised: Literal["nothing", "biases", "accelerations"],
         settings: Mapping[str, Any],
+        correlations: Sequence[tuple[int, int, float]] = ...,
         late: Sequence[tuple[float, float, int] | None] | None = None,
     ) -> ParticleFilter: ...
     @property

@@ -24,19 +24,32 @@ def render(parts: Iterable[RenderableType], console: Console) -> None:
 
 
 class Titled:
-    """A table under a line of its own: rich would fold a title that is wider than the table."""
+    """A table under a line of its own: rich would fold a title that is wider than the table.
+
+    Attributes
+    ----------
+    title : str
+        That line.
+    heads : tuple of str
+        Heads of the columns.
+    rows : list of tuple of str
+        The cells.
+    """
 
     def __init__(self, title: str, heads: Iterable[str]) -> None:
-        self._title, self._table = title, Table()
-        for index, head in enumerate(heads):
-            side: JustifyMethod = "right" if index and head != "in words" else "left"
-            self._table.add_column(Text(head), justify=side, overflow="fold")
+        self.title, self.heads, self.rows = title, tuple(heads), list[tuple[str, ...]]()
 
     def add_row(self, *cells: str) -> None:
         """Add a row; brackets are text, not markup."""
-        self._table.add_row(*map(Text, cells))
+        self.rows.append(cells)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Render the title, then the table."""
-        yield Text(f"\n{self._title}", style="bold")
-        yield self._table
+        table = Table()
+        for index, head in enumerate(self.heads):
+            side: JustifyMethod = "right" if index and head != "in words" else "left"
+            table.add_column(Text(head), justify=side, overflow="fold")
+        for row in self.rows:
+            table.add_row(*map(Text, row))
+        yield Text(f"\n{self.title}", style="bold")
+        yield table

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ import pytest
 from click.testing import CliRunner
 
 from linkside import AccelerationObserver, Estimate, Log, Noise, Robot, cli, demo, poles
-from linkside.cli import commands, methods, terminal
+from linkside.cli import estimating, methods, terminal
 from linkside.files import parts
 from linkside.recording import writer
 
@@ -118,7 +119,7 @@ def test_pieces_of_any_size_give_the_same_bytes(folder, monkeypatch, rows):
     robot = Robot.load("robot.yaml")
     AccelerationObserver(robot).run(Log.read("log.parquet", robot)).write("whole.parquet")
     succeed(*estimate())
-    monkeypatch.setattr(commands, "ROWS", rows)
+    monkeypatch.setattr(estimating, "ROWS", rows)
     succeed(*estimate(out="pieces.parquet"))
     assert Path("pieces.parquet").read_bytes() == Path("out.parquet").read_bytes()
     assert pq.read_table("out.parquet").equals(pq.read_table("whole.parquet"))
@@ -129,8 +130,8 @@ def test_a_method_that_needs_the_whole_log_has_it(folder, monkeypatch):
         return lambda pieces: map(AccelerationObserver(robot).run, pieces)
 
     method = methods.Method("", (), build, whole=lambda _: True)
-    monkeypatch.setitem(commands.METHODS, "observer", method)
-    monkeypatch.setattr(commands, "ROWS", 7)
+    monkeypatch.setitem(estimating.METHODS, "observer", method)
+    monkeypatch.setattr(estimating, "ROWS", 7)
     succeed(*estimate())
     whole = AccelerationObserver(robot := Robot.load("robot.yaml")).run(Log.read("log.parquet", robot))
     np.testing.assert_array_equal(Estimate.read("out.parquet").q, whole.q)
@@ -315,6 +316,29 @@ def test_an_estimate_that_is_left_alone_is_no_better_for_it(batch):
     assert "up to date, contradicted" in again.stdout
 
 
+def test_an_estimate_that_is_left_alone_is_judged_by_all_its_readings(batch):
+    """Its NIS, findings and verdict are those of when it was made."""
+    Path("noise.yaml").write_text("acceleration: 0.035\n")
+    told = (*batch, "--with", "ekf", "--tuning", "noise.yaml", "--skip-existing", "--json")
+    first = [json.loads(line) for line in linkside(*told).stdout.splitlines()]
+    again = [json.loads(line) for line in linkside(*told).stdout.splitlines()]
+    assert all(one["up_to_date"] for one in again)
+    for one, other in zip(sorted(first, key=itemgetter("log")), sorted(again, key=itemgetter("log")), strict=True):
+        assert one["nis"] == pytest.approx(other["nis"], rel=1e-9)
+        different = ("nis", "seconds", "up_to_date")
+        assert {k: v for k, v in one.items() if k not in different} == {k: other[k] for k in one if k not in different}
+    assert not any(one["believable"] for one in again)
+
+
+def test_an_estimate_without_its_outcome_is_made_anew(batch):
+    succeed(*batch)
+    path = Path("new/a.estimate.parquet")
+    table = pq.read_table(path)
+    made_from = {key: value for key, value in pq.read_metadata(path).metadata.items() if key == b"linkside.made_from"}
+    pq.write_table(table.replace_schema_metadata(made_from), path)
+    assert succeed(*batch, "--skip-existing").count(": up to date") == 2
+
+
 def test_a_batch_speaks_json_or_not_at_all(batch):
     alter("tau_a2", put(7, np.inf), "b.parquet")
     told = {one["log"]: one for one in map(json.loads, linkside(*batch, "--json").stdout.splitlines())}
@@ -402,7 +426,7 @@ def test_a_urdf_that_cannot_be(folder):
 )
 @pytest.mark.parametrize("rows", [300, 8192])
 def test_a_recording_that_cannot_be(folder, monkeypatch, column, change, words, rows):
-    monkeypatch.setattr(commands, "ROWS", rows)
+    monkeypatch.setattr(estimating, "ROWS", rows)
     alter(column, change)
     refuse(*estimate(), words=["log.parquet", *words])
 
@@ -550,8 +574,8 @@ def raise_interrupt():
 
 @pytest.mark.parametrize("out", ["out.parquet", "new"])
 def test_an_interrupt_leaves_nothing(folder, monkeypatch, out):
-    monkeypatch.setitem(commands.METHODS, "observer", interrupting(raise_interrupt))
-    monkeypatch.setattr(commands, "ROWS", 500)
+    monkeypatch.setitem(estimating.METHODS, "observer", interrupting(raise_interrupt))
+    monkeypatch.setattr(estimating, "ROWS", 500)
     shutil.copy("log.parquet", "second.parquet")
     before = sorted(folder.rglob("*"))
     result = linkside(*estimate(out=out), *(["second.parquet"] if out == "new" else []))
@@ -578,8 +602,8 @@ def test_a_batch_is_not_stopped_between_a_file_and_its_cleanup(folder, monkeypat
         raise KeyboardInterrupt
 
     monkeypatch.setattr(writer, "open_part", open_slowly)
-    monkeypatch.setitem(commands.METHODS, "observer", interrupting(interrupt))
-    monkeypatch.setattr(commands, "ROWS", 500)
+    monkeypatch.setitem(estimating.METHODS, "observer", interrupting(interrupt))
+    monkeypatch.setattr(estimating, "ROWS", 500)
     shutil.copy("log.parquet", "second.parquet")
     before = sorted(folder.rglob("*"))
     assert linkside(*estimate("-j", "2", out="new"), "second.parquet").exit_code == 130
@@ -588,8 +612,8 @@ def test_a_batch_is_not_stopped_between_a_file_and_its_cleanup(folder, monkeypat
 
 
 def test_a_job_that_is_ended_leaves_nothing(folder, monkeypatch):
-    monkeypatch.setitem(commands.METHODS, "observer", interrupting(lambda: os.kill(os.getpid(), signal.SIGTERM)))
-    monkeypatch.setattr(commands, "ROWS", 500)
+    monkeypatch.setitem(estimating.METHODS, "observer", interrupting(lambda: os.kill(os.getpid(), signal.SIGTERM)))
+    monkeypatch.setattr(estimating, "ROWS", 500)
     before = sorted(folder.rglob("*"))
     assert linkside(*estimate()).exit_code == 143
     assert sorted(folder.rglob("*")) == before

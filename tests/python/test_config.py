@@ -13,7 +13,8 @@ from ruamel.yaml import YAML
 
 from linkside.errors import ConfigError
 from linkside.files.yaml_source import Source
-from linkside.robot.config import JointConfig, RobotConfig, RobotFile, load_config
+from linkside.robot.config import RobotConfig, RobotFile, load_config
+from linkside.robot.joints import JointConfig
 
 from .robots import DATA
 

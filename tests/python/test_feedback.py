@@ -13,7 +13,7 @@ from linkside.control.closed_loop import closed_loop_poles
 from linkside.control.feedback import StateFeedback, linearised, lqr, motor_only, pole_placement
 from linkside.control.trajectories import rest_to_rest
 from linkside.observers.poles import damped
-from linkside.robot.config import MotorFriction
+from linkside.robot.joints import MotorFriction
 
 from .robots import ARM, DATA, spring
 

@@ -96,9 +96,13 @@ def test_shells_complete():
     assert done.stdout.split() == ["plain,compare"]
 
 
-def test_the_first_session_is_that_of_the_readme():
-    """What type checkers see is what users read."""
-    blocks = re.findall(r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL)
+def test_the_first_session_is_that_of_the_documents():
+    """What type checkers see is what users read: all of README.md, and the beginning of docs/kalman.md."""
+    readme, kalman = (
+        re.findall(r"^```python\n(.*?)^```", (ROOT / name).read_text(), re.MULTILINE | re.DOTALL)
+        for name in ("README.md", "docs/kalman.md")
+    )
+    blocks = [*readme, kalman[0]]
     session = ast.parse((ROOT / "examples/first_session.py").read_text())
     assert ast.dump(ast.Module(session.body[1:], [])) == ast.dump(ast.parse("\n".join(blocks)))
 

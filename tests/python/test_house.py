@@ -18,11 +18,12 @@ LAYERS = (
     ("arguments",),
     ("statistics", "files"),
     ("figures",),
+    ("report",),
     ("robot",),
     ("recording",),
     ("observers", "kalman", "observability", "velocity"),
-    ("particle", "comparison", "consistency", "control"),
-    ("tuning", "calibration", "simulation", "demo"),
+    ("particle", "scene", "comparison", "consistency", "control"),
+    ("tuning", "calibration", "simulation", "learning", "demo"),
     ("linkside", "cli"),
 )
 """Packages and modules of `linkside` from the ground up; those of one line do not import each other."""

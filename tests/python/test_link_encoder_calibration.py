@@ -14,6 +14,7 @@ from .robots import ARM, spring
 from .test_calibration import MISMATCH, load
 
 CORNER = 40.0
+LATE = 3e-3
 SMOOTH = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])
 SETTINGS = {"tool": {"link": "hand"}, "encoder": {"resolution": 1e-7}, "tolerances": {"time_constant": 4e-3}}
 
@@ -26,7 +27,11 @@ def arm(factor=1.0, **settings):
 @pytest.fixture(scope="module")
 def recorded():
     """Two seconds of an arm whose link encoders have a filter; what is known of it is wrong by a fifth."""
-    true = arm(link_encoder={"resolution": 1e-7, "corner_frequency": CORNER})
+    return moved(arm(link_encoder={"resolution": 1e-7, "corner_frequency": CORNER}))
+
+
+def moved(true):
+    """Two seconds of it, there and back."""
     start = np.array([0.3, 0.5])
     times = np.arange(0.0, 2.0, 0.01)
     there, back = (np.clip((times[:, None] - begin) / 0.5, 0, 1) for begin in (0.1, 1.1))
@@ -53,6 +58,27 @@ def test_their_filter_is_found_with_the_springs(recorded, tmp_path):
     # What robot.yaml says of a filter is taken from there.
     again = calibrate(written, recorded, ["stiffness", "damping"], torque=False)
     assert again["stiffness_elbow"].value == pytest.approx(4e3, rel=0.02)
+
+
+@pytest.mark.parametrize("free", [[], ["link_time_constant"]])
+def test_link_encoders_that_are_late_are_found_to_be(free):
+    """By a delay that starts at zero, which is its bound, where robot.yaml says nothing of one."""
+    log = moved(arm(link_encoder={"resolution": 1e-7, "delay": LATE}))
+    found = calibrate(arm(0.8), log, ["stiffness", "damping", "link_delay", *free], torque=False)
+    lag = found["link_delay"].value + (found["link_time_constant"].value if free else 0.0)
+    assert lag == pytest.approx(LATE, abs=2e-5)
+    assert found["link_delay"].value > 0.9 * LATE
+    assert found["stiffness_elbow"].value == pytest.approx(4e3, rel=1e-3)
+
+
+@pytest.mark.parametrize("free", [[], ["time_constant"]])
+def test_an_accelerometer_that_is_late_is_found_to_be(free):
+    sensor = {"name": "acc", "link": "hand", "noise_std": 0.05}
+    log = moved(arm(accelerometers=[{**sensor, "delay": LATE}]))
+    found = calibrate(arm(0.8, accelerometers=[sensor]), log, ["stiffness", "damping", "bias", "delay", *free])
+    told = [found[f"{kind}_acc"] for kind in ("delay", *free) if f"{kind}_acc" not in found.refused]
+    assert sum(e.value for e in told) == pytest.approx(LATE, abs=1.5e-4)
+    assert abs(found["stiffness_elbow"].value - 4e3) < 3 * found["stiffness_elbow"].std
 
 
 def test_a_filter_of_encoders_that_are_not_there_is_refused():

@@ -33,6 +33,15 @@ class Robot:
     gyroscope_channels: tuple[str, ...] = ("gyro_wz",)
     gear_ratio: np.ndarray = field(default_factory=lambda: np.array([100.0, 50.0]))
     columns: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(motor_side=False, names={}))
+    column_units: dict = field(default_factory=dict)
+
+    @property
+    def torque_constant(self) -> tuple[None, ...]:
+        return (None,) * len(self.names)
+
+    @property
+    def passive(self) -> np.ndarray:
+        return np.zeros(len(self.names), bool)
 
     @property
     def acceleration_errors(self) -> tuple[np.ndarray, np.ndarray]:

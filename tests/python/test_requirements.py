@@ -35,8 +35,16 @@ TIP = {"name": "tip", "link": "hand", "xyz": [0.1, 0, 0.3]}
 NOISE = Noise(jerk=100.0)
 
 
-def robot(sensor=None, drive=None, **settings):
-    joints = [spring("shoulder", **(drive or {})), spring("elbow", **(drive or {}))]
+LIFT = {
+    "ends": [{"link": "base", "xyz": [0.2, 0, 0]}, {"link": "fore", "xyz": [0.1, 0, 0.2]}],
+    "spring": {"stiffness": 300.0, "length": 0.1},
+}
+
+
+def robot(sensor=None, drive=None, elbow=None, **settings):
+    joints = [spring("shoulder", **(drive or {})), spring("elbow", **(drive or {}), **(elbow or {}))]
+    if elbow:
+        joints[1] |= {"motor_inertia": None}
     return Robot.from_urdf(ARM, joints, accelerometers=[TIP | (sensor or {})], **settings)
 
 
@@ -60,6 +68,12 @@ DECLARED = {
     "backlash": {"drive": {"backlash": {"half_gap": 1e-3}}},
     "hysteresis": {"drive": {"hysteresis": [{"stiffness": 5e3, "limit": 3.0}]}},
     "ripple": {"drive": {"gear_ratio": 100, "ripple": [{"order": 2, "amplitude": 4e-5}]}},
+    "efficiency": {"drive": {"efficiency": {"driving": 0.8, "back_driving": 0.7}}},
+    "load": {"drive": {"motor_friction": {"load": 0.2}, "bearing_friction": {"load": 0.1}}},
+    "asymmetry": {"drive": {"motor_friction": {"coulomb": 30.0, "asymmetry": 9.0}}},
+    "bearing_friction": {"drive": {"bearing_friction": {"coulomb": 0.3, "stribeck": 0.2}}},
+    "counterbalances": {"counterbalances": [LIFT]},
+    "passive": {"elbow": {"passive": True}},
     "link_friction": {"drive": {"link_friction": [0.5, 150.0, 50.0, 2.0, 100.0, 0.5]}},
     "motor_friction": {"drive": {"motor_friction": {"viscous": 40.0, "coulomb": 30.0}}},
 }
@@ -138,9 +152,14 @@ SENSOR, SPRING = (
 BEHIND_GEARS = {key for key in DECLARED if "." in key}
 UNCONCERNED = {
     **dict.fromkeys(("reduced-order", "nicosia-tomei", "residual"), SENSOR | SPRING | BEHIND_GEARS),
-    **dict.fromkeys(("reduced-order on links", "residual on links"), SENSOR | SPRING | {"coupling", "motor_friction"}),
-    **{method: {"motor_friction"} for method in ("ekf", "smoother", "fixed-lag", "particle", "marginalized")},
-    "observer": {"link_friction"} | BEHIND_GEARS,
+    **dict.fromkeys(
+        ("reduced-order on links", "residual on links"), SENSOR | SPRING | {"coupling", "motor_friction", "asymmetry"}
+    ),
+    **{
+        method: {"motor_friction", "asymmetry", "efficiency"}
+        for method in ("ekf", "smoother", "fixed-lag", "particle", "marginalized")
+    },
+    "observer": {"link_friction", "bearing_friction"} | BEHIND_GEARS,
     "feedforward": SENSOR | BEHIND_GEARS,
     "feedback": BEHIND_GEARS,
     "simulation": {"bias"},

@@ -18,8 +18,10 @@ from linkside.calibration.band import Band
 from linkside.calibration.lag import Lag
 from linkside.calibration.motors import motors
 from linkside.calibration.parameters import choose
+from linkside.calibration.prepared import recordings
 from linkside.calibration.problem import Problem
-from linkside.calibration.response import ResponseProblem, recordings
+from linkside.calibration.products import products
+from linkside.calibration.response import ResponseProblem
 from linkside.calibration.search import GAIN, Search
 
 from .robots import build_model, spring
@@ -171,6 +173,40 @@ def test_from_far_starts_the_same_robot_is_found(factor):
     assert found["stiffness_axis2"].value == pytest.approx(0.92 * 4.5e5 / 1.05, rel=0.01)
     assert found["stiffness_axis3"].value == pytest.approx(0.92 * 3e5 / 1.05, rel=0.01)
     assert not found.accepted  # robot.yaml's tolerance does not allow for it
+
+
+def test_products_are_those_of_all_columns():
+    columns = np.random.default_rng(2).standard_normal((5003, 37))
+    np.testing.assert_allclose(products(columns), columns.T @ columns, atol=1e-10)
+    np.testing.assert_allclose(products(columns[:5]), columns[:5].T @ columns[:5], atol=1e-12)
+
+
+def test_few_samples_tell_of_a_low_band_what_all_do():
+    """In the band below 5 Hz: residuals to a part of what is left of noise there, and what they say of springs."""
+    robot, log = load(MISMATCH)
+    free = choose(robot, ["stiffness", "damping", "bias"], False, {})
+    prepared = recordings(robot, [log])
+    few = ResponseProblem(robot, prepared, free, corner=5.0)
+    (coarse,) = few._seen
+    assert coarse.every == 10
+    assert len(coarse.readings) == len(log) // 10
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("linkside.calibration.prepared.LEAST_RATE", np.inf)
+        every = ResponseProblem(robot, prepared, free, corner=5.0)
+    assert every._seen[0] is prepared[0]
+    z = np.linspace(-1, 1, len(free))
+    fits = [Search(problem.settled(z), gain=GAIN).maximise(z) for problem in (few, every)]
+    std = 1 / np.sqrt(np.diag(every.settled(fits[1]).evidence(fits[1]).information + np.eye(len(free))))
+    assert np.abs((fits[0] - fits[1]) / std).max() < 1.0
+
+
+def test_a_likelihood_without_derivatives_is_that_with_them():
+    robot, log = load(MISMATCH)
+    free = choose(robot, ["stiffness", "damping", "bias", "delay", "time_constant"], False, {})
+    problem = ResponseProblem(robot, recordings(robot, [log[:900]]), free)
+    z = np.linspace(-0.5, 0.5, len(free)) ** 2
+    problem = problem.settled(z)
+    assert problem.log_likelihood(z) == pytest.approx(problem.evidence(z).log_likelihood, abs=1e-9)
 
 
 def test_a_motor_alone_tells_nothing_of_a_spring():

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from linkside.errors import ConfigError, EstimatorError
 from linkside.robot import Robot
-from linkside.robot.config import JointConfig
+from linkside.robot.joints import JointConfig
 
 from .robots import ARM, DATA, EXAMPLES, build_model, models, robots, spring, states
 

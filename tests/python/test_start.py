@@ -17,8 +17,9 @@ from linkside import (
     Robot,
     demo,
 )
+from linkside.kalman import filtering
 from linkside.kalman.fixed_lag import FixedLagSmoother
-from linkside.kalman.start import WINDOW
+from linkside.kalman.start import WINDOW, find_start
 
 from .drawn import jerk_noise
 
@@ -60,6 +61,24 @@ def test_step_starts_in_motion_too_and_is_run_once_the_first_samples_have_decide
         assert (np.abs(state.q[:3] - TRUTH.q[FASTEST + i, :3]) < 6 * std).all(), i
         if i >= WINDOW:
             np.testing.assert_allclose(state.q, whole.q[i], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("method", [ExtendedKalmanFilter, ElasticJointFilter])
+def test_step_looks_for_its_start_only_when_samples_have_doubled(method, monkeypatch):
+    counts = []
+
+    def count(robot, readings, spread):
+        counts.append(len(readings.t))
+        return find_start(robot, readings, spread)
+
+    monkeypatch.setattr(filtering, "find_start", count)
+    live = method(ROBOT)
+    for i in range(FASTEST, FASTEST + 50):
+        signals = {name: getattr(LOG, name)[i] for name in ("theta", "dtheta", "acceleration", "tau")}
+        if method is ExtendedKalmanFilter:
+            del signals["tau"]
+        live.step(dt=LOG.period, **signals)
+    assert counts == [1, 2, 4, 8, 16, WINDOW]
 
 
 def test_a_cart_that_starts_anywhere_is_as_uncertain_as_it_is_off():

@@ -19,7 +19,7 @@ from linkside import (
     demo,
 )
 from linkside._core import largest_nis
-from linkside.cli.commands import main
+from linkside.cli import main
 from linkside.control.controllers import JointPD
 from linkside.recording.estimate import Status
 from linkside.simulation import Sensor, simulate

@@ -77,10 +77,12 @@ def move(
     duration: float,
     rate: float = 1000.0,
     gains: tuple[float, float] = (3e3, 150.0),
+    lift: Callable[[np.ndarray], np.ndarray] = np.zeros_like,
 ) -> Motion:
     """The robot's links behind other gears, motors led along a reference by PD control without steps.
 
-    It begins at rest where springs hold gravity and friction elements are relaxed.
+    It begins at rest where springs hold gravity and friction elements are relaxed. ``lift``: torques on links by
+    position.
     """
     model, n = robot.model, len(gears)
     data = model.createData()
@@ -99,7 +101,7 @@ def move(
         for (j, *_), force in zip(elements, x[4 * n :], strict=True):
             load[j] += force
         ddtheta = (control(t, theta, dtheta) - ratio * load) / constants[:, 2]
-        return pin.aba(model, data, q, dq, load), ddtheta, slip
+        return pin.aba(model, data, q, dq, load + lift(q)), ddtheta, slip
 
     def slope(t, x):
         ddq, ddtheta, slip = accelerations(t, x)
@@ -110,8 +112,8 @@ def move(
     angle, ratio, _ = np.transpose([g.output(a) for g, a in zip(gears, theta, strict=True)])
     q = angle.copy()
     for _ in range(60):
-        q = angle - pin.computeGeneralizedGravity(model, data, q) / constants[:, 0]
-    hold = ratio * pin.computeGeneralizedGravity(model, data, q)
+        q = angle - (pin.computeGeneralizedGravity(model, data, q) - lift(q)) / constants[:, 0]
+    hold = ratio * (pin.computeGeneralizedGravity(model, data, q) - lift(q))
     t = np.arange(round(duration * rate)) / rate
     start = np.concatenate([q, np.zeros(n), theta, np.zeros(n + len(elements))])
     x = solve_ivp(slope, (0, t[-1]), start, "DOP853", t, rtol=1e-8, atol=1e-10, max_step=2 / rate).y.T

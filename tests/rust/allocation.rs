@@ -20,8 +20,11 @@ use linkside_core::estimate::particle::{
     Collapse, Density, Marginalised, ParticleFilter, ParticleSettings, Proposal, Resampling,
 };
 use linkside_core::estimate::velocity::{self, GainMap, Gains, Logic, Schedule, VelocityObserver};
-use linkside_core::robot::{Drive, FrictionElement, Hysteresis, Robot};
+use linkside_core::robot::{
+    Anchor, Counterbalance, Drive, FrictionElement, Hysteresis, Robot, Strut, TorqueHarmonic, TorqueSeries,
+};
 use linkside_core::simulate::{Adaptive, Plant, StepTolerance};
+use linkside_core::spatial::Vec3;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::Arc;
 
@@ -60,12 +63,17 @@ fn allocations(work: impl FnOnce()) -> usize {
     COUNT.get() - before
 }
 
-/// Six joints, the last one rigid, and two sensors.
+/// Six joints, the last one rigid, two sensors and what carries some of the weight.
 fn robot() -> Robot {
     let sensor = |body, at| Mounting { body, at, axes: vec![0, 1, 2], noise_std: 0.05 };
     let mut drives = vec![drive(); 6];
     drives[5].elastic = false;
-    arm(drives, &[sensor(2, [0.3, 0.2, 0.1]), sensor(4, [0.3, 0.1, 0.2])])
+    let robot = arm(drives, &[sensor(2, [0.3, 0.2, 0.1]), sensor(4, [0.3, 0.1, 0.2])]);
+    let ends = [(None, [0.2, 0.1, 0.0]), (Some(2), [0.1, 0.2, 0.3])].map(|(body, p)| Anchor { body, point: Vec3(p) });
+    let strut = Strut::Spring { stiffness: 300.0, length: 0.2 };
+    let series = TorqueSeries(vec![TorqueHarmonic { order: 2, cosine: 3.0, sine: -1.0 }]);
+    let carried = [Counterbalance::Between { ends, strut }, Counterbalance::Turning { joints: vec![1, 2], series }];
+    robot.with_counterbalances(&carried).unwrap()
 }
 
 fn poles(drive: &Drive) -> Vec<Complex> {

@@ -1,6 +1,6 @@
 //! An industrial arm of any number of joints.
 
-use linkside_core::robot::{BodySpec, Drive, JointKind, MotorFriction, Robot, Sensor, Tree};
+use linkside_core::robot::{BodySpec, Drive, Friction, JointKind, Robot, Sensor, Tree};
 use linkside_core::spatial::{Mat3, Vec3};
 
 /// An accelerometer on body `body`, at `at` in its frame.
@@ -15,7 +15,7 @@ pub(crate) struct Mounting {
 /// A drive of round figures.
 pub(crate) fn drive() -> Drive {
     Drive {
-        motor_friction: MotorFriction { viscous: 10.0, coulomb: 5.0, ..MotorFriction::default() },
+        motor_friction: Friction { viscous: 10.0, coulomb: 5.0, ..Friction::default() },
         ..Drive::spring(1.2e5, 60.0, 30.0)
     }
 }

@@ -9,8 +9,8 @@ use linkside_core::spatial::{Mat3, Vec3};
 use nalgebra::{DMatrix, DVector};
 use proptest::prelude::*;
 use support::{
-    Case, DIRECTIONS, Kernels, State, cases, check_close, check_same_bits, config, gradients, multiply, packed,
-    rigid_body, transposed, varied,
+    Case, DIRECTIONS, Kernels, State, balanced_cases, cases, check_close, check_same_bits, config, gradients, multiply,
+    packed, rigid_body, transposed, varied,
 };
 
 proptest! {
@@ -72,6 +72,23 @@ proptest! {
         }
         check_close(&tau, &kernels.torque())?;
         check_close(&derivatives[2], &kernels.mass())?;
+    }
+
+    #[test]
+    fn counterbalances_have_the_derivatives_of_dual_numbers(case in balanced_cases()) {
+        let n = case.tree.len();
+        let torque = Kernels::new(&case.tree, &varied(case.state())).torque();
+        let (tau, [by_q, by_dq, mass]) = Kernels::new(&case.tree, case.state()).torque_derivatives();
+        for (found, expected) in [&by_q, &by_dq, &mass].into_iter().zip(gradients(&torque, n)) {
+            check_close(found, &expected)?;
+        }
+        let own = Kernels::new(&case.tree, case.state()).in_own_axes(&case.frame());
+        check_close(&tau, &own[..n])?;
+        // Of a potential: curl-free.
+        let rest = case.state().at_rest();
+        let (_, [by_q, ..]) = Kernels::new(&case.tree, &rest).torque_derivatives();
+        check_close(&by_q, &transposed(&by_q, n))?;
+        check_lanes::<8>(&case)?;
     }
 
     #[test]

@@ -6,12 +6,12 @@ use arm::{arm, drive};
 use linkside_core::control::feedforward::{Path, derivative_order, inverse_dynamics};
 use linkside_core::dynamics::{Batch, States};
 use linkside_core::error::DesignError;
-use linkside_core::robot::{Drive, MotorFriction, Robot};
+use linkside_core::robot::{Drive, Friction, Robot};
 
 const N: usize = 3;
 
 fn robot(damping: [f64; N], coupled: &[(usize, usize)]) -> Robot {
-    let frictionless = Drive { motor_friction: MotorFriction::default(), ..drive() };
+    let frictionless = Drive { motor_friction: Friction::default(), ..drive() };
     let mut robot = arm(damping.map(|damping| Drive { damping, ..frictionless.clone() }).into(), &[]);
     for &(i, j) in coupled {
         robot.coupling[i * N + j] = 0.4;
@@ -121,7 +121,7 @@ fn rigid_joints_and_friction_are_accounted_for() {
     let mut robot = robot([0.0; N], &[]);
     robot.drives[1].elastic = false;
     let plain = inverse_dynamics(&robot, path).unwrap();
-    robot.drives[1].motor_friction = MotorFriction { viscous: 3.0, coulomb: 2.0, ..MotorFriction::default() };
+    robot.drives[1].motor_friction = Friction { viscous: 3.0, coulomb: 2.0, ..Friction::default() };
     robot.drives[2].link_friction[5] = 5.0;
     let found = inverse_dynamics(&robot, path).unwrap();
     for row in 0..t.len() {

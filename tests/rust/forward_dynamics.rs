@@ -6,13 +6,13 @@ mod support;
 use linkside_core::dynamics::{ElasticDynamics, ElasticLayout, check_inertia};
 use linkside_core::error::RobotError;
 use linkside_core::robot::{
-    Backlash, BodySpec, Drive, FrictionElement, Harmonic, Hysteresis, Interpolation, JointKind, MotorFriction, Ripple,
-    Robot, Rotor, SoftWindup, SpringCurve, Tree,
+    Backlash, BodySpec, Drive, Friction, FrictionElement, Harmonic, Hysteresis, Interpolation, JointKind, LoadFriction,
+    Ripple, Robot, Rotor, SoftWindup, SpringCurve, Tree,
 };
 use linkside_core::scalar::{Dual, Lanes, Scalar};
 use linkside_core::spatial::{Mat3, Vec3};
 use proptest::prelude::*;
-use support::{Case, Kernels, State, cases, check_close, check_same_bits, multiply};
+use support::{Case, Kernels, State, balanced_cases, cases, check_close, check_same_bits, multiply};
 
 /// Most joints of a [`Case`].
 const MOST: usize = 8;
@@ -34,17 +34,24 @@ struct Driven {
 fn drives() -> impl Strategy<Value = Drive> {
     let spring = (100.0..1e3, 0.0..3.0, 0.0..1e3, -40.0..90.0_f64, 0.0..50.0);
     let friction = (0.0..0.5, 0.0..0.5, 0.0..0.5, 0.1..1.0, prop::array::uniform6(0.0..1.0));
+    let loads = (0.0..0.4_f64, 0.0..0.4_f64, 0.0..0.3_f64, -1.0..1.0_f64).prop_map(Some).boxed();
+    let loads = prop_oneof![Just(None), loads];
     let law = (0..3_u8, 0.0..0.1_f64, 1e-3..0.05_f64);
     let wave = || (-0.09..0.09_f64, -9.0..9.0_f64, 0.0..6.0_f64);
     let law = (law, prop::collection::vec(wave(), 0..3));
-    (prop::bool::weighted(0.75), 0.5..4.0, spring, friction, law).prop_map(
+    (prop::bool::weighted(0.75), 0.5..4.0, spring, (friction, loads), law).prop_map(
         |(
             elastic,
             motor_inertia,
             (stiffness, damping, cubic, missing, shape),
-            (v, c, s, speed, link),
+            ((v, c, s, speed, link), loads),
             ((law, gap, x), waves),
         )| {
+            let (driving, driven, share, skew) = loads.unwrap_or_default();
+            let share_of_load = |driving, driven| {
+                let share = LoadFriction { driving, driven, rounding: 0.5 };
+                if elastic { share } else { LoadFriction::default() }
+            };
             // Rates with hardening and wind-up, a table, or play before one rate.
             let (mut cubic_stiffness, mut curve, mut backlash) = (cubic, SpringCurve::default(), Backlash::default());
             let mut missing = missing;
@@ -64,22 +71,31 @@ fn drives() -> impl Strategy<Value = Drive> {
                 curve,
                 backlash,
                 ripple,
-                motor_friction: MotorFriction { viscous: v, coulomb: c, stribeck: s, stribeck_velocity: speed },
+                motor_friction: Friction {
+                    viscous: v,
+                    coulomb: c,
+                    stribeck: s,
+                    stribeck_velocity: speed,
+                    asymmetry: skew * c,
+                },
+                gear_loss: share_of_load(driving, driven),
                 link_friction: link,
+                bearing_friction: Friction { coulomb: share, asymmetry: -skew * share, ..Friction::default() },
+                bearing_loss: share_of_load(share, share),
                 ..Drive::spring(stiffness, damping, motor_inertia)
             }
         },
     )
 }
 
-fn driven() -> impl Strategy<Value = Driven> {
+fn driven(cases: impl Strategy<Value = Case>) -> impl Strategy<Value = Driven> {
     let vector = |most: f64| prop::collection::vec(-most..most, MOST);
     let rotors = prop::collection::vec(
         (prop::bool::ANY, any::<prop::sample::Index>(), support::vectors(1.0), 2.0..9.0_f64),
         MOST,
     );
     let drives = prop::collection::vec(drives(), MOST);
-    (cases(), drives, vector(0.05), rotors, vector(0.2), vector(5.0)).prop_map(
+    (cases, drives, vector(0.05), rotors, vector(0.2), vector(5.0)).prop_map(
         |(case, mut drives, coupling, rotors, torsion, tau)| {
             let n = case.tree.len();
             drives.truncate(n);
@@ -172,15 +188,46 @@ fn spring_energy<T: Scalar>(drive: &Drive, torsion: T) -> T {
 }
 
 /// What goes into motors, less what friction and damping take.
-fn power(robot: &Robot, [_, dq, theta, dtheta, tau]: &[Vec<f64>; 5]) -> f64 {
+fn power(robot: &Robot, signals: &[Vec<f64>; 5]) -> f64 {
+    let [_, dq, theta, dtheta, tau] = signals;
     let joint = |(j, drive): (usize, &Drive)| {
         let speed = if drive.elastic { dtheta[j] } else { dq[j] };
         let ratio = drive.ripple.output(theta[j]).ratio;
         let slip = if drive.elastic { ratio * dtheta[j] - dq[j] } else { 0.0 };
-        let friction = drive.motor_friction(speed).0 * speed + drive.link_friction(dq[j]).0 * dq[j];
+        let mut friction = drive.motor_friction(speed).0 * speed + drive.link_friction(dq[j]).0 * dq[j];
+        if drive.elastic {
+            let load = drive.spring_torque(drive.ripple.output(theta[j]).angle - signals[0][j]) + drive.damping * slip;
+            friction += drive.gear_loss.loss(speed, ratio * load).torque * speed;
+            friction += drive.bearing_loss.loss(dq[j], load).torque * dq[j];
+        }
         tau[j] * speed - friction - drive.damping * slip * slip
     };
     robot.drives.iter().enumerate().map(joint).sum()
+}
+
+/// ∂(q̈, θ̈)/∂(q, q̇, θ, θ̇, τ) against dual numbers.
+fn check_derivatives(driven: &Driven) -> Result<(), TestCaseError> {
+    let n = driven.robot.len();
+    let mut block = 0;
+    let varied = driven.signals.clone().map(|signal| {
+        block += MOST;
+        signal.iter().enumerate().map(|(i, &x)| Dual::<DIRECTIONS>::variable(x, block - MOST + i)).collect()
+    });
+    let expected = accelerations(&driven.robot, &varied).concat();
+    let Accelerated { layout, x, mut dynamics } = accelerated(&driven.robot, &driven.signals);
+    dynamics.differentiate(&driven.robot, &layout, &x);
+    let ElasticDynamics { ddq_by, ddtheta_by, ddq_by_tau, .. } = dynamics;
+    let rows = || ddq_by.chunks_exact(layout.dense).chain(ddtheta_by.chunks_exact(layout.dense));
+    let places: [Vec<usize>; 4] = [(0..n).collect(), (n..2 * n).collect(), layout.theta, layout.dtheta];
+    for (block, places) in places.iter().enumerate() {
+        // Of a rigid joint θ and θ̇ are q and q̇.
+        let own = |j: usize| block < 2 || driven.robot.drives[j].elastic;
+        let found: Vec<_> = rows().flat_map(|row| (0..n).filter(|&j| own(j)).map(|j| row[places[j]])).collect();
+        let of = |a: &Dual<DIRECTIONS>| (0..n).filter(|&j| own(j)).map(|j| a.gradient[block * MOST + j]).collect();
+        check_close(&found, &expected.iter().flat_map(|a| -> Vec<f64> { of(a) }).collect::<Vec<_>>())?;
+    }
+    let by_tau: Vec<_> = expected[..n].iter().flat_map(|a| a.gradient[4 * MOST..][..n].to_vec()).collect();
+    check_close(&ddq_by_tau, &by_tau)
 }
 
 proptest! {
@@ -188,7 +235,7 @@ proptest! {
 
     /// Ė = power, for one velocity it is one equation; for a robot's every velocity it is all of them.
     #[test]
-    fn energy_changes_by_the_power_of_motors_and_friction(driven in driven()) {
+    fn energy_changes_by_the_power_of_motors_and_friction(driven in driven(cases())) {
         let [ddq, ddtheta] = accelerations(&driven.robot, &driven.signals);
         let [q, dq, theta, dtheta, _] = &driven.signals;
         let moving = |x: &[f64], rate: &[f64]| -> Vec<Dual<1>> {
@@ -200,32 +247,17 @@ proptest! {
     }
 
     #[test]
-    fn derivatives_are_those_of_dual_numbers(driven in driven()) {
-        let n = driven.robot.len();
-        let mut block = 0;
-        let varied = driven.signals.clone().map(|signal| {
-            block += MOST;
-            signal.iter().enumerate().map(|(i, &x)| Dual::<DIRECTIONS>::variable(x, block - MOST + i)).collect()
-        });
-        let expected = accelerations(&driven.robot, &varied).concat();
-        let Accelerated { layout, x, mut dynamics } = accelerated(&driven.robot, &driven.signals);
-        dynamics.differentiate(&driven.robot, &layout, &x);
-        let ElasticDynamics { ddq_by, ddtheta_by, ddq_by_tau, .. } = dynamics;
-        let rows = || ddq_by.chunks_exact(layout.dense).chain(ddtheta_by.chunks_exact(layout.dense));
-        let places: [Vec<usize>; 4] = [(0..n).collect(), (n..2 * n).collect(), layout.theta, layout.dtheta];
-        for (block, places) in places.iter().enumerate() {
-            // Of a rigid joint θ and θ̇ are q and q̇.
-            let own = |j: usize| block < 2 || driven.robot.drives[j].elastic;
-            let found: Vec<_> = rows().flat_map(|row| (0..n).filter(|&j| own(j)).map(|j| row[places[j]])).collect();
-            let of = |a: &Dual<DIRECTIONS>| (0..n).filter(|&j| own(j)).map(|j| a.gradient[block * MOST + j]).collect();
-            check_close(&found, &expected.iter().flat_map(|a| -> Vec<f64> { of(a) }).collect::<Vec<_>>())?;
-        }
-        let by_tau: Vec<_> = expected[..n].iter().flat_map(|a| a.gradient[4 * MOST..][..n].to_vec()).collect();
-        check_close(&ddq_by_tau, &by_tau)?;
+    fn derivatives_are_those_of_dual_numbers(driven in driven(cases())) {
+        check_derivatives(&driven)?;
     }
 
     #[test]
-    fn lanes_hold_the_bits_of_one_number(driven in driven()) {
+    fn counterbalances_have_the_derivatives_of_dual_numbers(driven in driven(balanced_cases())) {
+        check_derivatives(&driven)?;
+    }
+
+    #[test]
+    fn lanes_hold_the_bits_of_one_number(driven in driven(cases())) {
         let lanes = driven.signals.clone().map(|signal| signal.iter().map(|&x| Lanes([x, 0.5 * x])).collect());
         let together = accelerations(&driven.robot, &lanes).concat();
         let alone = accelerations(&driven.robot, &driven.signals).concat();
@@ -234,8 +266,12 @@ proptest! {
 
     /// A spring under the torque that makes the motor follow its link moves both as a rigid joint would.
     #[test]
-    fn springs_that_hold_still_are_rigid_joints(mut driven in driven()) {
-        driven.robot.drives.iter_mut().for_each(|d| d.ripple = Ripple::default());
+    fn springs_that_hold_still_are_rigid_joints(mut driven in driven(cases())) {
+        // Nor does friction then grow with what they transmit.
+        driven.robot.drives.iter_mut().for_each(|d| {
+            d.ripple = Ripple::default();
+            (d.gear_loss, d.bearing_loss) = (LoadFriction::default(), LoadFriction::default());
+        });
         let Driven { robot, signals: [q, dq, _, _, tau], .. } = &driven;
         let mut rigid = robot.clone();
         rigid.drives.iter_mut().for_each(|d| d.elastic = false);
@@ -304,6 +340,8 @@ fn rates_of_friction_elements_have_the_derivatives_of_dual_numbers() {
         let elements = [FrictionElement::dahl(200.0, 3.0), FrictionElement::slip(90.0, 2.0, 0.3)];
         drive.hysteresis = Hysteresis { elements: elements[..count].to_vec() };
         drive.ripple = Ripple::new(vec![Harmonic { amplitude: 0.01, frequency: 7.0, phase: 0.4 }]);
+        drive.gear_loss = LoadFriction { driving: 0.3, driven: 0.2, rounding: 0.1 };
+        drive.bearing_loss = LoadFriction { driving: 0.1, driven: 0.1, rounding: 0.1 };
         drive.damping = 3.0;
     }
     let (layout, tau) = (ElasticLayout::new(&robot, false), [0.7, -2.0]);
@@ -323,6 +361,33 @@ fn rates_of_friction_elements_have_the_derivatives_of_dual_numbers() {
             }
         }
     }
+}
+
+/// A motor that is infinitely heavy stays: what is left is the link on its spring.
+#[test]
+fn passive_joints_keep_the_end_of_their_spring() {
+    const DENSE: usize = 8;
+    let mut robot = space_arm();
+    robot.coupling.fill(0.0);
+    robot.drives[1].motor_inertia = f64::INFINITY;
+    assert!(robot.drives[1].is_passive() && !robot.drives[0].is_passive());
+    let (layout, tau, x) = (ElasticLayout::new(&robot, false), [0.7, 0.0], [0.3, -0.1, 0.5, -1.1, 0.35, 0.0, 1.4, 0.0]);
+    assert_eq!(layout.dense, DENSE);
+    let mut dynamics = ElasticDynamics::<f64>::new(&robot, &layout);
+    let a = dynamics.linearise(&robot, &layout, &x, &tau);
+    assert_eq!(dynamics.ddtheta[1], 0.0);
+    // As heavy as no motor is, which is all but that.
+    robot.drives[1].motor_inertia = 1e12;
+    let mut heavy = ElasticDynamics::<Dual<DENSE>>::new(&robot, &layout);
+    let varied: Vec<_> = x.iter().enumerate().map(|(i, &x)| Dual::variable(x, i)).collect();
+    heavy.accelerate(&robot, &layout, &varied, &tau.map(Dual::constant));
+    for (j, ddq) in heavy.ddq.iter().enumerate() {
+        assert!((dynamics.ddq[j] - ddq.value).abs() < 1e-9 * ddq.value.abs());
+        for (found, expected) in a[(2 + j) * DENSE..][..DENSE].iter().zip(ddq.gradient) {
+            assert!((found - expected).abs() <= 1e-9 * (1.0 + expected.abs()), "{found} {expected}");
+        }
+    }
+    assert!(a[layout.dtheta[1] * DENSE..][..DENSE].iter().all(|&entry| entry == 0.0));
 }
 
 /// q̈ and θ̈ of [`space_arm`] by its printed matrices (Ulrich and Sasiadek 2011, eqs. (1)–(16)).

@@ -8,7 +8,9 @@ use linkside_core::estimate::kalman::{
     KalmanSample, Keep, LinkDisturbance, Measurement, Model, Smoother,
 };
 use linkside_core::estimate::measurement::{Evaluation, Kind};
-use linkside_core::robot::{Drive, FrictionElement, Harmonic, Hysteresis, Ripple, Robot, Sensor, SoftWindup};
+use linkside_core::robot::{
+    Drive, Friction, FrictionElement, Harmonic, Hysteresis, LoadFriction, Ripple, Robot, Sensor, SoftWindup,
+};
 use linkside_core::scalar::Dual;
 use linkside_core::spatial::{Mat3, Vec3};
 use proptest::prelude::*;
@@ -76,8 +78,10 @@ fn states() -> impl Strategy<Value = Vec<f64>> {
 
 proptest! {
     #[test]
-    fn derivatives_of_channels_are_those_of_dual_numbers(state in states()) {
-        let (robot, dtheta) = (robot(), [0.3, -0.2, f64::NAN]);
+    fn derivatives_of_channels_are_those_of_dual_numbers(state in states(), share in prop_oneof![Just(0.0), 0.0..0.3_f64]) {
+        let (mut robot, dtheta) = (robot(), [0.3, -0.2, f64::NAN]);
+        robot.drives[1].bearing_friction = Friction { coulomb: 9.0, asymmetry: 2.0, ..Friction::default() };
+        robot.drives[1].bearing_loss = LoadFriction { driving: share, driven: share, rounding: 5.0 };
         let channels = JerkModel::new(Arc::new(robot.clone()), ALL, &[true; CHANNELS]).unwrap().channel_list().to_vec();
         let mut plain = Evaluation::disturbed(&robot, CHANNELS, JOINTS);
         plain.evaluate(&robot, &channels, &state, &dtheta);

@@ -12,7 +12,7 @@ use linkside_core::estimate::observer::{
     ObserverRecording, ObserverSample, ObserverSettings, Poles, Sampled, Start, closed_form_gains,
     link_position_at_rest,
 };
-use linkside_core::robot::{Drive, MotorFriction, Robot, SoftWindup};
+use linkside_core::robot::{Drive, Friction, Robot, SoftWindup};
 use nalgebra::{DMatrix, DVector};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -35,7 +35,7 @@ fn drives() -> impl Strategy<Value = Drive> {
             stiffness: 10_f64.powf(stiffness),
             damping,
             motor_inertia: 10_f64.powf(inertia),
-            motor_friction: MotorFriction { viscous, ..MotorFriction::default() },
+            motor_friction: Friction { viscous, ..Friction::default() },
             ..drive()
         }
     })

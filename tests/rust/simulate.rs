@@ -4,7 +4,7 @@ mod arm;
 
 use arm::{arm, drive};
 use linkside_core::error::SimulationError;
-use linkside_core::robot::{Drive, MotorFriction, Robot, SoftWindup};
+use linkside_core::robot::{Drive, Friction, Robot, SoftWindup};
 use linkside_core::simulate::{Adaptive, Plant, RungeKutta, StepTolerance};
 use nalgebra::{DMatrix, DVector};
 use proptest::prelude::*;
@@ -14,7 +14,7 @@ const LOOSE: StepTolerance = StepTolerance { rtol: 0.99, atol: 1e12 };
 
 /// One joint about the vertical: gravity does nothing, everything is linear but for the friction that is asked for.
 fn spinner(stiffness: f64, damping: f64) -> Robot {
-    let motor_friction = MotorFriction { viscous: 10.0, ..MotorFriction::default() };
+    let motor_friction = Friction { viscous: 10.0, ..Friction::default() };
     arm(vec![Drive { stiffness, damping, motor_friction, ..drive() }], &[])
 }
 
@@ -24,7 +24,7 @@ fn crane() -> Robot {
         stiffness: 5e3,
         cubic_stiffness: 1e6,
         soft_windup: SoftWindup { stiffness: 1e3, shape: 300.0 },
-        motor_friction: MotorFriction { viscous: 10.0, coulomb: 0.5, stribeck: 0.3, stribeck_velocity: 0.5 },
+        motor_friction: Friction { viscous: 10.0, coulomb: 0.5, stribeck: 0.3, stribeck_velocity: 0.5, asymmetry: 0.1 },
         link_friction: [0.5, 1.5, 0.5, 2.0, 1.0, 0.5],
         ..drive()
     };

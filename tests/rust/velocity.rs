@@ -8,14 +8,14 @@ use linkside_core::estimate::observer::Start;
 use linkside_core::estimate::velocity::{
     GainMap, Gains, Logic, Schedule, VelocityObserver, VelocityRecording, VelocitySettings,
 };
-use linkside_core::robot::{Drive, MotorFriction};
+use linkside_core::robot::{Drive, Friction};
 use proptest::prelude::*;
 use std::sync::Arc;
 
 const PERIOD: f64 = 1e-3;
 
 fn one_joint() -> Vec<Drive> {
-    vec![Drive { motor_friction: MotorFriction::default(), ..arm::drive() }]
+    vec![Drive { motor_friction: Friction::default(), ..arm::drive() }]
 }
 
 fn observer(drives: Vec<Drive>, gains: Gains, spring: f64) -> Result<VelocityObserver, DesignError> {

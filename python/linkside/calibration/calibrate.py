@@ -21,9 +21,10 @@ from .calibration import Calibration
 from .filter_run import FilterRun
 from .parameters import OF_LINK_ENCODERS, Bounds, Parameter, choose
 from .posterior import Posterior
+from .prepared import kinds, recordings
 from .problem import Problem
 from .recordings import refuse, use_torque
-from .response import ResponseProblem, kinds, recordings
+from .response import ResponseProblem
 from .response_run import ResponseRun
 from .result import Estimated
 from .search import Progress, Search
@@ -198,6 +199,6 @@ def _contradictions(problem: Posterior, z: FloatArray) -> tuple[Contradiction, .
         best = Search(alone).maximise(z)
         evidence = alone.evidence(best, detail=True)
         still = [name for name, does in zip(problem.robot.names, moving(log), strict=True) if not does]
-        untold = unidentifiable(alone.free, evidence, still)
+        untold = unidentifiable(alone.free, best, evidence, still)
         fits.append(Alone(best, uncertainty(evidence, log.period), frozenset(untold.reasons)))
     return tuple(compare(problem, fits))

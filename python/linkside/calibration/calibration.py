@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from linkside.report import Input
 
 from .result import Result
 
@@ -22,11 +25,11 @@ class Calibration(Result):
 
         write(self, source, out)
 
-    def write_report(self, out: str | Path) -> None:
-        """Write a report with figures: one HTML file."""
-        from .report import write
+    def write_report(self, out: str | Path, inputs: Sequence[Input] = ()) -> None:
+        """Write a report with figures, one HTML file; ``inputs`` are the files it is made from, by `report.inputs`."""
+        from .report import page
 
-        write(self, out)
+        page(self, inputs).write(out)
 
     def profile(self, first: str, second: str, points: int = 15) -> Figure:
         """Draw the posterior over a pair of parameters, see `figures.profile`."""

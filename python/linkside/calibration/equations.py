@@ -16,7 +16,7 @@ import scipy.signal
 from linkside.arrays import FloatArray
 from linkside.recording.log import Log
 from linkside.robot import Robot
-from linkside.robot.config import JointConfig
+from linkside.robot.joints import JointConfig
 
 from .problem import Problem
 from .signals import derivative, filled, signals

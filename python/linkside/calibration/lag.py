@@ -65,12 +65,15 @@ class Lag:
         u = self.shift - whole
         if order == 0 and self.shift == 0.0:
             return values
-        nodes = (-1, 0, 1, 2)
-        out = np.zeros_like(values)
-        rows = np.arange(len(values))
-        for node in nodes:
-            others = np.poly1d([m for m in nodes if m != node], r=True)
-            weight = others / others(node)
-            factor = float(weight.deriv(order)(u)) if order else float(weight(u))
-            out += factor * values[np.clip(rows - whole - node, 0, len(values) - 1)]
-        return out
+        count, before = len(values), min(whole, len(values)) + 2
+        padded = np.concatenate([np.repeat(values[:1], before, axis=0), values, values[-1:]])
+        return sum((x * padded[k : k + count] for k, x in enumerate(_weights(u, order))), np.zeros_like(values))
+
+
+def _weights(u: float, order: int) -> tuple[float, float, float, float]:
+    """Weights of the samples at 2, 1, 0 and -1 in the value at ``u``, from 0 to 1, or in its slope there."""
+    if order == 0:
+        a, b, c = u + 1, u - 1, u - 2
+        return a * u * b / 6, -a * u * c / 2, a * b * c / 2, -u * b * c / 6
+    square = 3 * u * u
+    return (square - 1) / 6, -(square - 2 * u - 2) / 2, (square - 4 * u - 1) / 2, -(square - 6 * u + 2) / 6

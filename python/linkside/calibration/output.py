@@ -16,11 +16,9 @@ from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from linkside.files.writing import write_text
 from linkside.files.yaml_source import Source
 
-from .parameters import AXES, KINDS, OF_LINK_ENCODERS, SHORTEST_FILTER
+from .parameters import AXES, OF_LINK_ENCODERS, SHORTEST_FILTER
 from .result import Estimated, Result
-
-CONSIDERED = ("stiffness", "cubic_stiffness", "damping", "mass_scale", "translation", "rotation", "scale")
-"""Kinds whose standard errors count in estimates."""
+from .tolerances import errors, readable
 
 Writer = Callable[[Any, Estimated], None]
 
@@ -174,14 +172,16 @@ def _write_rotation(sensor: Any, calibration: Result, index: int) -> None:
 
 def _write_errors(tree: Any, calibration: Result) -> None:
     """Standard errors in place of the tolerances from which calibration began, for `linkside.robot.considered`."""
-    shares = {
-        e.parameter.name: float(f"{e.std / (abs(e.value) if KINDS[e.parameter.kind].relative else 1.0):.2g}")
-        for e in calibration.estimates
-        if e.parameter.kind in CONSIDERED and not e.at_bound and np.isfinite(e.std) and e.std > 0 and e.value
-    }
-    if shares:
-        tolerances = tree.setdefault("tolerances", CommentedMap())
-        tolerances["calibrated"] = {**tolerances.get("calibrated", {}), **shares}
+    names, covariance = errors(calibration)
+    if not names:
+        return
+    std, correlations = readable(names, covariance)
+    tolerances = tree.setdefault("tolerances", CommentedMap())
+    tolerances["calibrated"] = {**tolerances.get("calibrated", {}), **dict(zip(names, std, strict=True))}
+    old = tolerances.pop("correlations", {})
+    kept = {a: {b: x for b, x in row.items() if b not in names} for a, row in old.items() if a not in names}
+    if rows := {a: row for a, row in (kept | correlations).items() if row}:
+        tolerances["correlations"] = rows
 
 
 def _flow_map() -> CommentedMap:

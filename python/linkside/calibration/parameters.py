@@ -11,7 +11,9 @@ import numpy as np
 from linkside.errors import EstimatorError
 from linkside.files.yaml_source import suggest
 from linkside.robot import Robot
-from linkside.robot.config import AccelerometerConfig, JointConfig, Lateness, LinkEncoderConfig, TolerancesConfig
+from linkside.robot.config import TolerancesConfig
+from linkside.robot.joints import JointConfig
+from linkside.robot.sensors import AccelerometerConfig, Lateness, LinkEncoderConfig
 
 CoreName = tuple[str, int, int]
 Bounds = Mapping[str, tuple[float, float]]

@@ -15,7 +15,7 @@ from linkside.kalman.noise import Noise
 from linkside.recording.log import Log
 from linkside.robot import Robot
 from linkside.robot import compile as tree
-from linkside.robot.config import PayloadConfig
+from linkside.robot.sensors import PayloadConfig
 
 from .parameters import OF_LINK_ENCODERS, TORQUE_ONLY, CoreName, Parameter, catalogue
 from .signals import noise_arrays, signals

@@ -14,7 +14,7 @@ from linkside.recording.motion import LEAST_MOTION, moving
 from linkside.robot import Robot
 from linkside.robot.requirements import refuse_unsupported
 
-from .response import kinds
+from .prepared import kinds
 
 SATURATED = 10
 """So many samples in a row at an extreme value are a sensor at the end of its range."""

@@ -1,16 +1,15 @@
-"""A report of a calibration to file: one HTML page with its figures inside."""
+"""A report of a calibration: its verdict, estimates, fit and correlations."""
 
 from __future__ import annotations
 
-import base64
-from html import escape
-from io import BytesIO
-from pathlib import Path
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from linkside.files.writing import write_text
+from linkside.report import Input, Page, Verdict
+from linkside.report.page import Part
+from linkside.text import Titled
 
 from . import figures
 from .result import Result
@@ -18,93 +17,96 @@ from .result import Result
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-STYLE = """
-body { font: 15px/1.45 sans-serif; max-width: 62em; margin: 2em auto; padding: 0 1em; color: #222 }
-table { border-collapse: collapse } td, th { padding: .15em .7em; text-align: right; border-bottom: 1px solid #ddd }
-td:first-child, th:first-child, td:last-child { text-align: left } img { max-width: 100% }
-.warning { background: #fff2cc; padding: .5em 1em; border-left: 4px solid #e0a800 }
-"""
 
-
-def write(calibration: Result, out: str | Path) -> None:
-    """Write the report."""
-    write_text(out, to_html(calibration))
-
-
-def to_html(calibration: Result) -> str:
-    """Give the report as one HTML page that needs no other file."""
+def page(calibration: Result, inputs: Sequence[Input] = ()) -> Page:
+    """Lay out the report; ``inputs`` are the files it was made from."""
     sources = ", ".join(log.source for log in calibration.problem.logs)
-    parts = [
-        f"<h1>Calibration</h1><p>{escape(sources)}: {calibration.after.used} readings, "
-        f"{calibration.evaluations} evaluations.</p>",
-        *(f'<p class="warning">{escape(str(c))}</p>' for c in calibration.contradictions),
-        "<h2>Estimates</h2>",
-        _estimates(calibration),
-        _image(figures.estimates(calibration), "estimates"),
-        _refused(calibration),
-        "<h2>Fit</h2>",
-        _fit(calibration),
-        _image(figures.whiteness(calibration), "autocorrelation of innovations"),
+    sections: list[tuple[str, Sequence[Part]]] = [
+        (
+            "Estimates",
+            [_estimates(calibration), ("Estimates, as distances from robot.yaml", figures.estimates(calibration))],
+        ),
+        ("Not estimated", [_refused(calibration)] if calibration.refused else []),
+        ("Fit", [_fit(calibration), ("Autocorrelation of innovations", figures.whiteness(calibration))]),
+        ("Correlation", _correlations(calibration) if len(calibration.estimates) > 1 else []),
     ]
-    if len(calibration.estimates) > 1:
-        parts += [
-            "<h2>Correlation</h2>",
-            _image(figures.correlation(calibration), "correlation"),
-            _closest(calibration),
-        ]
-    title = "linkside calibration"
-    body = "\n".join(parts)
-    head = f'<meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
-    return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n{body}\n</body></html>\n'
-
-
-def _table(head: list[str], rows: list[list[str]]) -> str:
-    cells = "".join(f"<th>{escape(h)}</th>" for h in head)
-    lines = ["<tr>" + "".join(f"<td>{escape(c)}</td>" for c in row) + "</tr>" for row in rows]
-    return "<table><tr>" + cells + "</tr>" + "".join(lines) + "</table>"
-
-
-def _estimates(calibration: Result) -> str:
-    head = ["parameter", "robot.yaml", "estimate", "std. error", "widened by", "unit", ""]
-    rows = [
+    return Page(
+        f"Calibration by {sources}",
+        _verdict(calibration),
         [
-            *(e.parameter.name, f"{e.parameter.start:.5g}", f"{e.value:.5g}", f"{e.std:.2g}", f"{e.widening:.1f}"),
-            *(e.parameter.unit, "at its bound" if e.at_bound else ""),
-        ]
-        for e in calibration.estimates
-    ]
-    return _table(head, rows)
+            ("readings", str(calibration.after.used)),
+            ("parameters", str(len(calibration.estimates))),
+            *_foretold(calibration),
+        ],
+        list(_next_steps(calibration)),
+        [(heading, parts) for heading, parts in sections if parts],
+        inputs,
+    )
 
 
-def _refused(calibration: Result) -> str:
-    if not calibration.refused:
-        return ""
-    rows = [[name, reason] for name, reason in calibration.refused.items()]
-    return "<h2>Not estimated</h2>" + _table(["parameter", "reason"], rows)
+def _verdict(calibration: Result) -> Verdict:
+    doubts = tuple(str(c) for c in (*calibration.contradictions, *calibration.notes))
+    if not calibration.accepted:
+        return Verdict("bad", "These values are not to be believed", (*calibration.objections, *doubts))
+    if doubts:
+        return Verdict("doubtful", "These values can be used, with a doubt", doubts)
+    return Verdict("good", "These values foretell readings that they were not fitted to")
 
 
-def _fit(calibration: Result) -> str:
-    before, after = calibration.before, calibration.after
-    rows = [["log-likelihood", f"{before.log_likelihood:.1f}", f"{after.log_likelihood:.1f}"]]
+def _foretold(calibration: Result) -> list[tuple[str, str]]:
+    told = [] if calibration.foretold is None else [("foretold", str(calibration.foretold))]
     if calibration.held_out is not None:
-        rows.append(["log-likelihood, held out", *(f"{x:.1f}" for x in calibration.held_out)])
+        before, after = calibration.held_out
+        told.append(("logs held out, log-likelihood", f"{before:.1f} before, {after:.1f} after"))
+    return told
+
+
+def _next_steps(calibration: Result) -> list[str]:
+    if not calibration.accepted:
+        return [
+            "Record a faster motion of all joints, with the tool's load as it is in robot.yaml, and calibrate again."
+        ]
+    steps = ["Estimate with the new robot.yaml a recording that was not used here, and look at its verdict."]
+    bounds = [e.parameter.name for e in calibration.estimates if e.at_bound]
+    return (
+        [*steps, f"At their bounds: {', '.join(bounds)}. Widen them (--bound), or hold them fixed."]
+        if bounds
+        else steps
+    )
+
+
+def _estimates(calibration: Result) -> Titled:
+    table = Titled("", ("parameter", "robot.yaml", "estimate", "std. error", "widened by", "unit", ""))
+    for e in calibration.estimates:
+        values = f"{e.parameter.start:.5g}", f"{e.value:.5g}", f"{e.std:.2g}", f"{e.widening:.1f}"
+        table.add_row(e.parameter.name, *values, e.parameter.unit, "at its bound" if e.at_bound else "")
+    return table
+
+
+def _refused(calibration: Result) -> Titled:
+    table = Titled("", ("parameter", "reason"))
+    for name, reason in calibration.refused.items():
+        table.add_row(name, reason)
+    return table
+
+
+def _fit(calibration: Result) -> Titled:
+    before, after = calibration.before, calibration.after
+    table = Titled("", ("", "before", "after"))
+    table.add_row("log-likelihood", f"{before.log_likelihood:.1f}", f"{after.log_likelihood:.1f}")
     for i, name in enumerate(calibration.problem.channels):
-        rows.append([f"NIS, {name}", f"{before.nis[i]:.3g}", f"{after.nis[i]:.3g}"])
+        table.add_row(f"NIS, {name}", f"{before.nis[i]:.3g}", f"{after.nis[i]:.3g}")
         first = [f"{fit.autocorrelation[0, i]:.2f}" for fit in (before, after)]
-        rows.append([f"correlation at lag 1, {name}", *first])
-    return _table(["", "before", "after"], rows)
+        table.add_row(f"correlation at lag 1, {name}", *first)
+    return table
 
 
-def _closest(calibration: Result) -> str:
-    """The profile of the pair that is most correlated."""
+def _correlations(calibration: Result) -> list[tuple[str, Figure]]:
+    """All of them, and the profile of the pair that is most correlated."""
     strength = np.abs(calibration.correlation) - np.eye(len(calibration.estimates))
     i, j = np.unravel_index(int(np.argmax(strength)), strength.shape)
     first, second = (calibration.estimates[int(k)].parameter.name for k in (i, j))
-    return _image(figures.profile(calibration, first, second), f"profile of {first} and {second}")
-
-
-def _image(figure: Figure, text: str) -> str:
-    data = BytesIO()
-    figure.savefig(data, format="png", dpi=110)
-    encoded = base64.b64encode(data.getvalue()).decode("ascii")
-    return f'<p><img alt="{escape(text)}" src="data:image/png;base64,{encoded}"></p>'
+    return [
+        ("Correlation", figures.correlation(calibration)),
+        (f"Profile of {first} and {second}", figures.profile(calibration, first, second)),
+    ]

@@ -16,25 +16,18 @@ import numpy.typing as npt
 
 from linkside._core import Response
 from linkside.arrays import FloatArray
-from linkside.channels import CHANNELS
 from linkside.kalman.late_sensors import sensors
-from linkside.recording.log import Log
 from linkside.robot import Robot
-from linkside.robot.config import Lateness
+from linkside.robot.sensors import Lateness
 
 from .band import Band
 from .lag import Lag
 from .motors import motors
 from .parameters import NOISE, OF_LINK_ENCODERS, CoreName, Parameter, catalogue
+from .prepared import ZEROS, Prepared, kinds, width
 from .problem import HUBER, STATED, Evidence, bare
-from .signals import filled, without_spikes
+from .products import products
 from .spread import spread
-
-KINDS = ("acceleration", "rate", "q", "torque", "dq")
-"""Signals that tell of the links, as the core calls them."""
-
-ZEROS = ("rate", "q", "torque")
-"""Signals with zeros that nobody knows, which are estimated in each recording."""
 
 LEAST_ZERO = 1e-3
 """Uncertainty of a zero, in the signal's unit, beside the largest reading."""
@@ -49,62 +42,12 @@ LEAST_START, LEAST_SPEED = 1e-4, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
-    """One log as a response sees it.
+class _Left:
+    """What a prediction leaves of readings, each (R, m): residuals, Huber's weights, log-densities."""
 
-    Attributes
-    ----------
-    log : Log
-        The recording.
-    motors : dict
-        How its motors moved.
-    readings : (T, m)
-        What sensors read, filled where it is missing.
-    missing : (T, m)
-        Where that is.
-    offset : (2n + zeros,)
-        Positions and velocities of the links in the first sample, less those at which springs hold them, and what
-        sensors of `ZEROS` read too much.
-    """
-
-    log: Log
-    motors: dict[str, FloatArray]
-    readings: FloatArray
-    missing: npt.NDArray[np.bool_]
-    offset: FloatArray
-
-    @classmethod
-    def of(cls, robot: Robot, log: Log, kinds: Sequence[str]) -> Prepared:
-        """Prepare ``log``."""
-        readings = np.concatenate([_readings(robot, log, kind) for kind in kinds], axis=1)
-        missing = np.isnan(readings)
-        readings[:, missing.all(axis=0)] = 0.0
-        zeros = sum(_width(robot, kind) for kind in kinds if kind in ZEROS)
-        return cls(log, motors(robot, log), filled(readings), missing, np.zeros(2 * robot.n + zeros))
-
-    def without(self, stretches: Sequence[slice]) -> Prepared:
-        """Leave out what sensors read in some stretches."""
-        missing = self.missing.copy()
-        for stretch in stretches:
-            missing[stretch] = True
-        return replace(self, missing=missing)
-
-    def reading(self, columns: Sequence[int]) -> Prepared:
-        """Leave out what all but some channels read."""
-        missing = np.ones_like(self.missing)
-        missing[:, columns] = self.missing[:, columns]
-        return replace(self, missing=missing)
-
-
-def _readings(robot: Robot, log: Log, kind: str) -> FloatArray:
-    values = getattr(log, kind)
-    if kind == "acceleration":
-        bias, scale = robot.acceleration_errors
-        noise = np.array([sensor.noise_std for sensor in robot.accelerometers for _ in sensor.axes])
-        return without_spikes(values * scale + bias, noise)
-    if kind in ("q", "torque"):  # of a joint without a spring they tell nothing
-        return np.where(robot.elastic, values, np.nan)
-    return np.array(values)
+    clean: FloatArray
+    weight: FloatArray
+    densities: FloatArray
 
 
 class ResponseProblem:
@@ -142,9 +85,10 @@ class ResponseProblem:
         self.logs = [recording.log for recording in recordings]
         self.free, self.held, self.corner = tuple(free), tuple(held), corner
         self.kinds = kinds(robot, self.logs)
-        self._bands = [Band.below(corner, log.period, len(log)) for log in self.logs]
+        self._seen = [recording.coarser(corner) for recording in recordings]
+        self._bands = [Band.below(corner, seen.period, len(seen.readings)) for seen in self._seen]
         self.base, fixed = base or bare(robot), self._fixed()
-        self._cores = [Response(self.base.core, r.motors, kinds=self.kinds, fixed=fixed) for r in recordings]
+        self._cores = [Response(self.base.core, seen.motors, kinds=self.kinds, fixed=fixed) for seen in self._seen]
         self.size = self._least() if size is None else size
         self._zeros = [c for c, kind in enumerate(self._kind_of_channels()) if kind in ZEROS]
         largest = [float(np.abs(recordings[0].readings[:, c]).max()) for c in self._zeros]
@@ -196,10 +140,10 @@ class ResponseProblem:
         ``corner`` is of another band.
         """
         there = self._like(corner=self.corner if corner is None else corner, size=None)
-        seen = [there._residuals(i, z) for i in range(len(self.logs))]
-        size = spread([residual * there.size for residual, _, _ in seen], there._least())
+        seen = [there._residuals(i, z, sloped=False) for i in range(len(self.logs))]
+        size = spread([residual * there.size for residual, _ in seen], there._least())
         started, left = [], []
-        for recording, (residual, _, start) in zip(self.recordings, seen, strict=True):
+        for recording, (residual, start) in zip(self.recordings, seen, strict=True):
             by, e = start * (there.size / size)[:, None], residual * (there.size / size)
             shift = _restart(e, by, self._start)
             started.append(replace(recording, offset=recording.offset + shift))
@@ -219,13 +163,15 @@ class ResponseProblem:
         """Evaluate at one point; raises NumericalError where links fly away."""
         p = len(self.free)
         total = Evidence(0.0, np.zeros(p), np.zeros((p, p)), 0, [], [], [])
-        for i, log in enumerate(self.logs):
-            total = _sum(total, self._of_log(i, z, detail, len(log)))
+        for i, seen in enumerate(self._seen):
+            total = _sum(total, self._of_log(i, z, detail, len(seen.readings)))
         return total
 
     def log_likelihood(self, z: FloatArray) -> float:
         """Log-likelihood alone."""
-        return self.evidence(z).log_likelihood
+        return float(
+            sum(self._clean(*self._residuals(i, z, sloped=False)).densities.sum() for i in range(len(self.logs)))
+        )
 
     def paths(self, z: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
         """Each recording's link positions (T, n), and their derivatives in z (T, n, p)."""
@@ -246,31 +192,39 @@ class ResponseProblem:
         return [k for k, p in enumerate(self.free) if p.kind not in (*NOISE, *OF_TIME)]
 
     def _of_log(self, i: int, z: FloatArray, detail: bool, count: int) -> Evidence:
-        residual, slopes, start = self._residuals(i, z)
+        residual, by = self._residuals(i, z)
+        p, total = len(self.free), by.shape[2]
+        given = np.isfinite(residual)
+        left = self._clean(residual, by[:, :, p:])
+        weighted = np.concatenate([by, np.where(given, left.clean, 0.0)[:, :, None]], axis=2)
+        weighted *= np.sqrt(left.weight)[:, :, None]
+        gram = products(weighted.reshape(given.size, total + 1))
+        # What another start of the links would explain is not told: it is projected out (Golub and Pereyra 1973).
+        start = slice(p, total)
+        explained = np.linalg.solve(gram[start, start] + np.diag(1 / self._start**2), gram[start])
+        told = gram[:p] - gram[:p, start] @ explained
+        information = told[:, :p] + np.diag([self._of_noise(p, given) for p in self.free])
+        out = Evidence(float(left.densities.sum()), told[:, total], information, int(given.sum()), [], [], [])
+        if not detail:
+            return out
+        rows = self._bands[i].rows(count)
+        pull = (weighted[:, :, :p] - weighted[:, :, start] @ explained[:, :p]) * weighted[:, :, total:]
+        return replace(
+            out,
+            densities=[_placed(left.densities.sum(axis=1), rows, count, 0.0)],
+            scores=[_placed(pull.sum(axis=1), rows, count, 0.0)],
+            innovations=[_placed(left.clean, rows, count, np.nan)],
+        )
+
+    def _clean(self, residual: FloatArray, start: FloatArray) -> _Left:
+        """What is left of residuals (R, m) with the best start, whose slopes are ``start`` (R, m, s)."""
         given = np.isfinite(residual)
         clean = residual - np.where(given, start @ _restart(residual, start, self._start), 0.0)
         size = np.where(given, np.abs(clean), 0.0)
         outlying = size > HUBER
-        weight = np.where(outlying, HUBER / np.maximum(size, HUBER), given).reshape(-1, 1)
         loss = np.where(outlying, HUBER * (2 * size - HUBER), size**2)
         densities = np.where(given, -0.5 * (loss + np.log(2 * np.pi * self.size**2)), 0.0)
-        # What another start of the links would explain is not told: it is projected out (Golub and Pereyra 1973).
-        by, nuisance = (x.reshape(given.size, x.shape[2]) for x in (slopes, start))
-        gram = nuisance.T @ (weight * nuisance) + np.diag(1 / self._start**2)
-        by = by - nuisance @ np.linalg.solve(gram, nuisance.T @ (weight * by))
-        pull = by * (weight * np.where(given, clean, 0.0).reshape(-1, 1))
-        information = slopes.reshape(by.shape).T @ (weight * by)
-        information += np.diag([self._of_noise(p, given) for p in self.free])
-        out = Evidence(float(densities.sum()), pull.sum(axis=0), information, int(given.sum()), [], [], [])
-        if not detail:
-            return out
-        rows = self._bands[i].rows(count)
-        return replace(
-            out,
-            densities=[_placed(densities.sum(axis=1), rows, count, 0.0)],
-            scores=[_placed(pull.reshape(*given.shape, len(self.free)).sum(axis=1), rows, count, 0.0)],
-            innovations=[_placed(clean, rows, count, np.nan)],
-        )
+        return _Left(clean, np.where(outlying, HUBER / np.maximum(size, HUBER), given), densities)
 
     def _of_noise(self, p: Parameter, given: npt.NDArray[np.bool_]) -> float:
         """Information on a sensor's noise, which is not sought but seen in what is left."""
@@ -289,28 +243,37 @@ class ResponseProblem:
         offset = next((i for i, name in enumerate(self.channels) if name in self.robot.acceleration_channels), 0)
         return [slice(offset + a, offset + b) for a, b in pairwise(ends.tolist())]
 
-    def _residuals(self, i: int, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Residuals (R, m) of a log over their spread, NaN where missing; slopes of predictions in z and the start."""
-        recording, band = self.recordings[i], self._bands[i]
+    def _residuals(self, i: int, z: FloatArray, sloped: bool = True) -> tuple[FloatArray, FloatArray]:
+        """Residuals (R, m) of a log over their spread, NaN where missing; slopes of predictions in z and the start.
+
+        Those in z are left out unless ``sloped``.
+        """
+        recording, band = self._seen[i], self._bands[i]
         moving = self._moving()
         names, values = [self.free[k].core for k in moving], self.values(z)
-        prediction, by = self._cores[i].evaluate(
-            names, [values[k] for k in moving], recording.offset[: 2 * self.robot.n].tolist()
-        )
-        p, (count, m, width) = len(self.free), by.shape
+        at = [values[k] for k in moving]
+        offset = recording.offset[: 2 * self.robot.n].tolist()
+        if sloped:
+            prediction, by = self._cores[i].evaluate(names, at, offset)
+        else:
+            fixed = [*self._fixed(), *zip(names, at, strict=True)]
+            core = Response(self.base.core, recording.motors, kinds=self.kinds, fixed=fixed)
+            (prediction, by), moving = core.evaluate([], [], offset), []
+        p, (count, m, width) = len(self.free) if sloped else 0, by.shape
         at_start = p + width - len(moving)
         slopes = np.zeros((count, m, at_start + len(self._zeros)))
         slopes[:, :, moving] = by[:, :, : len(moving)] * [self.free[k].slope(float(z[k])) for k in moving]
         slopes[:, :, p:at_start] = by[:, :, len(moving) :]
-        self._lag(z, recording.log.period, prediction, slopes)
+        self._lag(z, recording.period, prediction, slopes, sloped)
         prediction[:, self._zeros] += recording.offset[2 * self.robot.n :]
         slopes[:, self._zeros, range(at_start, slopes.shape[2])] = 1.0
         residual = np.where(band.told(recording.missing), band(recording.readings - prediction), np.nan)
-        residual, slopes = residual / self.size, band(slopes) / self.size[:, None]
+        slopes = band(slopes)
+        slopes /= self.size[:, None]
         slopes[~np.isfinite(residual)] = 0.0
-        return residual, slopes[:, :, :p], slopes[:, :, p:]
+        return residual / self.size, slopes
 
-    def _lag(self, z: FloatArray, period: float, prediction: FloatArray, slopes: FloatArray) -> None:
+    def _lag(self, z: FloatArray, period: float, prediction: FloatArray, slopes: FloatArray, sloped: bool) -> None:
         """Let the sensors' own filters and delays act, in place."""
         at = {p.core: (k, p, float(x)) for k, (p, x) in enumerate(zip(self.free, z, strict=True))}
         held = {p.core: p.value(x) for p, x in self.held}
@@ -320,13 +283,13 @@ class ResponseProblem:
                 f[1].value(f[2]) if f else held.get(core, value)
                 for f, core, value in zip(free, of, stated, strict=True)
             ]
-            if not any(values):
+            if not (any(values) or any(free)):
                 continue
             lag = Lag(*(value / period for value in values))
-            by = lag.slopes(prediction[:, columns])
+            by = lag.slopes(prediction[:, columns]) if sloped else ()
             prediction[:, columns] = lag(prediction[:, columns])
             slopes[:, columns] = lag(slopes[:, columns])
-            for f, slope in zip(free, by, strict=True):
+            for f, slope in zip(free, by, strict=sloped):
                 if f:
                     slopes[:, columns, f[0]] = slope * (f[1].slope(f[2]) / period)
 
@@ -352,13 +315,14 @@ class ResponseProblem:
         return held + [(p.core, p.start) for p in stated if p.kind not in OF_TIME]
 
     def _kind_of_channels(self) -> list[str]:
-        return [kind for kind in self.kinds for _ in range(_width(self.robot, kind))]
+        return [kind for kind in self.kinds for _ in range(width(self.robot, kind))]
 
     def _least(self) -> FloatArray:
         """A tenth of what the noise of sensors can be."""
         told = [0.1 * s.noise_std for s in self.robot.accelerometers for _ in s.axes]
-        parts = [told if kind == "acceleration" else [LEAST_NOISE] * _width(self.robot, kind) for kind in self.kinds]
-        shrunk = min(float(np.linalg.norm(band.weights)) for band in self._bands)
+        parts = [told if kind == "acceleration" else [LEAST_NOISE] * width(self.robot, kind) for kind in self.kinds]
+        pairs = zip(self._bands, self._seen, strict=True)
+        shrunk = min(float(np.linalg.norm(band.weights)) / np.sqrt(seen.every) for band, seen in pairs)
         return np.array([x * shrunk for part in parts for x in part], dtype=np.float64)
 
 
@@ -367,28 +331,6 @@ def _times(sensor: Lateness | None) -> list[float]:
     if sensor is None:
         return [0.0, 0.0]
     return [1 / (2 * np.pi * sensor.corner_frequency) if sensor.corner_frequency else 0.0, sensor.delay]
-
-
-def _width(robot: Robot, signal: str) -> int:
-    return next(channel for channel in CHANNELS.values() if channel.signal == signal).width(robot)
-
-
-def kinds(robot: Robot, logs: Sequence[Log]) -> tuple[str, ...]:
-    """Give the signals that tell of the links in all of ``logs``."""
-    return tuple(kind for kind in KINDS if all(_has(robot, log, kind) for log in logs))
-
-
-def recordings(robot: Robot, logs: Sequence[Log]) -> list[Prepared]:
-    """Prepare logs, all by the signals that they have in common."""
-    common = kinds(robot, logs)
-    return [Prepared.of(robot, log, common) for log in logs]
-
-
-def _has(robot: Robot, log: Log, kind: str) -> bool:
-    values = getattr(log, kind)
-    if kind == "acceleration" and not robot.acceleration_channels:
-        return False
-    return values is not None and values.shape[1] > 0 and bool(np.isfinite(values).any())
 
 
 def _uncertain_start(robot: Robot, recordings: Sequence[Prepared]) -> FloatArray:
@@ -409,10 +351,11 @@ def _uncertain_start(robot: Robot, recordings: Sequence[Prepared]) -> FloatArray
 
 def _restart(residual: FloatArray, start: FloatArray, std: FloatArray) -> FloatArray:
     """By how much another start of the links, uncertain by ``std``, explains the residuals better."""
-    by, e = start.reshape(residual.size, start.shape[2]), np.nan_to_num(residual).reshape(-1)
+    e = np.nan_to_num(residual)
     weight = np.minimum(1.0, HUBER / np.maximum(np.abs(e), HUBER))
-    normal = by.T @ (weight[:, None] * by) + np.diag(1 / std**2)
-    return np.asarray(np.linalg.solve(normal, by.T @ (weight * e)))
+    weighted = np.concatenate([start, e[:, :, None]], axis=2) * np.sqrt(weight)[:, :, None]
+    gram = products(weighted.reshape(e.size, len(std) + 1))
+    return np.asarray(np.linalg.solve(gram[:-1, :-1] + np.diag(1 / std**2), gram[:-1, -1]))
 
 
 def _placed(values: FloatArray, rows: npt.NDArray[np.int64], count: int, empty: float) -> FloatArray:

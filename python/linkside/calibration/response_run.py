@@ -14,8 +14,9 @@ from linkside.recording.log import Log
 from .acceptance import Foretold, foretell
 from .change import Change, change
 from .parameters import NOISE
+from .prepared import recordings
 from .problem import OF_SENSORS
-from .response import ResponseProblem, recordings
+from .response import ResponseProblem
 from .result import Fit
 from .run import CalibrationRun, filters
 from .search import GAIN, ROUGH, Progress, Search

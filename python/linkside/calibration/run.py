@@ -83,7 +83,7 @@ class CalibrationRun(Generic[Objective]):
         """Whether anything had to be left out."""
         free = (*self.problem.free, *self.considered)
         known = frozenset(p.name for p in self.considered)
-        untold = unidentifiable(free, self._with_considered(), self.still, known)
+        untold = unidentifiable(free, self._at(free), self._with_considered(), self.still, known)
         self._refuse(untold.reasons, untold.considered)
         return bool(untold.reasons)
 

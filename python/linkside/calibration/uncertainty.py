@@ -13,6 +13,7 @@ from linkside.arrays import FloatArray
 from .parameters import NOISE, OF_LINK_ENCODERS, Parameter
 from .posterior import Posterior
 from .problem import Evidence
+from .products import products
 
 MEMORY = 0.1
 """Errors of a model are correlated over about this time [s]."""
@@ -26,8 +27,8 @@ HALF_TOLD = 0.9
 NEVER_KNOWN = ("damping", "bias")
 """Kinds of which robot.yaml's value is a guess."""
 
-STANDING_IN = ("time_constant", "delay", *OF_LINK_ENCODERS)
-"""Kinds of which one does what another would: without it the other is told."""
+STANDING_IN = (("time_constant", "delay"), OF_LINK_ENCODERS)
+"""Kinds of which one does what another of the same sensor would: without it the other is told."""
 
 HIDING = 0.2
 """A parameter that is less correlated with a stiffness is not what hides it."""
@@ -125,24 +126,29 @@ def uncertainty(evidence: Evidence, period: float) -> Uncertainty:
 
 
 def long_run(scores: FloatArray, lags: int) -> FloatArray:
-    """Variance of the sum of (T, p) correlated vectors, with Bartlett's weights up to ``lags``."""
-    centred = scores - scores.mean(axis=0)
-    total = np.asarray(centred.T @ centred)
-    for lag in range(1, min(lags, len(scores) - 1) + 1):
-        part = centred[lag:].T @ centred[:-lag]
-        total = total + (1 - lag / (lags + 1)) * (part + part.T)
-    return total
+    """Variance of the sum of (T, p) correlated vectors, with Bartlett's weights up to ``lags``.
+
+    Those weights are what the squares of sums over ``lags`` + 1 neighbours have, all of them in turn.
+    """
+    count = len(scores)
+    until = np.concatenate([np.zeros((1, scores.shape[1])), np.cumsum(scores - scores.mean(axis=0), axis=0)])
+    last = np.arange(count + lags)
+    return products(until[np.minimum(last + 1, count)] - until[np.maximum(last - lags, 0)]) / (lags + 1)
 
 
 def unidentifiable(
-    free: Sequence[Parameter], evidence: Evidence, still: Sequence[str], known: frozenset[str] = frozenset()
+    free: Sequence[Parameter],
+    z: FloatArray,
+    evidence: Evidence,
+    still: Sequence[str],
+    known: frozenset[str] = frozenset(),
 ) -> Untold:
     """Parameters that the recordings cannot tell, each with the reason; the worst first, then anew.
 
     Parameters
     ----------
-    free, evidence
-        Parameters, and what recordings say of them.
+    free, z, evidence
+        Parameters, where they are, and what recordings say of them there.
     still
         Names of joints that do not move.
     known
@@ -161,12 +167,13 @@ def unidentifiable(
         worst = int(np.argmax(excess))
         if excess[worst] < 1:
             break
+        worst = _least_told(worst, chosen, np.abs(z[kept]) / std)
         alone = 1 / np.sqrt(information[worst, worst])
         name = chosen[worst].name
         hidden_by = _hiding(worst, covariance, chosen) if alone < IDENTIFIABLE else None
         if hidden_by is None:
             reasons[name] = _reason(chosen[worst], alone, covariance, worst, chosen)
-            if chosen[worst].kind in STANDING_IN:
+            if any(chosen[worst].kind in kinds for kinds in STANDING_IN):
                 del kept[worst]
             else:
                 # It stays among what is uncertain: others are no better known for a value that nothing tells.
@@ -184,6 +191,18 @@ def _enough(p: Parameter) -> float:
     A damping or a bias that is half known still keeps springs from making up for a wrong one.
     """
     return {**dict.fromkeys(NEVER_KNOWN, HALF_TOLD), **dict.fromkeys(NOISE, np.inf)}.get(p.kind, IDENTIFIABLE)
+
+
+def _least_told(index: int, free: Sequence[Parameter], told: FloatArray) -> int:
+    """Of what stands in for a parameter, and that itself, what is the nearest to robot.yaml in standard errors.
+
+    A filter and a delay of a sensor hardly differ in what is slow, but where one is large and the other is not, the
+    large one must stay: without it, springs would make up for it.
+    """
+    own = free[index]
+    kinds = next((kinds for kinds in STANDING_IN if own.kind in kinds), ())
+    alike = [i for i, p in enumerate(free) if p.kind in kinds and p.core[1:] == own.core[1:]]
+    return min(alike, key=lambda i: told[i], default=index)
 
 
 def _hiding(index: int, covariance: FloatArray, free: Sequence[Parameter]) -> int | None:

@@ -1,5 +1,9 @@
-"""The command line."""
+"""The command line.
 
-from .commands import main
+Whatever a user can get wrong is one line on standard error and exit status 2, and leaves no file behind.
+"""
 
-__all__ = ["main"]
+from . import estimating, fitting, learn, looking, recordings, viewing
+from .group import main
+
+__all__ = ["estimating", "fitting", "learn", "looking", "main", "recordings", "viewing"]

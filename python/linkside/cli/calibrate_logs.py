@@ -10,6 +10,7 @@ from linkside.calibration import resume as state
 from linkside.errors import EstimatorError
 from linkside.files.writing import check_writable
 from linkside.recording.log import Log
+from linkside.report import inputs
 from linkside.robot import Robot
 
 
@@ -53,7 +54,8 @@ def run(
     if result.accepted or force:
         result.write(robot, out)
     if report is not None:
-        result.write_report(report)
+        files = [("robot", robot), *(("log", log) for log in logs), *(("log held out", log) for log in held_out)]
+        result.write_report(report, inputs(files))
     partial.unlink(missing_ok=True)
     return result
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import re
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -18,12 +17,14 @@ import numpy as np
 from rich.console import RenderableType
 
 from linkside.errors import EstimatorError, LinksideError, NumericalError, OutputError, RecordingWarning
+from linkside.recording.checks.finding import Finding
 from linkside.recording.estimate import Estimate, EstimateError
 from linkside.recording.log import Log
-from linkside.recording.opening import log_rows
+from linkside.recording.opening import log_rows, stem
 from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
 
+from . import kept
 from .error_tables import error_tables
 from .methods import Run
 from .provenance import METADATA, is_up_to_date
@@ -53,13 +54,19 @@ class EstimateJob:
 
 @dataclass
 class Outcome:
-    """What came of a log: its tally, tables for people, or an error; ``kept`` where its estimate was there already."""
+    """What came of a log: its tally, tables for people, or an error.
+
+    ``kept`` where its estimate was there already; ``conversions`` of the log's units, in words, and
+    ``suspicions`` of the checks of recordings.
+    """
 
     job: EstimateJob
     tally: Tally = field(default_factory=Tally)
     tables: list[RenderableType] = field(default_factory=list)
     error: LinksideError | None = None
     kept: bool = False
+    conversions: tuple[str, ...] = ()
+    suspicions: tuple[Finding, ...] = ()
 
     @property
     def believable(self) -> bool:
@@ -166,9 +173,10 @@ def _outcome(
     outcome = Outcome(job)
     try:
         metadata = {METADATA: job.made_from()} if job.output.suffix.lower() == ".parquet" else {}
-        if keep and is_up_to_date(job.output, metadata):
+        told = kept.recall(job.output) if keep and is_up_to_date(job.output, metadata) else None
+        if told is not None:
             outcome.kept = True
-            outcome.tally.add(Estimate.read(job.output))
+            outcome.tally, outcome.conversions, outcome.suspicions = told
         else:
             _estimate(job, metadata, outcome, progress, interruption)
     except LinksideError as error:
@@ -184,17 +192,18 @@ def _estimate(
     interruption: Interruption,
 ) -> None:
     known = None if job.truth is None else Estimate.read(job.truth)
-    kept = []
+    pieces = []
     with EstimateWriter(job.output, metadata) as writer:
-        for piece in _pieces(job, outcome.tally, interruption):
+        for piece in _pieces(job, outcome, interruption):
             writer.write(piece)
             outcome.tally.add(piece)
             progress(job, len(piece))
             if known is not None:
-                kept.append(piece)
+                pieces.append(piece)
         with naming(str(job.truth)):  # still inside: an estimate that cannot be compared as asked is not kept
-            estimate = None if known is None else Estimate.concatenate(kept)
+            estimate = None if known is None else Estimate.concatenate(pieces)
             error = None if estimate is None or known is None else estimate.error_against(known)
+        writer.note(kept.record(outcome.tally, outcome.conversions, outcome.suspicions))
     if error is not None and estimate is not None and known is not None:
         outcome.tables += error_tables(error, _motors_alone(job.robot, estimate, known), job.robot, str(job.truth))
 
@@ -206,11 +215,11 @@ def _motors_alone(robot: Robot, estimate: Estimate, known: Estimate) -> Estimate
     return replace(estimate, tool_position=robot.tool_position(estimate.theta)).error_against(known)
 
 
-def _pieces(job: EstimateJob, tally: Tally, interruption: Interruption) -> Iterator[Estimate]:
+def _pieces(job: EstimateJob, outcome: Outcome, interruption: Interruption) -> Iterator[Estimate]:
     with naming(job.log):
         run = job.make()
-    pieces = tally.timed(_read(job), sign=-1)
-    estimates = tally.timed(run(pieces))
+    pieces = outcome.tally.timed(_read(job, outcome), sign=-1)
+    estimates = outcome.tally.timed(run(pieces))
     while True:
         with naming(job.log), interruption.estimating():
             piece = next(estimates, None)
@@ -219,29 +228,35 @@ def _pieces(job: EstimateJob, tally: Tally, interruption: Interruption) -> Itera
         yield piece
 
 
-def _read(job: EstimateJob) -> Iterator[Log]:
-    """The pieces of a log."""
-    if job.rate is not None:
-        even = Log.read(job.log, job.robot, allow_gaps=True, check=job.check).resample(job.rate)
-        yield from (even[first : first + job.rows] for first in range(0, len(even), job.rows))
-        return
-    pieces = Log.stream(job.log, job.robot, job.rows, allow_gaps=job.uneven, check=job.check)
+def _read(job: EstimateJob, outcome: Outcome) -> Iterator[Log]:
+    """The pieces of a log; what was converted or is suspicious in them is noted."""
     longest, count, last = 0.0, 0, np.inf
-    for piece in pieces:
-        steps = np.diff(piece.t, prepend=min(last, piece.t[0]))
-        count += int(np.count_nonzero(steps > pieces.longest_step))
-        longest, last = max(longest, float(steps.max())), float(piece.t[-1])
+    for piece in read_log(job):
+        outcome.conversions, outcome.suspicions = piece.conversions, piece.findings
+        if job.rate is None:
+            steps = np.diff(piece.t, prepend=min(last, piece.t[0]))
+            count += int(np.count_nonzero(steps > piece.pace.longest_step(piece.period)))
+            longest, last = max(longest, float(steps.max())), float(piece.t[-1])
         yield piece
     if count:
         text = f"{job.log}: {count} gaps, the longest of {longest:.6g} s, which the model alone bridges"
         warnings.warn(text, RecordingWarning, stacklevel=2)
 
 
+def read_log(job: EstimateJob) -> Iterator[Log]:
+    """The pieces of a log, as the method gets them."""
+    if job.rate is None:
+        yield from Log.stream(job.log, job.robot, job.rows, allow_gaps=job.uneven, check=job.check)
+        return
+    even = Log.read(job.log, job.robot, allow_gaps=True, check=job.check).resample(job.rate)
+    yield from (even[first : first + job.rows] for first in range(0, len(even), job.rows))
+
+
 @contextmanager
 def output_folder(out: str, logs: Sequence[str]) -> Iterator[list[Path]]:
     """Name the output of each log; a directory that had to be made for them is gone again if it stays empty."""
     if "{stem}" in out or (len(logs) == 1 and not Path(out).is_dir()):
-        yield [Path(out.replace("{stem}", _stem(log))) for log in logs]
+        yield [Path(out.replace("{stem}", stem(log))) for log in logs]
         return
     folder = Path(out)
     if folder.suffix in (".parquet", ".csv"):
@@ -249,17 +264,11 @@ def output_folder(out: str, logs: Sequence[str]) -> Iterator[list[Path]]:
     made = not folder.exists()
     folder.mkdir(exist_ok=True)
     try:
-        yield [folder / f"{_stem(log)}.estimate.parquet" for log in logs]
+        yield [folder / f"{stem(log)}.estimate.parquet" for log in logs]
     finally:
         if made:
             with suppress(OSError):
                 folder.rmdir()
-
-
-def _stem(log: str) -> str:
-    return re.sub(
-        r"\.(parquet|csv|csv\.gz|mcap|mcap\.zstd|db3|db3\.zstd|mat|h5|hdf5)$", "", Path(log).name, flags=re.IGNORECASE
-    )
 
 
 @contextmanager

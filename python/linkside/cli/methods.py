@@ -41,7 +41,7 @@ class Options:
 
     @property
     def of_filters(self) -> dict[str, Any]:
-        """What Kalman filters and smoothers are told."""
+        """Settings of Kalman filters and smoothers."""
         disturbance = {"auto": "auto", "on": True, "off": False}[self.link_disturbance]
         return {"gate": self.gate, "link_disturbance": disturbance}
 
@@ -107,24 +107,26 @@ def _velocity(method: type[ReducedOrderObserver], robot: Robot, options: Options
 
 METHODS = {
     "observer": Method(
-        "driven by accelerometers; nothing of the links' dynamics is needed",
+        "driven by accelerometers; needs no link dynamics",
         ("poles", "bias", "form", "tuning"),
         _observer,
         uneven=False,
         read_tuning=ObserverTuning.read,
     ),
     "ekf": Method(
-        "Kalman filter with the links' dynamics, and how sure it is", ("tuning", "gate", "link_disturbance"), _ekf
+        "Kalman filter with link dynamics and standard deviations", ("tuning", "gate", "link_disturbance"), _ekf
     ),
-    "smoother": Method("the same by all samples, later ones too", ("tuning", "gate", "link_disturbance"), _smoother),
+    "smoother": Method(
+        "the same, using all samples, later ones included", ("tuning", "gate", "link_disturbance"), _smoother
+    ),
     "elastic-ekf": Method(
-        "Kalman filter on the elastic-joint dynamics, moved by the motor torques; needs no accelerometer",
+        "Kalman filter on the elastic-joint dynamics, driven by the motor torques; needs no accelerometer",
         ("tuning", "gate", "link_disturbance"),
         _elastic_ekf,
         read_tuning=ElasticNoise.read,
     ),
     "elastic-smoother": Method(
-        "the same by all samples, later ones too",
+        "the same, using all samples, later ones included",
         ("tuning", "gate", "link_disturbance"),
         _elastic_smoother,
         whole=lambda _: True,
@@ -134,12 +136,12 @@ METHODS = {
         "weighted samples of the state", ("tuning", "particles", "seed"), partial(_particle, ParticleFilter)
     ),
     "marginalized": Method(
-        "the same, biases in closed form",
+        "the same, with biases marginalised in closed form",
         ("tuning", "particles", "seed"),
         partial(_particle, MarginalizedParticleFilter),
     ),
     "reduced-order": Method(
-        "velocities from motor positions and torques, joints taken as rigid",
+        "velocities from motor positions and torques, with joints assumed rigid",
         ("gain",),
         partial(_velocity, ReducedOrderObserver),
         uneven=False,

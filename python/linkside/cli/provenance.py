@@ -42,7 +42,7 @@ def _of_file(path: str | Path) -> bytes:
 def is_up_to_date(output: Path, made_from: Mapping[str, str]) -> bool:
     """Whether a Parquet file is there, whole, and carries the same."""
     try:
-        metadata = pq.read_schema(output).metadata or {}
+        metadata = pq.read_metadata(output).metadata or {}
     except (OSError, pa.ArrowException):
         return False
     return all(metadata.get(key.encode()) == value.encode() for key, value in made_from.items())

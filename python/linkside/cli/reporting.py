@@ -29,6 +29,11 @@ def tell(outcome: Outcome, manner: Manner) -> None:
 
 def summary(outcomes: Sequence[Outcome]) -> None:
     """Show a table of all logs, the worst first."""
+    show([all_logs(outcomes)])
+
+
+def all_logs(outcomes: Sequence[Outcome]) -> Titled:
+    """A table of all logs, the worst first."""
     heads = ("log", "rows", "good", "NIS per reading", "verdict")
     table = Titled("all logs, the worst first", heads)
     for outcome in sorted(outcomes, key=_badness, reverse=True):
@@ -36,7 +41,7 @@ def summary(outcomes: Sequence[Outcome]) -> None:
         good = f"{100 * tally.status['good'] / tally.rows:.1f} %" if tally.rows else "–"
         nis = f"{tally.nis / tally.used:.2f}" if tally.used else "–"
         table.add_row(outcome.job.log, str(tally.rows or "–"), good, nis, _verdict(outcome))
-    show([table])
+    return table
 
 
 def _in_words(outcome: Outcome) -> None:
@@ -45,6 +50,8 @@ def _in_words(outcome: Outcome) -> None:
         click.echo(f"{outcome.job.output}: up to date")
         return
     click.echo(f"{outcome.job.output}: {outcome.tally}")
+    for words in outcome.conversions:
+        click.echo(f"{outcome.job.log}: converted: {words}")
     for finding in outcome.tally.findings:
         click.echo(f"{outcome.job.log}: {finding}")
 
@@ -72,6 +79,7 @@ def _record(outcome: Outcome) -> dict[str, object]:
         "output": str(outcome.job.output),
         "error": None if outcome.error is None else in_words(outcome.error),
         "up_to_date": outcome.kept,
+        "converted": list(outcome.conversions),
         "rows": tally.rows,
         "motion": tally.motion,
         "seconds": tally.seconds,

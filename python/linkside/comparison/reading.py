@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from linkside.arrays import FloatArray
 from linkside.errors import LogError
 from linkside.files.opening import open_table
 from linkside.files.tables import numbers
@@ -30,7 +31,7 @@ def read_motion(path: str | Path, robot: Robot | None = None) -> Estimate:
         The file cannot be read, or has neither.
     """
     names = open_table(path).names
-    motion = Estimate.read(path) if any(name.startswith("q_") for name in names) else _commanded(path)
+    motion = Estimate.read(path) if any(name.startswith("q_") for name in names) else _commanded(path, robot)
     if robot is None or motion.tool_position is not None or robot.tool is None:
         return motion
     missing = sorted(set(robot.names) - set(motion.names))
@@ -40,26 +41,36 @@ def read_motion(path: str | Path, robot: Robot | None = None) -> Estimate:
     return replace(motion, tool_position=robot.tool_position(motion.q[:, columns]))
 
 
-def _commanded(path: str | Path) -> Estimate:
+def _commanded(path: str | Path, robot: Robot | None) -> Estimate:
+    """The command in a log, by the names and units of columns that a robot's logs have."""
     file = open_table(path)
-    joints = tuple(name.removeprefix("qref_") for name in file.names if name.startswith("qref_"))
-    if not joints or "t" not in file.names:
+    theirs = {} if robot is None else robot.columns.names
+    ours = {theirs: ours for ours, theirs in theirs.items()}
+    names = {ours.get(name, name): name for name in file.names}
+    joints = tuple(name.removeprefix("qref_") for name in names if name.startswith("qref_"))
+    if not joints or "t" not in names:
         raise LogError(f"{path}: a motion is expected, columns 't' and 'q_<joint>' or 'qref_<joint>'")
     columns = {kind: [f"{kind}_{joint}" for joint in joints] for kind in ("qref", "dqref", "ddqref")}
-    there = {kind: names for kind, names in columns.items() if set(names) <= set(file.names)}
-    table = file.read(["t", *(name for names in there.values() for name in names)])
-    t = numbers(table, "t", file.source)
+    there = {kind: own for kind, own in columns.items() if set(own) <= set(names)}
+    table = file.read([names[name] for name in ("t", *(column for own in there.values() for column in own))])
+
+    def values(column: str) -> FloatArray:
+        unit = None if robot is None else robot.column_units.get(column)
+        recorded = numbers(table, names[column], file.source)
+        return recorded if unit is None else unit.size * recorded
+
+    t = values("t")
     if not (np.isfinite(t).all() and (np.diff(t) > 0).all()):
-        raise LogError(f"{path}: column 't' does not increase from row to row")
+        raise LogError(f"{path}: column {names['t']!r} does not increase from row to row")
     unknown = np.full((len(t), len(joints)), np.nan)
-    values = {k: np.stack([numbers(table, n, file.source) for n in names], axis=1) for k, names in there.items()}
+    motion = {kind: np.stack([values(column) for column in own], axis=1) for kind, own in there.items()}
     return Estimate(
         t=t,
-        q=values["qref"],
-        dq=values.get("dqref", unknown),
+        q=motion["qref"],
+        dq=motion.get("dqref", unknown),
         theta=unknown,
         dtheta=unknown,
         status=np.zeros(len(t), np.uint8),
         names=joints,
-        ddq=values.get("ddqref"),
+        ddq=motion.get("ddqref"),
     )

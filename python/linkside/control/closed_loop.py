@@ -13,6 +13,8 @@ from linkside.errors import EstimatorError
 from linkside.observers.acceleration import AccelerationObserver
 from linkside.robot import Robot
 
+from .linear import LinearRobot, sampled
+
 ComplexArray = npt.NDArray[np.complex128]
 
 
@@ -90,24 +92,14 @@ class _Plant:
 
     @classmethod
     def of(cls, robot: Robot, q: FloatArray, period: float) -> _Plant:
-        n, zero = robot.n, np.zeros(robot.n)
-        stiffness, _, mass = robot.inverse_dynamics_derivatives(q, zero, zero)
-        k, d, b = (_diagonal(robot, name) for name in ("stiffness", "damping", "motor_inertia"))
-        friction = np.diag([drive.motor_friction.viscous for drive in robot.drives])
-        # All motors and links, and then motors of rigid joints tied to their links.
-        free = np.eye(2 * n)
-        free[np.flatnonzero(~robot.elastic), n + np.flatnonzero(~robot.elastic)] = 1.0
-        free = free[:, np.concatenate([robot.elastic, np.ones(n, bool)])]
-        inertia = free.T @ np.block([[b, robot.coupling.T], [robot.coupling, mass]]) @ free
-        spring = free.T @ np.block([[k, -k], [-k, k + stiffness]]) @ free
-        damper = free.T @ np.block([[d + friction, -d], [-d, d]]) @ free
-        p = len(inertia)
-        lower = -np.linalg.solve(inertia, np.hstack([spring, damper]))
-        a = np.vstack([np.hstack([np.zeros((p, p)), np.eye(p)]), lower])
-        torque = np.linalg.solve(inertia, free[:n].T)
-        transition, held, _ = _sampled(a, np.vstack([np.zeros((p, n)), torque]), period)
+        zero = np.zeros((1, robot.n))
+        linear = LinearRobot.along(robot, q[None], zero, zero)
+        a, torque, free, n = linear.a[0], linear.torque[0], linear.free, robot.n
+        transition, held, _ = sampled(a, torque, period)
         positions = np.hstack([free, np.zeros_like(free)])
-        return cls(transition, held, free[n:] @ np.hstack([lower, torque]), positions[:n], positions[n:])
+        p = free.shape[1]
+        acceleration = free[n:] @ np.hstack([a[p:], torque[p:]])
+        return cls(transition, held, acceleration, positions[:n], positions[n:])
 
 
 @dataclass(frozen=True)
@@ -163,19 +155,3 @@ def _measured_accelerations(observer: AccelerationObserver, q: FloatArray) -> Fl
     by_q, _, by_ddq = robot.core.specific_force_derivatives(q[None], zero[None], zero[None])[0]
     inverse = _core.acceleration_inverse(robot.core, q, observer.worst_acceleration_std)
     return np.asarray(inverse @ np.hstack([by_q, by_ddq]))
-
-
-def _sampled(a: FloatArray, b: FloatArray, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Φ, and the responses to inputs held over a period and to their change on a straight line over it."""
-    from scipy.linalg import expm
-
-    n, m = b.shape
-    both = np.zeros((n + 2 * m, n + 2 * m))
-    both[:n] = period * np.hstack([a, b, np.zeros((n, m))])
-    both[n : n + m, n + m :] = np.eye(m)
-    response = expm(both)
-    return response[:n, :n], response[:n, n : n + m], response[:n, n + m :]
-
-
-def _diagonal(robot: Robot, name: str) -> FloatArray:
-    return np.diag([getattr(drive, name) or 0.0 for drive in robot.drives])

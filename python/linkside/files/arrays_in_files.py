@@ -16,9 +16,7 @@ import numpy.typing as npt
 import pyarrow as pa
 from scipy.io import loadmat
 
-from linkside.errors import LogError
-
-from .tables import MOST_COLUMNS, ArrowTable, failure, reading, to_arrow
+from .tables import MOST_COLUMNS, ArrowTable, failure, parsing, to_arrow
 
 Array = npt.NDArray[Any]
 Load = Callable[[], Array]
@@ -51,7 +49,7 @@ class ArrayTable:
     def __init__(self, path: str | Path) -> None:
         """Find its arrays."""
         self.source = str(path)
-        with _parsing(self.source):
+        with parsing(self.source):
             self._hdf5 = _is_hdf5(Path(path))
             self._matlab = {} if self._hdf5 else self._load_matlab()
             with self._columns() as columns:
@@ -61,7 +59,7 @@ class ArrayTable:
 
     def read(self, columns: list[str]) -> pa.Table:
         """All rows of some columns."""
-        with _parsing(self.source), self._columns() as there:
+        with parsing(self.source), self._columns() as there:
             return to_arrow({name: there[name]() for name in columns}, columns, self.source)
 
     def batches(self, columns: list[str], rows: int) -> Iterator[pa.Table]:
@@ -84,18 +82,6 @@ class ArrayTable:
             found: dict[str, Load] = {}
             file.visititems(lambda name, item: found.update(_dataset(name, item)) if hasattr(item, "dtype") else None)
             yield found
-
-
-@contextmanager
-def _parsing(source: str) -> Iterator[None]:
-    """Turn into one line whatever SciPy and HDF5 raise over broken data: it is of no kind in particular."""
-    try:
-        with reading(source):
-            yield
-    except LogError:
-        raise
-    except Exception as error:
-        raise failure(source, f"cannot be read: {error}") from error
 
 
 def _is_hdf5(path: Path) -> bool:

@@ -6,8 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from .arrays_in_files import ArrayTable
+from .mdf import mdf_table
 from .regular import instead
 from .tables import CsvTable, ParquetTable, Table, failure, reading
+from .tdms import tdms_table
 
 FORMATS: dict[str, Callable[[str | Path], Table]] = {
     ".parquet": ParquetTable,
@@ -16,6 +18,9 @@ FORMATS: dict[str, Callable[[str | Path], Table]] = {
     ".mat": ArrayTable,
     ".h5": ArrayTable,
     ".hdf5": ArrayTable,
+    ".tdms": tdms_table,
+    ".mf4": mdf_table,
+    ".mdf": mdf_table,
 }
 """What reads a file, by its suffix."""
 

@@ -87,10 +87,12 @@ class ArrowTable:
         table = self.read(columns)
         yield from (table.slice(first, rows) for first in range(0, table.num_rows, rows))
 
-    def renamed(self, old: str, new: str) -> ArrowTable:
-        """The same with another name of a column."""
-        names = [new if name == old else name for name in self.names]
-        return ArrowTable(self._table.rename_columns(names), self.source, self.metadata)
+    def timed(self, name: str, unit: float) -> ArrowTable:
+        """The same with another name of its column ``t``, which is in seconds, and in another unit [s]."""
+        index = self.names.index("t")
+        time = self._table.column(index)
+        time = time if unit == 1 else pc.divide(time, unit)
+        return ArrowTable(self._table.set_column(index, name, time), self.source, self.metadata)
 
     def to_arrow(self) -> pa.Table:
         """The table itself."""
@@ -301,6 +303,18 @@ def reading(source: str) -> Iterator[None]:
     except (pa.ArrowException, OSError, ValueError, TypeError, EOFError, MemoryError, OverflowError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
         raise failure(source, f"cannot be read: {reason}") from error
+
+
+@contextmanager
+def parsing(source: str) -> Iterator[None]:
+    """Turn into one line whatever a library raises over broken data: it is of no kind in particular."""
+    try:
+        with reading(source):
+            yield
+    except LogError:
+        raise
+    except Exception as error:
+        raise failure(source, f"cannot be read: {error}") from error
 
 
 def failure(source: str, text: str) -> LogError:

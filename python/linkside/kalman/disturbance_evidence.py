@@ -108,7 +108,8 @@ def _fit(estimate: Any) -> tuple[FloatArray, FloatArray]:
 def _load(robot: Robot, estimate: Estimate) -> FloatArray:
     """Torques that links need to move as in an estimate (T, n)."""
     assert estimate.ddq is not None  # a filter has it
-    return robot.inverse_dynamics(estimate.q, estimate.dq, estimate.ddq) + robot.link_friction(estimate.dq)
+    load = robot.inverse_dynamics(estimate.q, estimate.dq, estimate.ddq)
+    return load + robot.link_friction(estimate.dq, load)
 
 
 def _mean_square(torque: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from linkside.arrays import FloatArray, Signal
 from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
-from linkside.robot.considered import considered
+from linkside.robot.considered import considered, core_settings
 from linkside.robot.requirements import refuse_unsupported
 
 from .filtering import KalmanEstimate, KalmanMethod
@@ -185,7 +185,7 @@ class ElasticJoint(KalmanMethod):
             gate=self._gate,
             iterations=self._iterations,
             late=inside(self.robot, kinds, period),
-            tolerances=[parameter.as_tuple for parameter in self._uncertain],
+            **core_settings(self.robot, self._uncertain),
             link_disturbance=None if law is None else law.arrays,
         )
 

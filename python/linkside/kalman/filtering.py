@@ -116,6 +116,8 @@ class KalmanMethod(Described, ABC):
 
     _smooth = False
     noise: Any
+    left_out: tuple[str, ...] = ()
+    """Fields of its estimates that are no columns."""
 
     def __init__(
         self,
@@ -314,5 +316,10 @@ class KalmanMethod(Described, ABC):
         columns = self.columns(log, kinds)
         found = named(result.pop("findings", ()), columns)
         return KalmanEstimate(
-            t=log.t, names=self.robot.names, channels=columns, findings=found, **without_waits(log, result)
+            t=log.t,
+            names=self.robot.names,
+            channels=columns,
+            findings=found,
+            left_out=self.left_out,
+            **without_waits(log, result),
         )

@@ -171,7 +171,7 @@ class FixedLagSmoother(Copies):
         result = _core.StretchSmoother(self._before).back(self._before, arrays, True)
         t = self._t + np.cumsum(arrays[0]) - arrays[0][0]
         first: dict[str, Any] = {name: a[rows] for name, a in result.items() if name != "findings"}
-        return KalmanEstimate(t=t[rows], names=self.robot.names, **first)
+        return KalmanEstimate(t=t[rows], names=self.robot.names, left_out=self._filter.left_out, **first)
 
     def _forget(self) -> None:
         """Let the filter before the window take the window's first sample."""

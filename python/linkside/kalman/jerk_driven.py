@@ -14,7 +14,7 @@ from linkside.arrays import FloatArray, Signal
 from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
-from linkside.robot.considered import considered
+from linkside.robot.considered import considered, core_settings
 from linkside.robot.requirements import refuse_unsupported
 
 from .filtering import CoreFilter, KalmanEstimate, KalmanMethod, LiveFilter, Startable
@@ -97,6 +97,10 @@ class JerkDrivenFilter(LiveFilter[Core]):
 
 class JerkDriven(KalmanMethod):
     """What filter and smoother on the jerk-driven model share; parameters as of `ExtendedKalmanFilter`."""
+
+    # The state has no motor velocity: what springs, damping and link accelerations say of it is 20 times further off
+    # than a usual reading of it, or than the slope of motor positions.
+    left_out = ("dtheta",)
 
     def __init__(
         self,
@@ -191,8 +195,8 @@ class JerkDriven(KalmanMethod):
         return self._channels(kinds) | {
             "noise": noise.arrays(self.robot, kinds),
             "damping": self._damping,
-            "tolerances": [parameter.as_tuple for parameter in self._uncertain],
             "late": inside(self.robot, kinds, period),
+            **core_settings(self.robot, self._uncertain),
         }
 
     def arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:

@@ -8,7 +8,7 @@ import numpy as np
 
 from linkside.channels import CHANNELS
 from linkside.robot import Robot
-from linkside.robot.config import Lateness
+from linkside.robot.sensors import Lateness
 
 Inside = tuple[float, float, int]
 """Time constant [s], delay [s], and how many steps of time the delay can have."""

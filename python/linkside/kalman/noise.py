@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -144,7 +145,8 @@ class Noise(ReadingNoise):
         """Fill in what is to be read off the log: the scale of jerk."""
         if self.jerk is not None:
             return self
-        return self.updated(jerk=tuple(np.hypot(jerk_scale(log), ripple_jerk(log, robot)).tolist()))
+        jerk = np.hypot(jerk_scale(log), ripple_jerk(log, robot))
+        return self.updated(jerk=tuple(np.where(robot.passive, passive_jerk(log, robot), jerk).tolist()))
 
     def arrays(self, robot: Robot, kinds: tuple[str, ...]) -> dict[str, Any]:
         """Arrays for the filter: one number a joint or channel, the channels being those of ``kinds`` in order."""
@@ -236,27 +238,67 @@ def ripple_jerk(log: Log, robot: Robot) -> FloatArray:
     return np.asarray(np.sqrt(density))
 
 
+def passive_jerk(log: Log, robot: Robot) -> FloatArray:
+    """Density of the jerk of joints without motor (n,), which swing as the others accelerate [rad/s³/√Hz].
+
+    An acceleration a of a driven joint bends the spring of a passive one, of inertia m and frequency ω, as far as an
+    acceleration c a/m of its own would, c the inertia that both share: by x = c a/(m ω²), about which it then swings. A
+    vibration of that amplitude has the jerk x ω³/√2, for 1/ω: a density of x ω^(5/2)/√2.
+    """
+    if not robot.passive.any():
+        return np.zeros(robot.n)
+    posture = np.nan_to_num([np.median(angle[np.isfinite(angle)]) for angle in log.theta.T])
+    mass = robot.mass_matrix(posture)
+    square = np.array([drive.stiffness or 0.0 for drive in robot.drives]) / np.diag(mass)
+    moved = np.abs(mass) @ acceleration_scale(log) / np.diag(mass)
+    return np.asarray(np.maximum(LEAST_JERK, np.sqrt(0.5 * np.sqrt(square)) * moved))
+
+
+def acceleration_scale(log: Log) -> FloatArray:
+    """Root mean square of each motor's acceleration (n,), from cubics as `jerk_scale` has them [rad/s²]."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = [_cubics(log.t, theta) for theta in log.theta.T]
+    return np.array([0.0 if one is None else np.sqrt(np.mean(one.acceleration**2)) for one in found])
+
+
+@dataclass
+class _Cubics:
+    """Cubics through windows of a signal: acceleration and jerk amid each, and half of a window's time [s]."""
+
+    acceleration: FloatArray
+    jerk: FloatArray
+    half: float
+
+
 def _jerk_scale(t: FloatArray, theta: FloatArray) -> float:
+    found = _cubics(t, theta)
+    if found is None:
+        return LEAST_JERK
+    # Over a window longer than that, jerk that lasts is as much as more of it that does not.
+    lasting = max(JERK_TIME, found.half)
+    return max(LEAST_JERK, float(np.sqrt(np.mean(_without_jump(found.jerk**2)) * lasting)))
+
+
+def _cubics(t: FloatArray, theta: FloatArray) -> _Cubics | None:
     there = ~np.isnan(theta)
     t, theta = t[there], theta[there]
     if len(t) < SHORTEST:
-        return LEAST_JERK
+        return None
     period = float(np.median(np.diff(t)))
     count = min(len(t), max(SHORTEST, 2 * round(JERK_TIME / period) + 1))
     every = max(1, count // 8)
     times, angles = (np.lib.stride_tricks.sliding_window_view(x, count)[::every] for x in (t, theta))
     whole = times[:, -1] - times[:, 0] < 2 * (count - 1) * period
     if not whole.any():
-        return LEAST_JERK
+        return None
     times, angles = times[whole], angles[whole]
     span = 0.5 * (times[:, -1:] - times[:, :1])
     s = (times - times[:, :1]) / span - 1.0
     powers = np.stack([np.ones_like(s), s, s * s, s * s * s], axis=2)
     normal, right = powers.swapaxes(1, 2) @ powers, powers.swapaxes(1, 2) @ (angles - angles[:, :1])[:, :, None]
-    jerk = 6 * np.linalg.solve(normal, right)[:, 3, 0] / span[:, 0] ** 3
-    # Over a window longer than that, jerk that lasts is as much as more of it that does not.
-    lasting = max(JERK_TIME, (count - 1) * period / 2)
-    return max(LEAST_JERK, float(np.sqrt(np.mean(_without_jump(jerk**2)) * lasting)))
+    powers_of_s = np.linalg.solve(normal, right)[:, :, 0]
+    jerk = 6 * powers_of_s[:, 3] / span[:, 0] ** 3
+    return _Cubics(2 * powers_of_s[:, 2] / span[:, 0] ** 2, jerk, (count - 1) * period / 2)
 
 
 def _without_jump(squares: FloatArray) -> FloatArray:

@@ -22,7 +22,11 @@ Found = TypeVar("Found")
 
 
 class DecidingFilter(LiveFilter[Core]):
-    """A live filter whose first samples decide where it starts: each of them redoes those before it."""
+    """A live filter whose first samples decide where it starts.
+
+    It starts anew from where they say whenever they have become twice as many, and when all are there: then it is where
+    it would be had it waited for them.
+    """
 
     robot: Robot
     _at: Start
@@ -50,16 +54,18 @@ class DecidingFilter(LiveFilter[Core]):
     def _decide(
         self, sample: dict[str, Any], step: Callable[..., _core.State], begin: Callable[[Readings], None]
     ) -> _core.State:
-        """Take one of the first samples, which decide where the filter starts: all of them, from where they say."""
+        """Take one of the first samples, and where it is time, all of them anew, from where they say."""
         sample = {name: _copied(name, value) for name, value in sample.items()}
         if not self._early:
             self._period = sample["dt"]
         before = self._started, self.status
         self._early.append(sample)
         try:
-            self._start_anew()
-            begin(self._early_readings())
-            for early in self._early:
+            anew = _decides(len(self._early))
+            if anew:
+                self._start_anew()
+                begin(self._early_readings())
+            for early in self._early if anew else [sample]:
                 state = step(**early)
         except EstimatorError:
             self._early.pop()
@@ -85,6 +91,11 @@ class DecidingFilter(LiveFilter[Core]):
         t = np.cumsum([s["dt"] for s in self._early])
         there = {name: None if np.isnan(values).all() else values for name, values in signals.items()}
         return Readings(t, signals["theta"], there["dtheta"], there["acceleration"])
+
+
+def _decides(samples: int) -> bool:
+    """Whether so many samples are twice as many as had decided before, or all that decide."""
+    return samples.bit_count() == 1 or samples == WINDOW
 
 
 def _copied(name: str, value: Any) -> Any:

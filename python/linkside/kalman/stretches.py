@@ -116,7 +116,9 @@ def smooth_pieces(
         _backward(starts, spill)
         for index in range(len(starts)):
             arrays: dict[str, Any] = _load(spill / f"{index}.estimate")
-            yield KalmanEstimate(names=smoother.robot.names, channels=columns, findings=found, **arrays)
+            yield KalmanEstimate(
+                names=smoother.robot.names, channels=columns, findings=found, left_out=smoother.left_out, **arrays
+            )
 
 
 @contextmanager

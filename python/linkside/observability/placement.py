@@ -32,7 +32,7 @@ from linkside.files.yaml_source import Source, write_yaml
 from linkside.recording.log import Log
 from linkside.robot import Robot
 from linkside.robot import compile as tree
-from linkside.robot.config import AccelerometerConfig
+from linkside.robot.sensors import AccelerometerConfig
 from linkside.robot.workspace import workspace
 
 from .analysis import check

@@ -21,7 +21,7 @@ from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.robot import Robot
 from linkside.robot import compile as tree
-from linkside.robot.config import AccelerometerConfig
+from linkside.robot.sensors import AccelerometerConfig
 
 from .result import Observability
 

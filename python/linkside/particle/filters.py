@@ -306,7 +306,12 @@ class ParticleFilter(DecidingFilter[_core.ParticleFilter], JerkDrivenFilter[_cor
         channels = self._front.columns(log, kinds)
         found = named(result.pop("findings"), channels)
         return ParticleEstimate(
-            t=log.t, names=self.robot.names, channels=channels, findings=found, **without_waits(log, result)
+            t=log.t,
+            names=self.robot.names,
+            channels=channels,
+            findings=found,
+            left_out=self._front.left_out,
+            **without_waits(log, result),
         )
 
 

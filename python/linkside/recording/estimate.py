@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from enum import IntFlag
 from pathlib import Path
@@ -17,7 +17,7 @@ import pyarrow.csv
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError, LogError
 from linkside.files.opening import open_table
-from linkside.files.tables import numbers
+from linkside.files.tables import Table, numbers
 from linkside.findings import Fault
 from linkside.statistics import rms
 
@@ -86,6 +86,8 @@ class Estimate:
         Normalised innovation squared, where the method has innovations; its mean should be the number of readings used.
     findings : tuple of Fault
         Contradictions between readings and model, from the recording's start on; not in files.
+    left_out : tuple of str
+        Fields that are no columns, and are not compared: the recording itself knows them better than the method.
     """
 
     t: FloatArray
@@ -104,6 +106,7 @@ class Estimate:
     disturbance: FloatArray | None = None
     disturbance_std: FloatArray | None = None
     findings: tuple[Fault, ...] = ()
+    left_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check shapes, once."""
@@ -133,11 +136,21 @@ class Estimate:
             When it cannot be used: one line with the file and the column.
         """
         file = open_table(path)
-        names = _joints(file.names, file.source)
-        groups = {group: columns for group, columns in _groups(names).items() if set(columns) <= set(file.names)}
-        table = file.read([column for columns in groups.values() for column in columns])
-        arrays = {g: np.stack([numbers(table, c, file.source) for c in cs], axis=1) for g, cs in groups.items()}
-        return cls(names=names, **_complete(arrays, len(names), file.source))
+        names, groups = _present(file)
+        return cls._of(file.read([c for columns in groups.values() for c in columns]), names, groups, file.source)
+
+    @classmethod
+    def stream(cls, path: str | Path, rows: int = 65_536) -> Iterator[Estimate]:
+        """Read a file piece by piece, ``rows`` rows each, in bounded memory; as `read`."""
+        file = open_table(path)
+        names, groups = _present(file)
+        for piece in file.batches([c for columns in groups.values() for c in columns], rows):
+            yield cls._of(piece, names, groups, file.source)
+
+    @classmethod
+    def _of(cls, table: pa.Table, names: tuple[str, ...], groups: dict[str, list[str]], source: str) -> Estimate:
+        arrays = {g: np.stack([numbers(table, c, source) for c in cs], axis=1) for g, cs in groups.items()}
+        return cls(names=names, **_complete(arrays, len(names), source))
 
     @classmethod
     def concatenate(cls, parts: Iterable[Estimate]) -> Estimate:
@@ -158,7 +171,7 @@ class Estimate:
         out: dict[str, npt.NDArray[Any]] = {}
         for group, columns in _groups(self.names).items():
             array = getattr(self, group)
-            if array is not None:
+            if array is not None and group not in self.left_out:
                 out |= zip(columns, np.atleast_2d(array.T), strict=True)
         return out
 
@@ -246,7 +259,7 @@ class Estimate:
         return f"Estimate({len(self)} rows, {len(self.names)} joints, {groups}; status: {status or 'none'})"
 
     def _form(self) -> tuple[tuple[str, ...], list[str]]:
-        arrays = (f.name for f in fields(self) if f.name not in ("names", "channels", "findings"))
+        arrays = (f.name for f in fields(self) if f.name not in ("names", "channels", "findings", "left_out"))
         there = [name for name in arrays if getattr(self, name) is not None]
         return self.names, there
 
@@ -333,6 +346,12 @@ def _groups(names: tuple[str, ...]) -> dict[str, list[str]]:
     }
     order = ("t", "q", "dq", "ddq", "theta", "dtheta", "tool_position", "q_std", "tool_std")
     return {group: groups[group] for group in (*order, "disturbance", "disturbance_std", "nis", "status")}
+
+
+def _present(file: Table) -> tuple[tuple[str, ...], dict[str, list[str]]]:
+    """Joints of a file, and its columns by field of `Estimate`."""
+    names = _joints(file.names, file.source)
+    return names, {group: columns for group, columns in _groups(names).items() if set(columns) <= set(file.names)}
 
 
 def _joints(columns: list[str], source: str) -> tuple[str, ...]:

@@ -14,12 +14,17 @@ from linkside.arrays import FloatArray
 from linkside.channels import CHANNELS, joint_columns
 from linkside.errors import EstimatorError, LogError
 from linkside.files.tables import failure
+from linkside.robot.units import Unit
 
 COMMANDS = ("qref", "dqref", "ddqref")
 """Signals that nobody measures: they are known at any time, on straight lines."""
 
 UNMEASURED = ("tau", "ddq", *COMMANDS)
 """Signals with one column a joint, ``<signal>_<joint>``, beside the channels that filters correct with."""
+
+
+OF_MOTORS = ("theta", "dtheta", "tau")
+"""Those that a joint without motor has not."""
 
 
 class ColumnNames(Protocol):
@@ -46,6 +51,10 @@ class RobotColumns(Protocol):
         """Joints with a spring between motor and link, (n,)."""
 
     @property
+    def passive(self) -> npt.NDArray[np.bool_]:
+        """Joints without motor, and so without columns of one, (n,)."""
+
+    @property
     def acceleration_channels(self) -> tuple[str, ...]:
         """Accelerometer columns, such as ``tool_acc_x``."""
 
@@ -65,25 +74,49 @@ class RobotColumns(Protocol):
     def columns(self) -> ColumnNames:
         """How the log's columns differ from ours."""
 
+    @property
+    def column_units(self) -> Mapping[str, Unit]:
+        """Units of columns that are not in SI units, by our names."""
+
+    @property
+    def torque_constant(self) -> tuple[float | None, ...]:
+        """Torque of a motor's current, where it is known [N m/A]."""
+
 
 @dataclass(frozen=True)
 class Layout:
-    """Which columns of a log hold which signal of a robot."""
+    """Which columns of a log hold which signal of a robot, and in which unit.
+
+    Attributes
+    ----------
+    wanted : dict of str to tuple of str
+        The columns of each signal, as the log calls them; a motor's current where its torque is not recorded.
+    found : tuple of str
+        All columns of the log.
+    sizes : dict of str to (k,)
+        How large a unit of each column of a signal is, of signals that are not in SI units throughout.
+    conversions : tuple of str
+        The same in words.
+    """
 
     wanted: dict[str, tuple[str, ...]]
     found: tuple[str, ...]
     elastic: tuple[bool, ...]
+    passive: tuple[bool, ...]
     shaft_ratio: FloatArray | None
     acceleration_errors: tuple[FloatArray, FloatArray] | None
+    sizes: dict[str, FloatArray]
+    conversions: tuple[str, ...]
 
     @classmethod
     def of(cls, robot: RobotColumns, found: list[str], source: str) -> Layout:
         """Find a robot's signals among a log's columns; time and motor positions must be there."""
-        wanted = signal_columns(robot)
+        wanted, sizes, conversions = _by_unit(robot, found)
         ratio = np.asarray(robot.gear_ratio, float) if robot.columns.motor_side else None
         bias, scale = robot.acceleration_errors
         errors = (bias, scale) if np.any(bias) or np.any(scale != 1) else None
-        layout = cls(wanted, tuple(found), tuple(map(bool, robot.elastic)), ratio, errors)
+        elastic, passive = (tuple(map(bool, joints)) for joints in (robot.elastic, robot.passive))
+        layout = cls(wanted, tuple(found), elastic, passive, ratio, errors, sizes, conversions)
         layout._check(source)
         return layout
 
@@ -101,18 +134,30 @@ class Layout:
         if signal in ("acceleration", "rate") and not columns:
             sensor = "accelerometer" if signal == "acceleration" else "gyroscope"
             raise failure(source, f"the robot has no {sensor} to read a column of (needed for {purpose})")
+        kept = [True] * len(columns)
         if signal in ("tau", "ddq"):
-            return [column for column, elastic in zip(columns, self.elastic, strict=True) if elastic]
-        return list(columns)
+            kept = list(self.elastic)
+        if signal in OF_MOTORS:
+            kept = [one and not passive for one, passive in zip(kept, self.passive, strict=True)]
+        return [column for column, one in zip(columns, kept, strict=True) if one]
+
+    def without_motor(self, arrays: dict[str, Any]) -> dict[str, Any]:
+        """Signals with zeros for motors that are not there, where passive joints' springs are fixed."""
+        for signal in _there(arrays, *OF_MOTORS) if any(self.passive) else ():
+            arrays[signal][:, list(self.passive)] = 0.0
+        return arrays
 
     def missing(self, column: str, source: str, why: str = "") -> LogError:
         """Say that a column is missing, and what it might be called instead."""
         close = difflib.get_close_matches(column, set(self.found) - set(self.present), n=1, cutoff=0.75)
         hint = f"; did you mean {close[0]!r}?" if close else "; if another file has it, see `linkside merge`"
+        if column.startswith("tau_") and (current := f"current_{column[4:]}") in self.found:
+            hint = f"; {current!r} is in its place if robot.yaml gives the joint a torque_constant [N m/A]"
         return failure(source, f"column {column!r} is missing{why}{hint}")
 
     def on_link_side(self, arrays: dict[str, Any]) -> dict[str, Any]:
-        """Signals of a recording without the gear and the sensors' errors."""
+        """Signals of a recording in SI units, without the gear and the sensors' errors."""
+        arrays = arrays | {signal: arrays[signal] * self.sizes[signal] for signal in _there(arrays, *self.sizes)}
         changes: dict[str, Any] = {}
         if self.shaft_ratio is not None:
             changes = {signal: arrays[signal] / self.shaft_ratio for signal in _there(arrays, "theta", "dtheta")}
@@ -131,10 +176,23 @@ class Layout:
         if self.acceleration_errors is not None:
             bias, scale = self.acceleration_errors
             changes |= {signal: arrays[signal] * scale + bias for signal in _there(arrays, "acceleration")}
-        return arrays | changes
+        arrays = arrays | changes
+        return arrays | {signal: arrays[signal] / self.sizes[signal] for signal in _there(arrays, *self.sizes)}
+
+    @property
+    def seconds(self) -> float:
+        """How many seconds a unit of time is, as robot.yaml has it."""
+        return float(self.sizes["t"][0]) if "t" in self.sizes else 1.0
+
+    def recorded_size(self, signal: str) -> FloatArray:
+        """What one of a column is in the signal, (k,): its unit, and the gear."""
+        size = self.sizes.get(signal, np.ones(len(self.wanted[signal])))
+        if self.shaft_ratio is None or signal not in ("theta", "dtheta", "tau"):
+            return size
+        return np.asarray(size * self.shaft_ratio if signal == "tau" else size / self.shaft_ratio)
 
     def _check(self, source: str) -> None:
-        for column in self.wanted["t"] + self.wanted["theta"]:
+        for column in [*self.wanted["t"], *self.needed("theta", source, "all")]:
             if column not in self.found:
                 raise self.missing(column, source)
         for column in self.present:
@@ -144,13 +202,59 @@ class Layout:
 
 def signal_columns(robot: RobotColumns) -> dict[str, tuple[str, ...]]:
     """The columns of each signal of a robot, as its recordings call them."""
+    renamed = robot.columns.names
+    return {signal: tuple(renamed.get(c, c) for c in columns) for signal, columns in _our_columns(robot).items()}
+
+
+def currents(robot: RobotColumns) -> dict[str, tuple[str, float]]:
+    """By the column of a motor's torque that of its current, as recordings call both, and the torque of an ampere."""
+    renamed, tau = robot.columns.names, signal_columns(robot)["tau"]
+    current = [renamed.get(column, column) for column in joint_columns("current", robot.names)]
+    each = zip(tau, current, robot.torque_constant, strict=True)
+    return {torque: (column, constant) for torque, column, constant in each if constant is not None}
+
+
+def time_unit(robot: RobotColumns) -> float:
+    """How many seconds a unit of time is in a robot's recordings."""
+    unit = robot.column_units.get("t")
+    return 1.0 if unit is None else unit.size
+
+
+def _our_columns(robot: RobotColumns) -> dict[str, tuple[str, ...]]:
     measured = {channel.signal: channel.columns(robot) for channel in CHANNELS.values()}
     others = {signal: joint_columns(signal, robot.names) for signal in UNMEASURED}
     inertial = {signal: measured.pop(signal) for signal in ("acceleration", "rate")}
-    ours = {"t": ("t",)} | measured | others | inertial
-    renamed = robot.columns.names
-    return {signal: tuple(renamed.get(c, c) for c in columns) for signal, columns in ours.items()}
+    return {"t": ("t",)} | measured | others | inertial
+
+
+def _by_unit(
+    robot: RobotColumns, found: list[str]
+) -> tuple[dict[str, tuple[str, ...]], dict[str, FloatArray], tuple[str, ...]]:
+    """The columns of each signal, how large their units are, and both in words."""
+    wanted, instead = signal_columns(robot), currents(robot)
+    sizes: dict[str, FloatArray] = {}
+    words: dict[str, list[str]] = {}
+    for signal, ours in _our_columns(robot).items():
+        theirs, size = list(wanted[signal]), np.ones(len(ours))
+        for index, column in enumerate(ours):
+            current, constant = instead.get(theirs[index], ("", 0.0)) if signal == "tau" else ("", 0.0)
+            if theirs[index] not in found and current in found:
+                theirs[index], size[index] = current, constant
+                column = f"current_{column.removeprefix('tau_')}"
+                words.setdefault(f"taken for motor torque, {constant:g} N m/A", []).append(current)
+            if (unit := robot.column_units.get(column)) is not None:
+                size[index] *= unit.size
+                if theirs[index] in found:
+                    words.setdefault(f"{unit.name} to {unit.si}, times {unit.size:.6g}", []).append(theirs[index])
+        wanted[signal] = tuple(theirs)
+        if (size != 1).any():
+            sizes[signal] = size
+    return wanted, sizes, tuple(f"{_list(columns)}: {how}" for how, columns in words.items())
+
+
+def _list(columns: list[str]) -> str:
+    return ", ".join(columns) if len(columns) <= 3 else f"{columns[0]} … {columns[-1]} ({len(columns)} columns)"
 
 
 def _there(arrays: dict[str, Any], *signals: str) -> list[str]:
-    return [signal for signal in signals if arrays[signal] is not None]
+    return [signal for signal in signals if arrays.get(signal) is not None]

@@ -20,15 +20,17 @@ import pyarrow.csv
 from linkside.arguments import positive
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError, LogError
-from linkside.files.tables import column_names, failure, numbers, reading, to_arrow
+from linkside.files.tables import column_names, numbers, reading, to_arrow
 from linkside.recording.checks.finding import Finding
 from linkside.recording.checks.inspector import Inspector, able
 
+from .gathering import frozen, gather, period_of
 from .layout import COMMANDS, Layout, RobotColumns
 from .merging import merge
 from .opening import open_recording
 from .pace import Pace, column_rates
 from .resampling import at, even_times
+from .samples import SampleCheck
 from .writer import EstimateWriter
 
 # The period comes from the head of a log only, so that a streamed log and a whole one agree on it exactly.
@@ -199,8 +201,8 @@ class Log:
         t = even_times(self.t, signals.values(), rate)
         if len(t) < 2:
             raise EstimatorError(f"{self.source}: a rate of {rate:g} Hz leaves {len(t)} rows, at least two are needed")
-        even = {signal: _frozen(at(t, self.t, array)) for signal, array in signals.items()}
-        log = replace(self, t=_frozen(t), period=1 / rate, **even)  # type: ignore[arg-type]
+        even = {signal: frozen(at(t, self.t, array)) for signal, array in signals.items()}
+        log = replace(self, t=frozen(t), period=1 / rate, **even)  # type: ignore[arg-type]
         return replace(log, pace=_pace(log[:_HEAD], self._layout))
 
     def to_arrow(self) -> pa.Table:
@@ -265,6 +267,15 @@ class Log:
         """Names of a signal's columns, as the recording has them."""
         return self._layout.wanted[signal]
 
+    @property
+    def conversions(self) -> tuple[str, ...]:
+        """What was converted to SI units, and which currents stand for torques, in words."""
+        return self._layout.conversions
+
+    def recorded_size(self, signal: str) -> FloatArray:
+        """How much of a signal one of the recording's column is, (k,): by its unit, and by the gear."""
+        return self._layout.recorded_size(signal)
+
     def rates(self) -> list[tuple[str, float, float]]:
         """Each column that was read, how often a second, and in which part of the rows."""
         signals = ((names, getattr(self, signal)) for signal, names in self._layout.wanted.items() if signal != "t")
@@ -283,7 +294,7 @@ class Log:
         cut = {f.name: getattr(self, f.name) for f in fields(self)}
         cut = {name: a[rows] for name, a in cut.items() if isinstance(a, np.ndarray)}
         if (rows.step or 1) > 1:
-            cut = {name: _frozen(np.ascontiguousarray(a)) for name, a in cut.items()}
+            cut = {name: frozen(np.ascontiguousarray(a)) for name, a in cut.items()}
         first, period = rows.indices(len(self))[0], self.period * (rows.step or 1)
         pace = self.pace.until(self, first) if 0 < first < len(self) else self.pace
         return replace(self, period=period, pace=pace if period == self.period else pace.thinned(period), **cut)
@@ -306,6 +317,8 @@ class LogStream:
         Rows in all, where the file says so (Parquet), for a progress bar.
     period : float
         Median step of ``t`` at the beginning [s].
+    conversions : tuple of str
+        As of `Log`.
     """
 
     def __init__(
@@ -318,20 +331,21 @@ class LogStream:
         self._rows, self._allow_gaps, self._robot, self._checked = rows, allow_gaps, robot, check
         self.source, self.count = self._file.source, self._file.count
         self._layout = Layout.of(robot, self._file.names, self.source)
+        self.conversions = self._layout.conversions
         (time,) = self._layout.wanted["t"]
-        head = next(self._file.batches([time], _HEAD), pa.table({time: pa.array([], pa.float64())}))
-        period = _period(numbers(head, time, self.source), self.source)
-        self._seconds = 1.0 if (i := _inspector(robot, self.source, check)) is None else i.seconds(period, time)
-        self.period = self._seconds * period
+        head = next(self._file.batches(self._layout.present, _HEAD), pa.table({time: pa.array([], pa.float64())}))
+        self._seconds, self.period = _clock(
+            numbers(head, time, self.source), self._layout, self.source, _inspector(robot, self.source, check)
+        )
 
     def __iter__(self) -> Iterator[Log]:
         """Read from the beginning, each piece checked before it is handed out."""
         inspector = _inspector(self._robot, self.source, self._checked)
-        check: _Check | None = None
+        check: SampleCheck | None = None
         pace = self.pace
         for piece in self._file.batches(self._layout.present, self._rows):
             log = _assemble(piece, self._layout, self.source, self.period, self._seconds, pace)
-            check = check or _Check(
+            check = check or SampleCheck(
                 self.source, self._layout, np.inf if self._allow_gaps else self.longest_step, self.period
             )
             check(log)
@@ -352,89 +366,26 @@ class LogStream:
         return self.pace.longest_step(self.period)
 
 
-class _Check:
-    """Checks of the samples, carried from one piece of a log to the next."""
-
-    def __init__(self, source: str, layout: Layout, longest: float, period: float) -> None:
-        self._source, self._layout, self._longest, self._period = source, layout, longest, period
-        self._rows = 0
-        self._last: FloatArray = np.empty(0)
-        self._seen = {s: np.zeros(len(columns), bool) for s, columns in layout.wanted.items()}
-
-    def __call__(self, log: Log) -> None:
-        """Check one piece."""
-        self._check_finite_time(log.t)
-        self._check_steps(log.t)
-        for signal, seen in self._seen.items():
-            array = getattr(log, signal)
-            if signal != "t" and array is not None:
-                self._check_infinite(signal, array, log.t)
-                seen |= ~np.isnan(array).all(axis=0)
-        self._rows, self._last = self._rows + len(log), log.t[-1:]
-
-    def finish(self) -> None:
-        """At the end of a log: every channel had at least one sample."""
-        for signal, seen in self._seen.items():
-            for column, any_sample in zip(self._layout.wanted[signal], seen, strict=True):
-                if column in self._layout.present and signal != "t" and not any_sample:
-                    raise failure(self._source, f"column {column!r} is NaN throughout: not a single sample")
-
-    def _check_finite_time(self, t: FloatArray) -> None:
-        finite = np.isfinite(t)
-        if not finite.all():
-            row = int(np.argmin(finite))
-            raise self._bad(self._layout.wanted["t"][0], f"is {t[row]}", row, None)
-
-    def _check_steps(self, t: FloatArray) -> None:
-        joined = np.concatenate((self._last, t))
-        steps = np.diff(joined)
-        # Order before gaps: times out of order spoil the period that gaps are measured by.
-        for wrong in (~(steps > 0), steps > self._longest):
-            if wrong.any():
-                row = int(np.argmax(wrong)) + 1
-                what, column = self._describe(steps[row - 1]), self._layout.wanted["t"][0]
-                raise self._bad(column, what, row - len(self._last), joined[row])
-
-    def _describe(self, step: float) -> str:
-        if step < 0:
-            return f"runs backwards by {-step:.6g} s"
-        if step == 0:
-            return "repeats"
-        return f"has a gap of {step:.6g} s where the period is {self._period:.6g} s"
-
-    def _check_infinite(self, signal: str, array: FloatArray, t: FloatArray) -> None:
-        infinite = np.isinf(array)
-        if infinite.any():
-            row, channel = np.unravel_index(np.argmax(infinite), array.shape)
-            raise self._bad(self._layout.wanted[signal][channel], "is infinite", int(row), t[row])
-
-    def _bad(self, column: str, what: str, row: int, time: float | None) -> LogError:
-        when = "" if time is None else f" (t = {time:.9g})"
-        return failure(self._source, f"column {column!r} {what} at row {self._rows + row}{when}")
-
-
 def _whole(table: pa.Table, layout: Layout, source: str, allow_gaps: bool, inspector: Inspector | None) -> Log:
     (time,) = layout.wanted["t"]
-    period = _period(numbers(table, time, source)[:_HEAD], source)
-    seconds = 1.0 if inspector is None else inspector.seconds(period, time)
-    log = _assemble(table, layout, source, seconds * period, seconds)
-    check = _Check(source, layout, np.inf if allow_gaps else log.pace.longest_step(log.period), log.period)
+    seconds, period = _clock(numbers(table, time, source)[:_HEAD], layout, source, inspector)
+    log = _assemble(table, layout, source, period, seconds)
+    check = SampleCheck(source, layout, np.inf if allow_gaps else log.pace.longest_step(log.period), log.period)
     check(log)
     check.finish()
     return log if inspector is None else inspector(log)
 
 
+def _clock(head: FloatArray, layout: Layout, source: str, inspector: Inspector | None) -> tuple[float, float]:
+    """How many seconds a unit of time is beyond what robot.yaml says of it, and the period [s]."""
+    period = layout.seconds * period_of(head, source)
+    seconds = 1.0 if inspector is None else inspector.seconds(period, layout.wanted["t"][0])
+    return seconds, seconds * period
+
+
 def _inspector(robot: RobotColumns, source: str, check: bool) -> Inspector | None:
     """What looks at a recording before it is believed; None where that is not wanted, or the robot is but names."""
     return Inspector(robot, source) if check and able(robot) else None
-
-
-def _period(head: FloatArray, source: str) -> float:
-    if len(head) < 2:
-        rows = "has no rows" if len(head) == 0 else "has a single row"
-        raise failure(source, f"the log {rows}: at least two are needed")
-    with np.errstate(invalid="ignore"):  # an infinite time is refused later, with its row
-        return float(np.median(np.diff(head)))
 
 
 def _pace(head: Log, layout: Layout) -> Pace:
@@ -449,28 +400,11 @@ def _assemble(
     table: pa.Table, layout: Layout, source: str, period: float, seconds: float = 1.0, pace: Pace | None = None
 ) -> Log:
     """Arrange columns as arrays of time × channel, on the link side; ``pace`` is found if these are the first rows."""
-    arrays: dict[str, Any] = {s: _gather(table, columns, source) for s, columns in layout.wanted.items()}
-    arrays["t"] = arrays["t"].reshape(-1) if seconds == 1 else seconds * arrays["t"].reshape(-1)
-    arrays = layout.on_link_side(arrays)
-    frozen = {signal: None if array is None else _frozen(array) for signal, array in arrays.items()}
-    log = Log(**frozen, source=source, period=period, pace=pace or Pace(), _layout=layout)  # type: ignore[arg-type]
+    arrays: dict[str, Any] = {s: gather(table, columns, source) for s, columns in layout.wanted.items()}
+    arrays["t"] = arrays["t"].reshape(-1)
+    arrays = layout.on_link_side(layout.without_motor(arrays))
+    if seconds != 1:
+        arrays["t"] = seconds * arrays["t"]
+    read_only = {signal: None if array is None else frozen(array) for signal, array in arrays.items()}
+    log = Log(**read_only, source=source, period=period, pace=pace or Pace(), _layout=layout)  # type: ignore[arg-type]
     return log if pace is not None else replace(log, pace=_pace(log[:_HEAD], layout))
-
-
-def _gather(table: pa.Table, columns: tuple[str, ...], source: str) -> FloatArray | None:
-    present = set(table.column_names)
-    if not present.intersection(columns):
-        return None
-    if len(columns) == 1:  # already contiguous: no copy
-        return numbers(table, columns[0], source).reshape(-1, 1)
-    out = np.full((table.num_rows, len(columns)), np.nan)
-    for channel, column in enumerate(columns):
-        if column in present:
-            out[:, channel] = numbers(table, column, source)
-    return out
-
-
-def _frozen(array: FloatArray) -> FloatArray:
-    view: FloatArray = array.view()
-    view.flags.writeable = False
-    return view

@@ -11,12 +11,12 @@ import numpy as np
 import pyarrow as pa
 
 from linkside.errors import EstimatorError, RecordingWarning
+from linkside.files.joining import Part, join
 from linkside.files.tables import column_names, failure, numbers, reading, to_arrow
 
 from .checks import clock
 from .checks.inspector import able
-from .joining import Part, join
-from .layout import COMMANDS, RobotColumns, signal_columns
+from .layout import COMMANDS, RobotColumns, currents, signal_columns, time_unit
 from .opening import open_recording
 
 
@@ -40,11 +40,13 @@ def merge(sources: Sequence[Any], robot: RobotColumns, shifts: Sequence[float], 
         for number, (source, shift) in enumerate(zip(sources, shifts, strict=True))
     ]
     name = " + ".join(part.source for part in parts)
+    unit = time_unit(robot)
     table = join(parts, columns["t"][0], {column for signal in COMMANDS for column in columns[signal]})
     positions = [column for column in columns["theta"] if column in table]
     complete = ~np.isnan([table[column] for column in positions]).any(axis=0)
     if not complete.any():
         raise failure(name, f"{' and '.join(map(repr, positions))} are never read together: resample them (rate=…)")
+    table[columns["t"][0]] = table[columns["t"][0]] / unit  # as in each file
     return pa.table({column: values[int(np.argmax(complete)) :] for column, values in table.items()}), name
 
 
@@ -64,6 +66,7 @@ def _part(
     names = file.names if file is not None else column_names(source, name)
     (time,) = columns["t"]
     wanted = {column for signal, own in columns.items() if signal != "t" for column in own}
+    wanted |= {current for current, _ in currents(robot).values()}
     found = [column for column in dict.fromkeys(names) if column in wanted]
     for column in (time, *found):
         if names.count(column) != 1:
@@ -73,7 +76,7 @@ def _part(
         raise failure(name, f"no column is one of the robot's ({', '.join(sorted(wanted)[:3])}, …)")
     with reading(name):
         table = file.read([time, *found]) if file is not None else to_arrow(source, [time, *found], name)
-    t = numbers(table, time, name)
+    t = time_unit(robot) * numbers(table, time, name)
     steps = np.diff(t)
     if len(t) < 2 or not (np.isfinite(t).all() and (steps > 0).all()):
         row = int(np.argmin(np.isfinite(t) & (np.append(1.0, steps) > 0))) if len(t) > 1 else 0

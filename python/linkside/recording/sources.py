@@ -13,14 +13,11 @@ import pyarrow as pa
 from linkside.arrays import FloatArray
 from linkside.errors import RecordingWarning
 from linkside.files.bags import Bag, Series, Stamps, Wanted
+from linkside.files.joining import Part, join
 from linkside.files.tables import ArrowTable, failure
 from linkside.robot.sources import JointsSource, SourcesConfig
 
-from .joining import Part, join
-from .layout import COMMANDS, RobotColumns, signal_columns
-
-NONE = "linear_acceleration_covariance", "angular_velocity_covariance"
-"""Where the first number is −1, an Imu does not measure this (definition of sensor_msgs/Imu)."""
+from .layout import COMMANDS, RobotColumns, currents, signal_columns, time_unit
 
 AXES = ("x", "y", "z")
 
@@ -29,7 +26,7 @@ AXES = ("x", "y", "z")
 class _Taking:
     """What to take from a topic, and what its columns are called.
 
-    ``absent`` says by column which path is −1 where the message does not measure it.
+    ``absent`` says by column which path is −1 where the message does not measure it (definition of sensor_msgs/Imu).
     """
 
     wanted: Wanted
@@ -73,7 +70,7 @@ def bag_table(
 
 
 def robot_table(bag: Bag, robot: RobotColumns) -> ArrowTable:
-    """Make a table of a bag by a robot's ``sources``, of the columns that the robot has.
+    """Make a table of a bag by a robot's ``sources``, of the columns that the robot has; time in the robot's unit.
 
     Raises
     ------
@@ -84,9 +81,9 @@ def robot_table(bag: Bag, robot: RobotColumns) -> ArrowTable:
     if sources is None or not sources.some:
         raise failure(bag.source, f"the robot does not say what to take from a bag: {suggestion(bag)}")
     columns = signal_columns(robot)
-    wanted = {column for own in columns.values() for column in own}
+    wanted = {column for own in columns.values() for column in own} | {c for c, _ in currents(robot).values()}
     table = bag_table(bag, sources, wanted, {column for signal in COMMANDS for column in columns[signal]})
-    return table.renamed("t", columns["t"][0])
+    return table.timed(columns["t"][0], time_unit(robot))
 
 
 def suggestion(bag: Bag) -> str:

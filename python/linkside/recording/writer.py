@@ -80,6 +80,11 @@ class EstimateWriter:
         if self._rows >= GROUP:
             self._flush(GROUP)
 
+    def note(self, metadata: Mapping[str, str]) -> None:
+        """Keep more with a Parquet file, known only after its rows; nothing of it is in a CSV file."""
+        if isinstance(self._sink, pq.ParquetWriter):
+            self._sink.add_key_value_metadata(dict(metadata))
+
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:

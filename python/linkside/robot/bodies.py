@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 if TYPE_CHECKING:
-    from .config import JointConfig
+    from .joints import JointConfig
 
 LINK_FRAMES = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
 

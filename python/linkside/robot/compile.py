@@ -1,5 +1,6 @@
 """From a Pinocchio model to the core's kinematic tree."""
 
+import math
 import re
 from typing import Any
 
@@ -10,12 +11,20 @@ from linkside import _core
 from linkside.errors import ConfigError
 from linkside.files.yaml_source import Source, suggest
 
-from .config import FrameConfig, JointConfig, RobotConfig, RotorConfig, SensorConfig
+from . import units
+from .config import RobotConfig
+from .counterbalances import Anchor, Counterbalance
+from .joints import JointConfig, RotorConfig
+from .sensors import FrameConfig, SensorConfig
 from .urdf import impossible
 
 # About or along any axis; RUB and RevoluteUnbounded are URDF's continuous joints, whose q is (cos, sin).
 SINGLE_AXIS = re.compile(r"JointModel(R|RUB|P|Revolute|RevoluteUnbounded|Prismatic)(X|Y|Z|Unaligned)")
 UNIQUE = "\x1f"  # ends what makes a frame's name unique for a while
+MOTOR_SIGNALS = ("theta", "dtheta", "tau")  # those of its shaft, where a log is of the motor's side
+NO_TORSION = 1e-5
+"""The torque of so small a torsion counts as none where friction grows with load [rad]."""
+
 LINK_FRAMES = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
 
 
@@ -28,6 +37,7 @@ def reduce(model: Any, config: RobotConfig, source: Source) -> Any:
     reduced = _lock(model, locked)
     reduced.gravity.linear = np.array(config.gravity)
     _refuse_unknown_links(reduced, config, source)
+    _refuse_unfit_units(reduced, config, source)
     _load(reduced, config)
     return reduced
 
@@ -103,6 +113,7 @@ def compile_robot(config: RobotConfig, model: Any) -> _core.Robot:
         [_sensor(model, sensor) for sensor in config.gyroscopes],
         None if config.tool is None else _frame(model, config.tool),
         [_rotor(model, config, motor, rotor) for motor, rotor in config.rotors.items()],
+        [_counterbalance(model, names, balance) for balance in config.counterbalances],
     )
 
 
@@ -152,12 +163,43 @@ def _refuse_unknown_links(model: Any, config: RobotConfig, source: Source) -> No
         _refuse_unknown_link(model, rotor, source.where("rotors", motor, "link"))
     if config.tool is not None:
         _refuse_unknown_link(model, config.tool, source.where("tool", "link"))
+    for index, balance in enumerate(config.counterbalances):
+        where = ("counterbalances", index)
+        for at, end in enumerate(balance.ends):
+            _refuse_unknown_link(model, end, source.where(*where, "ends", at, "link"), moves=False)
+        bodies = {_anchor(model, end)[0] for end in balance.ends}
+        if len(bodies) == 1:
+            raise ConfigError(
+                f"{source.where(*where, 'ends')}both points are on one link, or on links that no joint parts"
+            )
+        for at, joint in enumerate(balance.joints):
+            if model.joints[model.getJointId(joint)].shortname().removeprefix("JointModel").startswith("P"):
+                raise ConfigError(
+                    f"{source.where(*where, 'joints', at)}joint '{joint}' slides, expected one that turns"
+                )
 
 
-def _refuse_unknown_link(model: Any, frame: FrameConfig | RotorConfig, where: str) -> None:
+def _refuse_unfit_units(model: Any, config: RobotConfig, source: Source) -> None:
+    for key, fault in column_units(model, config)[1].items():
+        raise ConfigError(f"{source.where('units', key)}{fault}")
+
+
+def column_units(model: Any, config: RobotConfig) -> tuple[dict[str, units.Unit], dict[str, str]]:
+    """Units of a log's columns by our names, and by key what is wrong with one; a motor's shaft turns in any case."""
+    columns = config.columns_by_kind
+    slides = [model.joints[model.getJointId(j.name)].shortname().startswith("JointModelP") for j in config.joints]
+    shafts = MOTOR_SIGNALS if config.columns.motor_side else ()
+    of_joints = [kind for kind in columns if kind not in ("t", "acceleration", "rate")]
+    turning = {c: kind in shafts or not s for kind in of_joints for c, s in zip(columns[kind], slides, strict=True)}
+    return units.column_units(config.units, columns, turning)
+
+
+def _refuse_unknown_link(
+    model: Any, frame: FrameConfig | RotorConfig | Anchor, where: str, *, moves: bool = True
+) -> None:
     if frame.link not in _links(model):
         raise ConfigError(f"{where}no link '{frame.link}'; {suggest(frame.link, _links(model))}")
-    if frame.link not in moving_links(model):
+    if moves and frame.link not in moving_links(model):
         raise ConfigError(f"{where}link '{frame.link}' cannot move: no joint that is listed carries it")
 
 
@@ -188,11 +230,12 @@ def _body(model: Any, data: Any, index: int, names: list[str]) -> dict[str, Any]
 
 
 def _drive(joint: JointConfig) -> dict[str, Any]:
+    bearing, no_load = joint.bearing_friction, NO_TORSION * (joint.stiffness or 0.0)
     return {
         "elastic": joint.elastic,
         "stiffness": joint.stiffness or 0.0,
         "damping": joint.damping,
-        "motor_inertia": joint.motor_inertia or 0.0,
+        "motor_inertia": math.inf if joint.passive else joint.motor_inertia or 0.0,
         "cubic_stiffness": joint.cubic_stiffness,
         "soft_windup_stiffness": joint.soft_windup.stiffness,
         "soft_windup_shape": joint.soft_windup.shape,
@@ -209,7 +252,11 @@ def _drive(joint: JointConfig) -> dict[str, Any]:
         "friction_coulomb": joint.motor_friction.coulomb,
         "friction_stribeck": joint.motor_friction.stribeck,
         "friction_stribeck_velocity": joint.motor_friction.stribeck_velocity,
+        "friction_asymmetry": joint.motor_friction.asymmetry,
+        "gear_loss": [*joint.gear_loss, no_load],
         "link_friction": list(joint.link_friction),
+        "bearing": [bearing.viscous, bearing.coulomb, bearing.stribeck, bearing.stribeck_velocity, bearing.asymmetry],
+        "bearing_loss": [bearing.load, bearing.load, no_load],
     }
 
 
@@ -223,6 +270,17 @@ def _rotor(model: Any, config: RobotConfig, motor: str, rotor: RotorConfig) -> d
     index = [joint.name for joint in config.joints].index(motor)
     axis = link.placement.rotation @ (np.array(rotor.axis) / np.linalg.norm(rotor.axis))
     return {"motor": index, "body": link.parentJoint - 1, "axis": axis, "ratio": config.joints[index].gear_ratio}
+
+
+def _anchor(model: Any, end: Anchor) -> tuple[int, Any]:
+    """The body that carries a point, −1 for the base, and where in that body's frame."""
+    link = model.frames[_links(model)[end.link]]
+    return link.parentJoint - 1, link.placement.act(np.array(end.xyz))
+
+
+def _counterbalance(model: Any, names: list[str], balance: Counterbalance) -> dict[str, Any]:
+    ends = [_anchor(model, end) for end in balance.ends]
+    return balance.compiled(ends, [names.index(joint) for joint in balance.joints])
 
 
 def _sensor(model: Any, sensor: SensorConfig) -> dict[str, Any]:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from . import correlations
+from .correlations import AXES, OF_SENSORS
+from .joints import JointConfig
 from .robot import Robot
 
 CoreTolerance = tuple[str, int, int, float]
 """A parameter as the core has it: kind, joint or sensor, axis, standard deviation."""
-
-AXES = "xyz"
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,14 @@ def considered(robot: Robot, *, motors: bool = False) -> list[Uncertain]:
     return [replace(one, std=known.get(one.name, one.std)) for one in found]
 
 
+def core_settings(robot: Robot, uncertain: Sequence[Uncertain]) -> dict[str, Any]:
+    """Give the settings of a filter of the core that say what of ``robot`` is uncertain."""
+    return {
+        "tolerances": [one.as_tuple for one in uncertain],
+        "correlations": correlations.pairs(robot.config.tolerances.correlations, [one.name for one in uncertain]),
+    }
+
+
 def _of_joints(robot: Robot) -> Iterator[Uncertain]:
     wide = robot.config.tolerances
     for j, drive in enumerate(robot.drives):
@@ -69,13 +79,20 @@ def _of_joints(robot: Robot) -> Iterator[Uncertain]:
             stds["cubic_stiffness"] = 0.5 * drive.cubic_stiffness
         else:
             stds["yielding"] = (2 * np.pi * wide.rigid_frequency) ** -2
-        stds["link_friction"] = wide.link_friction if any(drive.link_friction) else 0.0
-        stds["encoder_zero"] = wide.encoder_zero
-        stds["lost_motion"] = wide.lost_motion
+        stds["link_friction"] = wide.link_friction if _brakes(drive) else 0.0
+        if not drive.passive:
+            stds["encoder_zero"] = wide.encoder_zero
+            stds["lost_motion"] = wide.lost_motion
         for kind, std in stds.items():
             if std:
                 name = "mass_scale" if kind == "mass" else kind
                 yield Uncertain(f"{name}_{drive.name}", kind, j, 0, float(std))
+
+
+def _brakes(drive: JointConfig) -> bool:
+    """Whether a link has friction."""
+    bearing = drive.bearing_friction
+    return any((*drive.link_friction, bearing.viscous, bearing.coulomb, bearing.stribeck, bearing.load))
 
 
 def _of_pasts(robot: Robot) -> Iterator[Uncertain]:
@@ -88,7 +105,7 @@ def _of_pasts(robot: Robot) -> Iterator[Uncertain]:
 def _of_sensors(robot: Robot) -> Iterator[Uncertain]:
     wide = robot.config.tolerances
     for s, sensor in enumerate(robot.accelerometers):
-        for kind in ("rotation", "translation", "scale"):
+        for kind in OF_SENSORS:
             for axis in range(3):
                 if kind != "scale" or AXES[axis] in sensor.axes:
                     yield Uncertain(f"{kind}_{sensor.name}_{AXES[axis]}", kind, s, axis, getattr(wide, kind))
@@ -96,9 +113,10 @@ def _of_sensors(robot: Robot) -> Iterator[Uncertain]:
 
 def _of_motors(robot: Robot) -> Iterator[Uncertain]:
     wide = robot.config.tolerances
-    for j, drive in enumerate(robot.drives):
+    driven = ((j, drive) for j, drive in enumerate(robot.drives) if not drive.passive)
+    for j, drive in driven:
         yield Uncertain(f"torque_constant_{drive.name}", "torque_constant", j, 0, wide.torque_constant)
-        if drive.motor_friction.viscous or drive.motor_friction.coulomb:
+        if drive.motor_friction.viscous or drive.motor_friction.coulomb or any(drive.gear_loss):
             yield Uncertain(f"motor_friction_{drive.name}", "motor_friction", j, 0, wide.motor_friction)
         if drive.elastic:
             yield Uncertain(f"motor_inertia_{drive.name}", "motor_inertia", j, 0, wide.motor_inertia)

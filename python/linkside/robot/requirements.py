@@ -7,6 +7,7 @@ from collections.abc import Callable
 from linkside.errors import EstimatorError
 
 from .robot import Robot
+from .transmission import Efficiency
 
 UNKNOWN = "stiffness: unknown"
 """What only a calibration accounts for."""
@@ -27,6 +28,11 @@ def _late(carrier: str, key: str) -> Callable[[Robot], list[str]]:
     return owners
 
 
+def _frictions(robot: Robot, key: str) -> list[str]:
+    """Joints with that key in the friction of their motor or their bearing."""
+    return [d.name for d in robot.drives if getattr(d.motor_friction, key) or getattr(d.bearing_friction, key)]
+
+
 FEATURES: dict[str, Callable[[Robot], list[str]]] = {
     "coupling": lambda robot: [row for row, entries in robot.config.coupling.items() if any(entries.values())],
     "rotors": lambda robot: list(robot.config.rotors),
@@ -35,6 +41,10 @@ FEATURES: dict[str, Callable[[Robot], list[str]]] = {
     "backlash": lambda robot: [drive.name for drive in robot.drives if drive.backlash.half_gap],
     "hysteresis": lambda robot: [drive.name for drive in robot.drives if drive.hysteresis],
     "ripple": lambda robot: [drive.name for drive in robot.drives if drive.ripple],
+    "passive": lambda robot: [drive.name for drive in robot.drives if drive.passive],
+    "efficiency": lambda robot: [drive.name for drive in robot.drives if drive.efficiency != Efficiency()],
+    "load": lambda robot: _frictions(robot, "load"),
+    "asymmetry": lambda robot: _frictions(robot, "asymmetry"),
     **{key: _late("accelerometers", key) for key in LATE},
     **{f"link_encoder.{key}": _late("link_encoder", key) for key in LATE},
     **{f"joint_torque.{key}": _late("joint_torque", key) for key in LATE},
@@ -44,6 +54,12 @@ FEATURES: dict[str, Callable[[Robot], list[str]]] = {
 JOINT_SIDE = tuple(f"{carrier}.{key}" for carrier in ("link_encoder", "joint_torque") for key in LATE)
 """What is inside sensors behind the gears."""
 
+BY_LOAD = ("efficiency", "load")
+"""Friction that grows with the torque transmitted."""
+
+WHY = {"passive": "no motor moves it, whose encoder would tell where its link is"}
+"""Reasons that a key does not give by itself."""
+
 UNSUPPORTED: dict[str, tuple[str, ...]] = {
     "the acceleration-driven observer": (
         UNKNOWN,
@@ -51,21 +67,31 @@ UNSUPPORTED: dict[str, tuple[str, ...]] = {
         "backlash",
         "hysteresis",
         "ripple",
+        *BY_LOAD,
+        "passive",
         "corner_frequency",
         "delay",
     ),
-    "the acceleration-driven observer on joint accelerations": (UNKNOWN, "rotors", "backlash", "hysteresis", "ripple"),
+    "the acceleration-driven observer on joint accelerations": (
+        UNKNOWN,
+        "rotors",
+        "backlash",
+        "hysteresis",
+        "ripple",
+        *BY_LOAD,
+        "passive",
+    ),
     "a filter on the jerk-driven model": (UNKNOWN, "coupling", "rotors"),
     "a filter on the elastic-joint model": (UNKNOWN,),
     "a simulation": (UNKNOWN,),
-    "a velocity observer": ("rotors",),
-    "a velocity observer on the links": ("rotors", *JOINT_SIDE),
-    "the momentum residual": ("rotors",),
-    "the momentum residual on the links": ("rotors", *JOINT_SIDE),
+    "a velocity observer": ("rotors", *BY_LOAD, "passive"),
+    "a velocity observer on the links": ("rotors", *BY_LOAD, "passive", *JOINT_SIDE),
+    "the momentum residual": ("rotors", *BY_LOAD, "passive"),
+    "the momentum residual on the links": ("rotors", *BY_LOAD, "passive", *JOINT_SIDE),
     "a particle filter": ("hysteresis",),
-    "inverse dynamics along a motion": (UNKNOWN, "rotors", "hysteresis"),
-    "state feedback": (UNKNOWN, "rotors", "hysteresis"),
-    "calibration": ("rotors", "stiffness_table", "backlash", "hysteresis", "ripple"),
+    "inverse dynamics along a motion": (UNKNOWN, "rotors", "hysteresis", "passive"),
+    "state feedback": (UNKNOWN, "rotors", "hysteresis", "passive"),
+    "calibration": ("rotors", "stiffness_table", "backlash", "hysteresis", "ripple", *BY_LOAD, "asymmetry", "passive"),
 }
 """By method: what it does not account for."""
 
@@ -75,7 +101,8 @@ def refuse_unsupported(robot: Robot, method: str) -> None:
     for key in UNSUPPORTED[method]:
         if owners := FEATURES[key](robot):
             remedy = "calibrate first" if key == UNKNOWN else "use another method, or take it out"
+            reason = f": {WHY[key]}" if key in WHY else ""
             raise EstimatorError(
                 f"robot.yaml gives {', '.join(map(repr, owners))} {key.rpartition('.')[2]}, which {method} does not "
-                f"account for; {remedy}"
+                f"account for{reason}; {remedy}"
             )

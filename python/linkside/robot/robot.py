@@ -18,15 +18,10 @@ from linkside.files.yaml_source import Source
 
 from . import bodies
 from . import compile as tree
-from .config import (
-    AccelerometerConfig,
-    ColumnsConfig,
-    FrameConfig,
-    GyroscopeConfig,
-    JointConfig,
-    RobotConfig,
-    RobotFile,
-)
+from .config import ColumnsConfig, RobotConfig, RobotFile
+from .joints import JointConfig
+from .sensors import AccelerometerConfig, FrameConfig, GyroscopeConfig
+from .units import Unit
 from .urdf import Urdf
 
 Array = NDArray[np.float64]
@@ -211,6 +206,11 @@ class Robot:
         return _constant([joint.elastic for joint in self.drives], np.bool_)
 
     @cached_property
+    def passive(self) -> NDArray[np.bool_]:
+        """Which joints nothing drives, (n,): a spring holds them at zero, and `theta`, `dtheta`, `tau` are zero."""
+        return _constant([joint.passive for joint in self.drives], np.bool_)
+
+    @cached_property
     def gear_ratio(self) -> Array:
         """Turns of the motor for one of the link, (n,); matters only to logs from the motor's side."""
         return _constant([joint.gear_ratio for joint in self.drives], np.float64)
@@ -261,6 +261,16 @@ class Robot:
     def gyroscope_channels(self) -> tuple[str, ...]:
         """Columns of angular rate, `<gyroscope>_wx` and so on."""
         return self.config.gyroscope_channels
+
+    @cached_property
+    def column_units(self) -> dict[str, Unit]:
+        """Units of a log's columns, by our names, of those that are not in SI units."""
+        return tree.column_units(self.model, self.config)[0]
+
+    @cached_property
+    def torque_constant(self) -> tuple[float | None, ...]:
+        """Torque of a motor's current [N m/A], of those whose is known."""
+        return tuple(joint.torque_constant for joint in self.drives)
 
     @cached_property
     def velocity_index(self) -> NDArray[np.intp]:
@@ -318,16 +328,25 @@ class Robot:
         return self._rows(self.core.coriolis_matrix, q=q, dq=dq)
 
     def gravity_torque(self, q: ArrayLike) -> Array:
-        """Torque that holds the links against gravity g(q), (T, n) [N m]."""
+        """Torque that holds the links against gravity g(q), less what counterbalances carry, (T, n) [N m]."""
         return self._rows(self.core.gravity_torque, q=q)
 
-    def link_friction(self, dq: ArrayLike) -> Array:
-        """Friction torque of the links (Ulrich and Sasiadek 2011, eq. (14)), (T, n) [N m]."""
-        return self._rows(self.core.link_friction, dq=dq)
+    def link_friction(self, dq: ArrayLike, load: ArrayLike | None = None) -> Array:
+        """Friction torque of the links (Ulrich and Sasiadek 2011, eq. (14)) and of their bearings, (T, n) [N m].
 
-    def motor_friction(self, dtheta: ArrayLike) -> Array:
-        """Friction torque of the motors, viscous and dry with its Stribeck peak, (T, n) [N m]."""
-        return self._rows(self.core.motor_friction, dtheta=dtheta)
+        `load`, (T, n): the torques that their motion takes beside it, none unless given, on which it may depend.
+        """
+        return self._rows(
+            self.core.link_friction, dq=dq, load=np.zeros_like(numbers("dq", dq)) if load is None else load
+        )
+
+    def motor_friction(self, dtheta: ArrayLike, load: ArrayLike | None = None) -> Array:
+        """Friction torque of the motors, viscous and dry with its Stribeck peak, and their gears', (T, n) [N m].
+
+        `load`, (T, n): the torques that gears ask of motors, none unless given, a share of which is lost.
+        """
+        rest = np.zeros_like(numbers("dtheta", dtheta))
+        return self._rows(self.core.motor_friction, dtheta=dtheta, load=rest if load is None else load)
 
     def specific_force(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
         """What the accelerometers read, (T, acceleration channels) [m/s²]; +9.81 upward at rest."""

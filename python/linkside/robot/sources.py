@@ -8,9 +8,6 @@ from linkside.files.yaml_source import refusal
 
 from .section import Name, Section
 
-SIGNALS = ("theta", "dtheta", "tau", "q", "dq", "ddq", "torque", "qref", "dqref", "ddqref")
-"""Signals with a column a joint."""
-
 JOINT_STATE = {"theta": "position", "dtheta": "velocity", "tau": "effort"}
 """Where a JointState has them, unless it is said otherwise."""
 
@@ -26,6 +23,7 @@ class JointsSource(Section):
     theta: Name | None = None
     dtheta: Name | None = None
     tau: Name | None = None
+    current: Name | None = None
     q: Name | None = None
     dq: Name | None = None
     ddq: Name | None = None
@@ -37,8 +35,7 @@ class JointsSource(Section):
     @property
     def paths(self) -> dict[str, str]:
         """The path of each signal that is there."""
-        said = {signal: path for signal in SIGNALS if (path := getattr(self, signal)) is not None}
-        return said or JOINT_STATE
+        return self.model_dump(exclude={"topic", "names"}, exclude_none=True) or JOINT_STATE
 
 
 def _several(value: Any) -> Any:

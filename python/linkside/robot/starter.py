@@ -25,7 +25,7 @@ import numpy as np
 
 from linkside.errors import ConfigError
 
-from .config import USUAL_FREQUENCY
+from .joints import USUAL_FREQUENCY
 from .urdf import Urdf
 
 

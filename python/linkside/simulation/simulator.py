@@ -16,17 +16,18 @@ import pyarrow as pa
 from linkside import _core
 from linkside.arguments import numbers, one_of, sized, whole
 from linkside.arrays import FloatArray
-from linkside.channels import CHANNELS, joint_columns
+from linkside.channels import CHANNELS
 from linkside.control.controllers import Controller, State, law_of
 from linkside.errors import EstimatorError
 from linkside.files.writing import writing
 from linkside.kalman.elastic_joint import ElasticJointFilter
 from linkside.observers.acceleration import AccelerationObserver
+from linkside.recording.layout import OF_MOTORS, Layout, signal_columns
 from linkside.recording.log import Log
 from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
-from linkside.robot.config import Lateness
 from linkside.robot.requirements import refuse_unsupported
+from linkside.robot.sensors import Lateness
 
 Truth: TypeAlias = dict[str, FloatArray]
 FeedbackSource: TypeAlias = bool | tuple[_core.ElasticJointFilter, list[int]] | _core.AccelerationObserver
@@ -246,21 +247,16 @@ def _assemble(robot: Robot, result: Truth, *, left_out: set[str]) -> Simulation:
     signals = dict(zip(SIGNALS, readings, strict=True)) | {"tau": result.pop("tau")}
     for kind in left_out:
         del signals[kind]
-    bias, scale = robot.acceleration_errors
-    signals["acceleration"] = signals["acceleration"] * scale + bias
-    if robot.columns.motor_side:
-        ratio = robot.gear_ratio
-        signals |= {
-            "theta": signals["theta"] * ratio,
-            "dtheta": signals["dtheta"] * ratio,
-            "tau": signals["tau"] / ratio,
-        }
-    table = {"t": result["t"]}
-    for signal, values in signals.items():
-        channel = SIGNALS.get(signal)
-        columns = joint_columns(signal, robot.names) if channel is None else channel.columns(robot)
-        table |= dict(zip(columns, values.T, strict=True))
-    table = {robot.columns.name_in_log(name): np.ascontiguousarray(values) for name, values in table.items()}
+    columns = signal_columns(robot)
+    driven = {s: ~robot.passive if s in OF_MOTORS else np.ones(len(columns[s]), bool) for s in ("t", *signals)}
+    there = [column for s, own in driven.items() for column, kept in zip(columns[s], own, strict=True) if kept]
+    signals = Layout.of(robot, there, "simulation").as_recorded({"t": result["t"], **signals})
+    table = {
+        column: np.ascontiguousarray(values)
+        for signal, array in signals.items()
+        for column, values in zip(columns[signal], np.atleast_2d(array.T), strict=True)
+        if column in there
+    }
     known = State(*np.split(result.pop("known"), 4, axis=1))
     return Simulation(robot, Log.from_table(table, robot, "simulation", check=False), result, known, table)
 

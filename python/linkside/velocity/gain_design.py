@@ -259,6 +259,6 @@ def coriolis_bound(symbols: FloatArray) -> FloatArray:
 
 
 def _friction(robot: Robot, side: Side) -> float:
-    link = np.array([drive.link_friction[5] for drive in robot.drives])
+    link = np.array([drive.link_friction[5] + drive.bearing_friction.viscous for drive in robot.drives])
     motor = np.array([drive.motor_friction.viscous for drive in robot.drives])
     return float((link + motor if side == "motors" else link).min())

@@ -5,7 +5,7 @@ use crate::definition::Definition;
 use crate::error::BagError;
 use crate::selection::{Selection, Taken};
 use crate::unpack::unpack;
-use std::collections::BTreeMap;
+use std::collections::HashMap;
 
 /// Names that the messages of a topic may have in all.
 const MOST_NAMES: usize = 256;
@@ -56,6 +56,8 @@ pub struct Written<'a> {
 /// A topic of a bag.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Topic {
+    /// Its name.
+    pub name: String,
     /// The type of its messages.
     pub message: String,
     /// How many there are.
@@ -67,7 +69,8 @@ pub struct Topic {
 /// A topic as it is written, and what is taken from it.
 #[derive(Debug)]
 struct Channel {
-    topic: String,
+    /// The topic's number.
+    topic: usize,
     message: String,
     /// Kept where something is taken.
     definition: Vec<u8>,
@@ -88,7 +91,9 @@ pub struct Collector {
     requests: Vec<Request>,
     gathered: Vec<Gathered>,
     channels: Vec<Channel>,
-    topics: BTreeMap<String, Topic>,
+    topics: Vec<Topic>,
+    /// The number of each topic.
+    numbers: HashMap<String, usize>,
     compressed: bool,
 }
 
@@ -108,7 +113,11 @@ impl Collector {
     pub fn define(&mut self, topic: &str, written: Written<'_>) -> Result<usize, BagError> {
         let wanted = self.requests.iter().any(|request| request.topic == topic);
         let definition = if wanted { written.definition } else { &[] };
-        let known = self.topics.entry(topic.into()).or_default();
+        let number = *self.numbers.entry(topic.into()).or_insert(self.topics.len());
+        if number == self.topics.len() {
+            self.topics.push(Topic { name: topic.into(), ..Topic::default() });
+        }
+        let known = &mut self.topics[number];
         known.message = written.message.into();
         let alike = |&&index: &&usize| {
             let channel: &Channel = &self.channels[index];
@@ -123,8 +132,8 @@ impl Collector {
         let index = self.channels.len();
         known.channels.push(index);
         let takers = if wanted { self.takers(topic, written)? } else { Vec::new() };
-        let (topic, message, definition) = (topic.into(), written.message.into(), definition.into());
-        self.channels.push(Channel { topic, message, definition, takers });
+        let (message, definition) = (written.message.into(), definition.into());
+        self.channels.push(Channel { topic: number, message, definition, takers });
         Ok(index)
     }
 
@@ -153,13 +162,13 @@ impl Collector {
     /// A message that is not what its definition says.
     pub fn add(&mut self, channel: usize, received: i64, data: &[u8]) -> Result<(), BagError> {
         let channel = &self.channels[channel];
-        let Some(topic) = self.topics.get_mut(&channel.topic) else { return Ok(()) };
+        let topic = &mut self.topics[channel.topic];
         let index = topic.count;
         topic.count += 1;
         if channel.takers.is_empty() {
             return Ok(());
         }
-        let wrong = |what| BagError::Message { topic: channel.topic.clone(), index, what };
+        let wrong = |what| BagError::Message { topic: topic.name.clone(), index, what };
         let unpacked;
         let data = if self.compressed {
             unpacked = unpack(data, "zstd", LARGEST).map_err(|_| wrong("cannot be decompressed"))?;
@@ -172,16 +181,18 @@ impl Collector {
             taker.selection.read(data, &mut gathered.taken).map_err(wrong)?;
             gathered.keep(taker, received).map_err(|fault| match fault {
                 Fault::Wrong(what) => wrong(what),
-                Fault::Many => BagError::Many { topic: channel.topic.clone(), limit: MOST_NAMES, what: "names" },
+                Fault::Many => BagError::Many { topic: topic.name.clone(), limit: MOST_NAMES, what: "names" },
             })?;
         }
         Ok(())
     }
 
-    /// The topics seen so far.
+    /// The topics seen so far, by name.
     #[must_use]
-    pub fn topics(&self) -> &BTreeMap<String, Topic> {
-        &self.topics
+    pub fn topics(&self) -> Vec<&Topic> {
+        let mut topics: Vec<_> = self.topics.iter().collect();
+        topics.sort_by(|a, b| a.name.cmp(&b.name));
+        topics
     }
 
     /// What was gathered, by request.

@@ -51,7 +51,7 @@ impl BagCollector {
 
     fn topics(&mut self) -> PyResult<Vec<(String, String, u64)>> {
         let topics = self.open()?.topics();
-        Ok(topics.iter().map(|(name, topic)| (name.clone(), topic.message.clone(), topic.count)).collect())
+        Ok(topics.iter().map(|topic| (topic.name.clone(), topic.message.clone(), topic.count)).collect())
     }
 
     fn finish<'py>(&mut self, py: Python<'py>) -> PyResult<Vec<Found<'py>>> {

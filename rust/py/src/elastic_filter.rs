@@ -7,7 +7,7 @@ use crate::filtering::{self, Inside, Matrix, inside, named};
 use crate::live::check_step;
 use crate::robot::Robot;
 use crate::state::State;
-use crate::tolerance::{ToleranceTuple, of_core};
+use crate::tolerance::{CorrelationTuple, ToleranceTuple, of_core};
 use linkside_core::estimate::kalman::{
     Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterOutput, FilterSettings,
     Inputs, KalmanRecording, KalmanSample, Keep, Model,
@@ -66,8 +66,8 @@ type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'py>);
 impl ElasticJointFilter {
     #[new]
     #[pyo3(signature = (
-        robot, *, kinds, disturbances, biased, first_order, held, noise, gate, iterations, tolerances, late=None,
-        link_disturbance=None
+        robot, *, kinds, disturbances, biased, first_order, held, noise, gate, iterations, tolerances,
+        correlations=vec![], late=None, link_disturbance=None
     ))]
     fn new(
         robot: &Robot,
@@ -80,6 +80,7 @@ impl ElasticJointFilter {
         gate: Option<f64>,
         iterations: usize,
         tolerances: Vec<ToleranceTuple>,
+        correlations: Vec<CorrelationTuple>,
         late: Option<Vec<Inside>>,
         link_disturbance: Option<LinkDisturbance>,
     ) -> PyResult<Self> {
@@ -90,7 +91,7 @@ impl ElasticJointFilter {
             held,
             discretization: if first_order { Discretization::FirstOrder } else { Discretization::Exact },
         };
-        let tolerances = of_core(&tolerances)?;
+        let tolerances = of_core(&tolerances, correlations)?;
         let build = || {
             let links = link_disturbance.map(Into::into);
             let model = ElasticModel::disturbed(Arc::clone(&robot.0), &settings, noise.into(), links)?

@@ -8,7 +8,7 @@ use crate::gil::Release;
 use crate::live::{Live, Signals, check_step};
 use crate::robot::Robot;
 use crate::state::State;
-use crate::tolerance::{ToleranceTuple, of_core};
+use crate::tolerance::{CorrelationTuple, ToleranceTuple, of_core};
 use linkside_core::estimate::kalman::{
     self, FilterSettings, Inputs, JerkDriven, JerkModel, KalmanRecording, Keep, Model,
 };
@@ -60,7 +60,8 @@ pub(crate) type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'
 impl ExtendedKalmanFilter {
     #[new]
     #[pyo3(signature = (
-        robot, *, kinds, biased, noise, gate, iterations, damping, tolerances, late=None, link_disturbance=None
+        robot, *, kinds, biased, noise, gate, iterations, damping, tolerances, correlations=vec![], late=None,
+        link_disturbance=None
     ))]
     fn new(
         robot: &Robot,
@@ -71,10 +72,11 @@ impl ExtendedKalmanFilter {
         iterations: usize,
         damping: bool,
         tolerances: Vec<ToleranceTuple>,
+        correlations: Vec<CorrelationTuple>,
         late: Option<Vec<Inside>>,
         link_disturbance: Option<LinkDisturbance>,
     ) -> PyResult<Self> {
-        let tolerances = of_core(&tolerances)?;
+        let tolerances = of_core(&tolerances, correlations)?;
         let kinds = named(&kinds)?;
         let build = || {
             let mut model = JerkModel::new(Arc::clone(&robot.0), &kinds, &biased)?;

@@ -9,6 +9,7 @@ mod error;
 mod filtering;
 mod gil;
 mod kalman;
+mod learning;
 mod likelihood;
 mod live;
 mod observer;
@@ -32,6 +33,8 @@ mod _core {
     use crate::elastic_filter::ElasticJointFilter;
     #[pymodule_export]
     use crate::kalman::{ExtendedKalmanFilter, StretchSmoother, largest_nis};
+    #[pymodule_export]
+    use crate::learning::{LearningLoop, LearningStep};
     #[pymodule_export]
     use crate::likelihood::{Likelihood, Response};
     #[pymodule_export]

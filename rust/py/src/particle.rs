@@ -8,7 +8,7 @@ use crate::kalman::{Arrays, NoiseFields, recording};
 use crate::live::{Live, Signals, check_step};
 use crate::robot::Robot;
 use crate::state::State;
-use crate::tolerance::{ToleranceTuple, of_core};
+use crate::tolerance::{CorrelationTuple, ToleranceTuple, of_core};
 use linkside_core::error::{DesignError, RunError};
 use linkside_core::estimate::kalman::{JerkDriven, JerkModel, Keep, Model};
 use linkside_core::estimate::particle::{
@@ -108,7 +108,8 @@ pub(crate) struct ParticleFilter {
 impl ParticleFilter {
     #[new]
     #[pyo3(signature = (
-        robot, *, kinds, biased, noise, damping, tolerances, marginalised, settings, late=None
+        robot, *, kinds, biased, noise, damping, tolerances, marginalised, settings, correlations=vec![],
+        late=None
     ))]
     fn new(
         robot: &Robot,
@@ -119,9 +120,10 @@ impl ParticleFilter {
         tolerances: Vec<ToleranceTuple>,
         marginalised: &str,
         settings: ParticleFields,
+        correlations: Vec<CorrelationTuple>,
         late: Option<Vec<Inside>>,
     ) -> PyResult<Self> {
-        let (settings, tolerances) = (settings.into_core()?, of_core(&tolerances)?);
+        let (settings, tolerances) = (settings.into_core()?, of_core(&tolerances, correlations)?);
         let marginalised = match marginalised {
             "nothing" => Marginalised::Nothing,
             "biases" => Marginalised::Biases,

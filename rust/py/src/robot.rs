@@ -7,8 +7,9 @@ use linkside_core::dynamics::{Batch, DrivenStates, States, check_inertia};
 use linkside_core::error::{DesignError, RobotError};
 use linkside_core::memory;
 use linkside_core::robot::{
-    self, Backlash, BodySpec, FrictionElement, Harmonic, Hysteresis, Interpolation, JointKind, MotorFriction, Ripple,
-    Rotor, SoftWindup, SpringCurve, Tree,
+    self, Anchor, Backlash, BodySpec, Counterbalance, Friction, FrictionElement, GasSpring, Harmonic, Hysteresis,
+    Interpolation, JointKind, LoadFriction, Ripple, Rotor, SoftWindup, SpringCurve, Strut, TorqueHarmonic,
+    TorqueSeries, Tree,
 };
 use numpy::{PyArrayDyn, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -47,7 +48,11 @@ struct Drive {
     friction_coulomb: f64,
     friction_stribeck: f64,
     friction_stribeck_velocity: f64,
+    friction_asymmetry: f64,
+    gear_loss: [f64; 3],
     link_friction: [f64; 6],
+    bearing: [f64; 5],
+    bearing_loss: [f64; 3],
 }
 
 #[derive(FromPyObject)]
@@ -67,6 +72,18 @@ struct RotorPlace {
     body: usize,
     axis: [f64; 3],
     ratio: f64,
+}
+
+/// A strut between two points, or a series of torques on joints; each with what the other has not, empty.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct Balance {
+    ends: Vec<(isize, [f64; 3])>,
+    spring: Option<[f64; 2]>,
+    gas: Option<[f64; 6]>,
+    pulls: bool,
+    joints: Vec<usize>,
+    series: Vec<(u32, f64, f64)>,
 }
 
 #[derive(FromPyObject)]
@@ -101,6 +118,8 @@ impl TryFrom<Drive> for robot::Drive {
         let none = d.curve.is_empty();
         let curve = if none { SpringCurve::default() } else { SpringCurve::new(&d.curve, interpolation)? };
         let [half_gap, slope, rounding] = d.gap;
+        let [viscous, coulomb, stribeck, stribeck_velocity, asymmetry] = d.bearing;
+        let load_friction = |[driving, driven, rounding]: [f64; 3]| LoadFriction { driving, driven, rounding };
         let element =
             |[stiffness, limit, recoil, rounding]: [f64; 4]| FrictionElement { stiffness, limit, recoil, rounding };
         let elements = d.hysteresis.into_iter().map(element);
@@ -117,14 +136,38 @@ impl TryFrom<Drive> for robot::Drive {
             backlash: Backlash { half_gap, slope, rounding },
             hysteresis: Hysteresis { elements: elements.collect() },
             ripple: Ripple::new(harmonics.collect()),
-            motor_friction: MotorFriction {
+            motor_friction: Friction {
                 viscous: d.friction_viscous,
                 coulomb: d.friction_coulomb,
                 stribeck: d.friction_stribeck,
                 stribeck_velocity: d.friction_stribeck_velocity,
+                asymmetry: d.friction_asymmetry,
             },
+            gear_loss: load_friction(d.gear_loss),
             link_friction: d.link_friction,
+            bearing_friction: Friction { viscous, coulomb, stribeck, stribeck_velocity, asymmetry },
+            bearing_loss: load_friction(d.bearing_loss),
         })
+    }
+}
+
+impl Balance {
+    fn counterbalance(self) -> Counterbalance {
+        let anchor =
+            |&(body, point): &(isize, [f64; 3])| Anchor { body: usize::try_from(body).ok(), point: vec3(point) };
+        let strut = match (self.spring, self.gas) {
+            (Some([stiffness, length]), _) => Some(Strut::Spring { stiffness, length }),
+            (_, Some([pressure, volume, length, area, exponent, ambient])) => {
+                Some(Strut::Gas(GasSpring { pressure, volume, length, area, exponent, ambient, pulls: self.pulls }))
+            }
+            _ => None,
+        };
+        if let (Some(strut), [a, b]) = (strut, &self.ends[..]) {
+            return Counterbalance::Between { ends: [anchor(a), anchor(b)], strut };
+        }
+        let harmonic = |(order, cosine, sine)| TorqueHarmonic { order, cosine, sine };
+        let series = TorqueSeries(self.series.into_iter().map(harmonic).collect());
+        Counterbalance::Turning { joints: self.joints, series }
     }
 }
 
@@ -154,6 +197,7 @@ impl Robot {
         gyroscopes: Vec<Sensor>,
         tool: Option<Tool>,
         rotors: Vec<RotorPlace>,
+        counterbalances: Vec<Balance>,
     ) -> PyResult<Self> {
         let coupling = rows("coupling", &coupling, bodies.len())?.to_vec();
         let specs: Vec<BodySpec> = bodies.into_iter().map(Body::spec).collect();
@@ -168,7 +212,10 @@ impl Robot {
             let drives = drives.into_iter().map(TryInto::try_into).collect::<Result<_, _>>()?;
             let rotors =
                 rotors.into_iter().map(|r| Rotor { motor: r.motor, body: r.body, axis: vec3(r.axis), ratio: r.ratio });
-            robot::Robot::new(tree, drives, coupling, accelerometers, gyroscopes, tool)?.with_rotors(rotors.collect())
+            let counterbalances: Vec<_> = counterbalances.into_iter().map(Balance::counterbalance).collect();
+            robot::Robot::new(tree, drives, coupling, accelerometers, gyroscopes, tool)?
+                .with_counterbalances(&counterbalances)?
+                .with_rotors(rotors.collect())
         };
         let checked = |robot| check_inertia(&robot).map(|()| Self(Arc::new(robot)));
         build().and_then(checked).map_err(IntoPyErr::into_py_err)
@@ -234,16 +281,16 @@ impl Robot {
         self.positions(&q, [self.0.len()], Batch::gravity_torque)
     }
 
-    fn link_friction<'py>(&self, dq: Input<'py>) -> Output<'py> {
+    fn link_friction<'py>(&self, dq: Input<'py>, load: Input<'py>) -> Output<'py> {
         let n = self.0.len();
-        let velocities = rows("dq", &dq, n)?;
-        self.over(&dq, [n], |batch, out| batch.link_friction(velocities, out))
+        let (velocities, load) = (rows("dq", &dq, n)?, counted("load", &load, n, dq.shape()[0])?);
+        self.over(&dq, [n], |batch, out| batch.link_friction(velocities, load, out))
     }
 
-    fn motor_friction<'py>(&self, dtheta: Input<'py>) -> Output<'py> {
+    fn motor_friction<'py>(&self, dtheta: Input<'py>, load: Input<'py>) -> Output<'py> {
         let n = self.0.len();
-        let velocities = rows("dtheta", &dtheta, n)?;
-        self.over(&dtheta, [n], |batch, out| batch.motor_friction(velocities, out))
+        let (velocities, load) = (rows("dtheta", &dtheta, n)?, counted("load", &load, n, dtheta.shape()[0])?);
+        self.over(&dtheta, [n], |batch, out| batch.motor_friction(velocities, load, out))
     }
 
     fn tool_position<'py>(&self, q: Input<'py>) -> Output<'py> {

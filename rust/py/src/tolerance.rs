@@ -1,17 +1,22 @@
 //! Numbers of a robot that are known to a tolerance only.
 
-use linkside_core::estimate::kalman::{Tolerance, Uncertain};
+use crate::error::IntoPyErr;
+use linkside_core::estimate::kalman::{Tolerance, Tolerances, Uncertain};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 /// A parameter's kind, its joint or sensor, its axis, and its standard deviation.
 pub(crate) type ToleranceTuple = (String, usize, usize, f64);
 
-pub(crate) fn of_core(given: &[ToleranceTuple]) -> PyResult<Vec<Tolerance>> {
-    given
+/// Two of these, and the correlation of their errors.
+pub(crate) type CorrelationTuple = (usize, usize, f64);
+
+pub(crate) fn of_core(given: &[ToleranceTuple], correlations: Vec<CorrelationTuple>) -> PyResult<Tolerances> {
+    let each: PyResult<_> = given
         .iter()
         .map(|(kind, i, axis, std)| Ok(Tolerance { parameter: uncertain(kind, *i, *axis)?, std: *std }))
-        .collect()
+        .collect();
+    Tolerances::correlated(each?, correlations).map_err(IntoPyErr::into_py_err)
 }
 
 fn uncertain(kind: &str, i: usize, axis: usize) -> PyResult<Uncertain> {

@@ -6,4 +6,4 @@ mod trees;
 
 pub(crate) use compare::{check_close, check_same_bits};
 pub(crate) use kernels::{DIRECTIONS, Kernels, State, gradients, multiply, packed, transposed, varied};
-pub(crate) use trees::{Case, cases, config, rigid_body, vectors};
+pub(crate) use trees::{Case, balanced_cases, cases, config, rigid_body, vectors};

@@ -1,7 +1,9 @@
 //! Random robots.
 
 use super::State;
-use linkside_core::robot::{BodySpec, Frame, JointKind, Tree};
+use linkside_core::robot::{
+    Anchor, BodySpec, Counterbalance, Frame, GasSpring, JointKind, Strut, TorqueHarmonic, TorqueSeries, Tree,
+};
 use linkside_core::spatial::{Mat3, Vec3};
 use proptest::prelude::*;
 use proptest::sample::Index;
@@ -128,4 +130,35 @@ pub(crate) fn cases() -> impl Strategy<Value = Case> {
             let mounting = Mounting { body: body.index(specs.len()), rotation, translation };
             Case { gravity, specs, tree, mounting, states }
         })
+}
+
+/// Such trees with counterbalances: springs and gas between any two bodies, series on joints that turn.
+pub(crate) fn balanced_cases() -> impl Strategy<Value = Case> {
+    let struts = (any::<(Index, Index, bool)>(), vectors(0.7), vectors(0.7), -1.0..1.0_f64);
+    let gas = (1.0..2.0_f64, prop::bool::ANY);
+    let wave = (0..7_u32, -2.0..2.0_f64, -2.0..2.0_f64);
+    (cases(), prop::collection::vec((struts, gas), 1..4), prop::collection::vec(wave, 1..4)).prop_map(
+        |(case, struts, waves)| {
+            let between = |((bodies, near, far, length), (exponent, pulls)): (_, (f64, bool))| {
+                let (first, second, grounded): (Index, Index, bool) = bodies;
+                let [first, second] = [first, second].map(|i| i.index(case.specs.len()));
+                let second = Some(second).filter(|&other| !grounded && other != first);
+                let ends = [Anchor { body: Some(first), point: near }, Anchor { body: second, point: far }];
+                let (volume, area) = (0.2, 2e-3); // enough of it for the longest way
+                let gas = GasSpring { pressure: 1e4, volume, length: 1.0, area, exponent, ambient: 1e3, pulls };
+                let strut = if exponent < 1.4 { Strut::Gas(gas) } else { Strut::Spring { stiffness: 30.0, length } };
+                Counterbalance::Between { ends, strut }
+            };
+            let mut all: Vec<_> = struts.into_iter().map(between).collect();
+            let turns = case.specs.iter().filter(|body| body.kind == JointKind::Revolute);
+            let joints: Vec<_> = turns.map(|body| body.joint).take(2).collect();
+            if !joints.is_empty() {
+                let harmonic = |(order, cosine, sine)| TorqueHarmonic { order, cosine, sine };
+                let series = TorqueSeries(waves.into_iter().map(harmonic).collect());
+                all.push(Counterbalance::Turning { joints, series });
+            }
+            let tree = case.tree.clone().with_counterbalances(&all).unwrap();
+            Case { tree, ..case }
+        },
+    )
 }

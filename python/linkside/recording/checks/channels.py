@@ -32,13 +32,15 @@ SATURATED = 10
 
 def sentinels(view: View) -> Iterator[Finding]:
     """Find values that stand for a reading that is not there."""
-    for _, _, column, values in view.channels(*SIGNALS):
+    for signal, index, column, converted in view.channels(*SIGNALS):
+        size = view.log.recorded_size(signal)[index]
+        values = converted if size == 1 else np.round(converted / size, 6)  # as the recording has them
         with np.errstate(invalid="ignore"):
             low, high = np.fmin.reduce(values), np.fmax.reduce(values)
             extreme = float(max(-low, high))
-            if not (extreme > ABSURD or low in SENTINELS or high in SENTINELS):
+            if not (extreme * abs(size) > ABSURD or low in SENTINELS or high in SENTINELS):
                 continue
-            there = np.abs(values) > ABSURD
+            there = np.abs(converted) > ABSURD
             for mark in (low, high):
                 rest = np.abs(values[(values != mark) & ~np.isnan(values)])
                 if mark in SENTINELS and (not len(rest) or abs(mark) > 5 * rest.max()):

@@ -55,8 +55,11 @@ def _agrees(view: View, stated: float) -> bool:
 def resolution(view: View) -> Iterator[Finding]:
     """Find a time that was float32, once its steps are no longer those of the recording."""
     t, period = view.log.t, view.log.period
-    grain = float(np.spacing(np.float32(np.abs(t[-1]))))
-    if grain < period / 50 or len(t) < 3 or not (t.astype(np.float32) == t).all():
+    (unit,) = view.log.recorded_size("t")
+    recorded = t if unit == 1 else t / unit
+    grain = float(unit * np.spacing(np.float32(np.abs(recorded[-1]))))
+    rounded = np.abs(recorded.astype(np.float32) - recorded) <= 1e-14 * np.abs(recorded)
+    if grain < period / 50 or len(t) < 3 or not rounded.all():
         return
     off = np.abs(np.diff(t) - period) > period / 50
     if off.mean() > 0.005:

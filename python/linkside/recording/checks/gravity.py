@@ -128,8 +128,8 @@ def torques(view: View) -> Iterator[Finding]:
     if blocks is None or blocks.tau is None or len(blocks.row) < 10:
         return
     motors = np.array([drive.motor_inertia or 0.0 for drive in robot.drives])
-    need = robot.inverse_dynamics(blocks.theta, blocks.dtheta, blocks.ddtheta) + motors * blocks.ddtheta
-    need = need + robot.motor_friction(blocks.dtheta)
+    load = robot.inverse_dynamics(blocks.theta, blocks.dtheta, blocks.ddtheta)
+    need = load + motors * blocks.ddtheta + robot.motor_friction(blocks.dtheta, load)
     noise = robot.config.torque.noise_std
     for joint in np.flatnonzero(robot.elastic):
         there = np.isfinite(blocks.tau[:, joint])

@@ -124,7 +124,7 @@ def inspect(log: Recording, robot: Robot) -> tuple[Finding, ...]:
 
 def verdicts(log: Kind, robot: Robot) -> tuple[list[tuple[str, str]], Finding | None]:
     """Each check with its verdict in words, and the first finding that refuses the recording."""
-    rows: list[tuple[str, str]] = []
+    rows = [("units of robot.yaml", f"converted: {words}") for words in log.conversions]
     refused: Finding | None = None
     for name, results in _results(log, robot):
         rows += [(name, f"{found.verdict}: {found}") for found in results] or [(name, "good")]

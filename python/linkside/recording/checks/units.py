@@ -19,6 +19,7 @@ WORDS = {
         "cannot be: limits and accelerometers contradict it",
         "is it in degrees, or of the motor's shaft with another gear_ratio (`columns: {motor_side: true}`)?",
     ),
+    "unit": ("is not in the unit that robot.yaml says it is in", "correct `units` there"),
     "motor shaft": ("is of the motor's shaft", "write `columns: {motor_side: true}` into robot.yaml"),
 }
 
@@ -28,6 +29,9 @@ def hypotheses(view: View) -> dict[str, FloatArray]:
     slides = np.array(sliding(view.robot))
     out = {"degrees": np.where(slides, 1.0, np.pi / 180)}
     ratio = view.robot.gear_ratio
+    stated = view.log.recorded_size("theta") * (ratio if view.robot.columns.motor_side else 1.0)
+    if (stated != 1).any():
+        out["unit"] = 1 / stated
     if not view.robot.columns.motor_side and (np.abs(ratio) > 1.5).any():
         out["motor shaft"] = 1 / ratio
     return out

@@ -62,11 +62,18 @@ class Recording(Protocol):
         """How often each channel is read."""
 
     @property
+    def conversions(self) -> tuple[str, ...]:
+        """What was converted while it was read, in words."""
+
+    @property
     def findings(self) -> tuple[Finding, ...]:
         """What was found before."""
 
     def columns(self, signal: str) -> tuple[str, ...]:
         """Names of a signal's columns."""
+
+    def recorded_size(self, signal: str) -> FloatArray:
+        """How much of a signal one of the recording's column is, (k,)."""
 
     def __len__(self) -> int:
         """Rows."""

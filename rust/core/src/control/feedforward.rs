@@ -80,7 +80,7 @@ pub fn derivative_order(robot: &Robot) -> usize {
 /// O(n p²) a sample, p being [`derivative_order`].
 ///
 /// # Errors
-/// Derivatives that are missing, arrays that do not fit, numbers that are not finite, times that do not rise, a robot that
+/// A joint that nothing drives, derivatives that are missing, arrays that do not fit, numbers that are not finite, times that do not rise, a robot that
 /// would need derivatives beyond [`HIGHEST`].
 pub fn inverse_dynamics(robot: &Robot, path: Path<'_>) -> Result<Desired, DesignError> {
     let further = check(robot, path)?;
@@ -94,6 +94,8 @@ pub fn inverse_dynamics(robot: &Robot, path: Path<'_>) -> Result<Desired, Design
 /// Checks everything; how many derivatives beyond those needed are given and of use.
 fn check(robot: &Robot, path: Path<'_>) -> Result<usize, DesignError> {
     let needed = derivative_order(robot);
+    let driven = robot.drives.iter().all(|drive| !drive.is_passive());
+    expect(driven, "the motor inertia of a joint", f64::INFINITY, "a finite one: nothing drives a passive joint")?;
     expect(needed <= HIGHEST, "the order of derivatives that this robot needs", needed as f64, "at most 17")?;
     let width = path.t.len() * robot.len();
     let given = path.derivatives.len().checked_div(width).unwrap_or(needed + 1);
@@ -200,6 +202,11 @@ impl<'a, const P: usize> FeedforwardPass<'a, P> {
             for j in (i + 1..n).filter(|j| self.robot.coupling[i * n + j] != 0.0) {
                 self.load[i] += self.theta[j].rate().rate() * self.robot.coupling[i * n + j];
             }
+            let bearing = self.robot.drives[i].bearing_loss;
+            if !bearing.is_none() {
+                let load = self.load[i];
+                self.load[i] = load + bearing.loss_beside(self.link[1][i], load).torque;
+            }
             let angle = self.link[0][i] + self.torsion(i, dt);
             self.theta[i] = motor(&self.robot.drives[i], angle);
         }
@@ -229,8 +236,8 @@ impl<'a, const P: usize> FeedforwardPass<'a, P> {
         let (n, drive) = (self.robot.len(), &self.robot.drives[joint]);
         let coupled: f64 = (0..joint).map(|i| self.robot.coupling[i * n + joint] * self.link[2][i].value()).sum();
         let speed = self.theta[joint].0[1];
-        let friction = drive.motor_friction(speed).0;
         let felt = self.load[joint].value() * drive.ripple.output(self.theta[joint].value()).ratio;
+        let friction = drive.motor_friction(speed).0 + drive.gear_loss.loss(speed, felt).torque;
         drive.motor_inertia * 2.0 * self.theta[joint].0[2] + coupled + felt + friction
     }
 }

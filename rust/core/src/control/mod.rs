@@ -5,12 +5,14 @@
 
 pub mod feedforward;
 mod joint_pd;
+mod learning;
 mod reference;
 mod simple_adaptive;
 mod state_feedback;
 mod transmission;
 
 pub use joint_pd::JointPd;
+pub use learning::{LearningLoop, LearningStep};
 pub use reference::Reference;
 pub use simple_adaptive::{AdaptiveGains, SimpleAdaptive};
 pub use state_feedback::StateFeedback;

@@ -112,21 +112,23 @@ impl<'a> Batch<'a> {
         }
     }
 
-    /// Friction of the links at velocities `dq`: n a sample.
-    pub fn link_friction(&mut self, dq: &[f64], out: &mut [f64]) {
-        self.each_drive(dq, out, |drive, v| drive.link_friction(v).0);
+    /// Friction of the links at velocities `dq`, where their motion takes the torques `load` without it: n a sample.
+    pub fn link_friction(&mut self, dq: &[f64], load: &[f64], out: &mut [f64]) {
+        self.each_drive(dq, load, out, |drive, v, load| drive.link_friction_beside(v, load).torque);
     }
 
-    /// Friction of the motors at velocities `dtheta`: n a sample.
-    pub fn motor_friction(&mut self, dtheta: &[f64], out: &mut [f64]) {
-        self.each_drive(dtheta, out, |drive, v| drive.motor_friction(v).0);
+    /// Friction of the motors at velocities `dtheta`, which feel the torques `load` of their gears: n a sample.
+    pub fn motor_friction(&mut self, dtheta: &[f64], load: &[f64], out: &mut [f64]) {
+        self.each_drive(dtheta, load, out, |drive, v, load| {
+            drive.motor_friction(v).0 + drive.gear_loss.loss(v, load).torque
+        });
     }
 
     /// `law` of each joint's drive, sample by sample.
-    fn each_drive(&self, velocities: &[f64], out: &mut [f64], law: impl Fn(&Drive, f64) -> f64) {
+    fn each_drive(&self, velocities: &[f64], load: &[f64], out: &mut [f64], law: impl Fn(&Drive, f64, f64) -> f64) {
         let drives = self.robot.drives.iter().cycle();
-        for ((out, &v), drive) in out.iter_mut().zip(velocities).zip(drives) {
-            *out = law(drive, v);
+        for (((out, &v), &load), drive) in out.iter_mut().zip(velocities).zip(load).zip(drives) {
+            *out = law(drive, v, load);
         }
     }
 

@@ -1,6 +1,6 @@
 //! Torques and matrices of the equations of motion, from composite moments gathered towards the base.
 
-use super::Kinematics;
+use super::{Kinematics, counterbalances};
 use crate::robot::Tree;
 use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
@@ -17,7 +17,7 @@ struct Composite<T> {
     force: Force<T>,
 }
 
-/// Scratch for the equations of motion M(q) q̈ + C(q, q̇) q̇ + g(q) = τ of one robot.
+/// Scratch for the equations of motion M(q) q̈ + C(q, q̇) q̇ + g(q) = τ of one robot, g less what counterbalances carry.
 ///
 /// ```
 /// use linkside_core::dynamics::{Kinematics, Loads};
@@ -44,9 +44,16 @@ impl<T: Scalar> Loads<T> {
         Self { composites: vec![Composite::default(); tree.len()] }
     }
 
-    /// Inverse dynamics: τ (n) for the state of `k`. Recursive Newton–Euler, O(n).
+    /// Inverse dynamics: τ (n) for the state of `k`, counterbalances included. Recursive Newton–Euler, O(n).
     #[inline(always)]
     pub fn inverse_dynamics_into(&mut self, tree: &Tree, k: &Kinematics<T>, tau: &mut [T]) {
+        self.load_of_masses_into(tree, k, tau);
+        counterbalances::load(k, tree, tau);
+    }
+
+    /// The same of masses alone, in which it is linear.
+    #[inline(always)]
+    pub(crate) fn load_of_masses_into(&mut self, tree: &Tree, k: &Kinematics<T>, tau: &mut [T]) {
         for i in 0..tree.len() {
             let state = &k.bodies[i];
             let inertia = k.inertia(tree, i);
@@ -205,5 +212,7 @@ impl<T: Scalar> Kernel for Derivatives<'_, T> {
             }
             loads.gather(tree, j);
         }
+        counterbalances::load(k, tree, tau);
+        counterbalances::stiffen(k, tree, by_q);
     }
 }

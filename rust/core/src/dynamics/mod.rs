@@ -15,6 +15,7 @@
 //! Conventions are those of Featherstone (2008), with every body's quantities about the base origin and in its axes.
 
 mod batch;
+mod counterbalances;
 mod definite;
 mod elastic;
 mod kinematics;

@@ -1,6 +1,7 @@
 //! Inverse dynamics and sensors alone, each body in its own axes: half the work of [`Kinematics`](super::Kinematics) with
 //! [`Loads`](super::Loads), which derivatives and matrices need.
 
+use super::counterbalances::{self, Pose, Posture};
 use crate::robot::{Body, Frame, JointKind, Tree};
 use crate::scalar::Scalar;
 use crate::spatial::{Inertia, Mat3, Vec3};
@@ -107,6 +108,7 @@ impl<T: Scalar> NewtonEuler<T> {
                 self.bodies[p].moment += moment;
             }
         }
+        counterbalances::load(self, tree, tau);
     }
 
     /// Specific force of an ideal accelerometer, as [`Kinematics::specific_force`](super::Kinematics::specific_force)
@@ -133,6 +135,30 @@ impl<T: Scalar> NewtonEuler<T> {
     #[inline(always)]
     pub(crate) fn angular_rate_of_body(&self, frame: &Frame) -> Vec3<T> {
         self.bodies[frame.body].angular_velocity
+    }
+}
+
+/// In the frame of the body from which others are looked at.
+impl<T: Scalar> Posture<T> for NewtonEuler<T> {
+    #[inline(always)]
+    fn stem(&self, _: Option<usize>) -> Pose<T> {
+        Pose::identity()
+    }
+
+    #[inline(always)]
+    fn carried(&self, tree: &Tree, body: usize, carrier: &Pose<T>) -> Pose<T> {
+        let (Body { kind, rotation, translation, .. }, turn) = (&tree.bodies[body], self.bodies[body].turn);
+        let axes = carrier.axes.mul_constant(rotation);
+        let origin = carrier.origin + carrier.axes.apply_constant(translation);
+        match kind {
+            JointKind::Revolute => Pose { axes: axes.turn_about_z(turn), origin },
+            JointKind::Prismatic => Pose { axes, origin: origin + axes.0[2].scale(turn.0) },
+        }
+    }
+
+    #[inline(always)]
+    fn turn(&self, _: &Tree, body: usize) -> (T, T) {
+        self.bodies[body].turn
     }
 }
 

@@ -1,13 +1,18 @@
 //! Small dense matrices.
 //!
 //! Two families, for two sizes of problem. Filters have matrices of tens of rows in `f64`: padded rows, blocks of rows
-//! that share what is loaded, no allocation, and one order of summation on every processor ([`padded`]). Dynamics have
+//! that share what is loaded, no allocation, and one order of summation on every processor ([`products`], [`factors`]). Dynamics have
 //! matrices of a few rows in any scalar: plain loops, so that the same text serves derivative numbers and lanes
 //! ([`factorise`], [`solve`]).
 
-mod padded;
+mod block;
+mod factors;
+mod products;
+#[cfg(test)]
+mod tests;
 
-pub(crate) use padded::{add_outer, add_squares, congruence, forward, mirror, product, upper_factor};
+pub(crate) use factors::{forward, upper_factor};
+pub(crate) use products::{add_outer, add_squares, congruence, mirror, product};
 
 use crate::scalar::Scalar;
 

@@ -1,13 +1,16 @@
 //! A robot as the kernels see it: tree, drives, sensors.
 
+mod counterbalance;
 mod drive;
 mod rotor;
 mod tree;
 
+pub use counterbalance::{Anchor, Counterbalance, GasSpring, Strut, TorqueHarmonic, TorqueSeries};
+pub(crate) use counterbalance::{Linkage, Support, add_angles};
 pub(crate) use drive::SpringRates;
 pub use drive::{
-    Backlash, Drive, FrictionElement, GearOutput, Harmonic, Hysteresis, Interpolation, MotorFriction, Moved, Ripple,
-    SoftWindup, SpringCurve, Wound,
+    Backlash, Drive, Friction, FrictionElement, GearOutput, Harmonic, Hysteresis, Interpolation, LoadFriction, Loss,
+    Moved, Ripple, SoftWindup, SpringCurve, Wound,
 };
 pub use rotor::Rotor;
 pub use tree::{Body, BodySpec, Frame, JointKind, Tree};

@@ -1,5 +1,6 @@
 //! The kinematic tree, compiled: bodies in topological order, every joint along or about its own z axis.
 
+use super::counterbalance::Support;
 use super::{Drive, Rotor};
 use crate::check::expect_of;
 use crate::error::RobotError;
@@ -53,7 +54,7 @@ pub struct Body {
     /// Moments of mass in its own frame.
     pub(crate) inertia: Inertia<f64>,
     /// From the modeller's body frame to ours.
-    align: Mat3<f64>,
+    pub(super) align: Mat3<f64>,
 }
 
 /// A point with axes, fixed to a body: a sensor or the tool.
@@ -81,6 +82,8 @@ pub struct Tree {
     pub(crate) bodies: Vec<Body>,
     /// Acceleration of free fall in the base frame [m/s²].
     pub(crate) gravity: Vec3<f64>,
+    /// What carries part of the weight.
+    pub(crate) supports: Vec<Support>,
 }
 
 impl Tree {
@@ -109,7 +112,7 @@ impl Tree {
             };
             bodies.push(compile(body, spec, &carrier)?);
         }
-        Ok(Self { bodies, gravity })
+        Ok(Self { bodies, gravity, supports: Vec::new() })
     }
 
     /// Number of joints.

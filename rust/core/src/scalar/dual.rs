@@ -65,6 +65,11 @@ impl<const N: usize> Scalar for Dual<N> {
     }
 
     #[inline(always)]
+    fn ln(self) -> Self {
+        self.chain(Scalar::ln(self.value), 1.0 / self.value)
+    }
+
+    #[inline(always)]
     fn tanh(self) -> Self {
         let value = Scalar::tanh(self.value);
         self.chain(value, 1.0 - value * value)

@@ -78,6 +78,11 @@ impl<const L: usize> Scalar for Lanes<L> {
     }
 
     #[inline(always)]
+    fn ln(self) -> Self {
+        self.each(Scalar::ln)
+    }
+
+    #[inline(always)]
     fn tanh(self) -> Self {
         self.each(Scalar::tanh)
     }

@@ -59,6 +59,9 @@ pub trait Scalar:
     /// e^self, to within 2 ulp; below −708 it is zero, and 709 is taken for what exceeds it.
     fn exp(self) -> Self;
 
+    /// Natural logarithm, to within 1 ulp or so; NaN of what is negative.
+    fn ln(self) -> Self;
+
     /// Hyperbolic tangent, to within 2 ulp.
     fn tanh(self) -> Self;
 
@@ -85,6 +88,11 @@ impl Scalar for f64 {
     #[inline(always)]
     fn exp(self) -> Self {
         exponential::exp(self)
+    }
+
+    #[inline(always)]
+    fn ln(self) -> Self {
+        logarithm::log(self)
     }
 
     #[inline(always)]

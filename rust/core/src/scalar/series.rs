@@ -104,6 +104,17 @@ impl<const P: usize> Scalar for Series<P> {
     }
 
     #[inline(always)]
+    fn ln(self) -> Self {
+        let mut ln = Self::constant(Scalar::ln(self.0[0]));
+        for k in 1..P {
+            // From x (ln x)' = x'.
+            let known: f64 = (1..k).map(|j| j as f64 * ln.0[j] * self.0[k - j]).sum();
+            ln.0[k] = (self.0[k] - known / k as f64) / self.0[0];
+        }
+        ln
+    }
+
+    #[inline(always)]
     fn tanh(self) -> Self {
         let mut tanh = Self::constant(Scalar::tanh(self.0[0]));
         let mut bell = Self::default();

@@ -7,6 +7,8 @@ use crate::error::DesignError;
 use crate::robot::{Drive, Robot};
 
 /// State and motor torques at the start, n numbers each; what is None holds the robot at rest where its links are.
+///
+/// A link that nothing drives hangs where its spring holds it, unless `theta` is given, too: then it is where `q` says.
 #[derive(Clone, Debug, Default)]
 pub struct SimulationStart {
     /// Link positions [rad]; else zero.
@@ -34,20 +36,51 @@ impl SimulationStart {
             expect_length(what, values.len(), n)?;
             expect_finite(what, values)?;
         }
-        let q = self.q.unwrap_or_else(|| vec![0.0; n]);
+        let mut q = self.q.unwrap_or_else(|| vec![0.0; n]);
+        if self.theta.is_none() {
+            hang(robot, &mut q, push);
+        }
         let dq = self.dq.unwrap_or_else(|| vec![0.0; n]);
         let mut gravity = gravity(robot, &q);
         crate::linear::add_scaled(&mut gravity, -1.0, push);
         let hold = |((q, drive), load): ((&f64, &Drive), &f64)| {
-            if drive.elastic { drive.ripple.motor(q + drive.torsion(*load)) } else { *q }
+            if drive.is_passive() {
+                0.0
+            } else if drive.elastic {
+                drive.ripple.motor(q + drive.torsion(*load))
+            } else {
+                *q
+            }
         };
         let theta = self.theta.unwrap_or_else(|| q.iter().zip(&robot.drives).zip(&gravity).map(hold).collect());
         let ratio = |(theta, drive): (&f64, &Drive)| drive.ripple.output(*theta).ratio;
         let ratios: Vec<_> = theta.iter().zip(&robot.drives).map(ratio).collect();
-        let dtheta = self.dtheta.unwrap_or_else(|| dq.iter().zip(&ratios).map(|(dq, ratio)| dq / ratio).collect());
+        let mut dtheta = self.dtheta.unwrap_or_else(|| dq.iter().zip(&ratios).map(|(dq, ratio)| dq / ratio).collect());
+        for (dtheta, _) in dtheta.iter_mut().zip(&robot.drives).filter(|(_, drive)| drive.is_passive()) {
+            *dtheta = 0.0;
+        }
         let felt = || gravity.iter().zip(&ratios).map(|(load, ratio)| load * ratio).collect();
         let tau = self.tau.unwrap_or_else(felt);
         Ok((RobotState { q, dq, theta, dtheta }, tau))
+    }
+}
+
+/// Puts links that nothing drives where their springs hold them, as near as this iteration settles.
+fn hang(robot: &Robot, q: &mut [f64], push: &[f64]) {
+    if robot.drives.iter().all(|drive| !drive.is_passive()) {
+        return;
+    }
+    for _ in 0..200 {
+        let load = gravity(robot, q);
+        let mut step: f64 = 0.0;
+        for (j, drive) in robot.drives.iter().enumerate().filter(|(_, drive)| drive.is_passive()) {
+            let rest = -drive.torsion(load[j] - push[j]);
+            step = step.max((rest - q[j]).abs());
+            q[j] = rest;
+        }
+        if step < 1e-15 || !step.is_finite() {
+            break;
+        }
     }
 }
 

@@ -114,9 +114,9 @@ impl<T: Scalar> ElasticDynamics<T> {
     fn differentiate_motor(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T], j: usize) {
         let (n, d, drive) = (layout.joints, layout.dense, &robot.drives[j]);
         let (theta, dtheta, one) = (layout.theta[j], layout.dtheta[j], T::constant(1.0));
-        let slip = drive.motor_friction(x[dtheta]).1;
+        let mut slip = drive.motor_friction(x[dtheta]).1;
         let disturbance = layout.disturbance.map(|first| first + j);
-        let Self { coupling, ddq_by, ddq_by_tau, ddtheta_by, ratio, spring, .. } = self;
+        let Self { coupling, ddq_by, ddq_by_tau, ddtheta_by, ratio, felt, left, spring, .. } = self;
         if !drive.elastic {
             ddq_by[j * d + dtheta] -= slip;
             ddq_by_tau[j * n + j] = one;
@@ -128,8 +128,14 @@ impl<T: Scalar> ElasticDynamics<T> {
         let slopes = drive.transmission_slopes(x[theta], x[dtheta], x[j]);
         let link = [(theta, slopes.by_theta), (j, slopes.by_q), (dtheta, slopes.by_dtheta), (n + j, slopes.by_dq)];
         // The motor feels (1 + ε′) τ_e, with an ε′ that turns with it.
-        let mut motor = link.map(|(k, slope)| (k, slope * ratio[j]));
-        motor[0].1 += drive.ripple.output(x[theta]).bend * spring[j];
+        let mut motor = link.map(|(k, slope)| (k, slope * felt[j]));
+        let mut bend = drive.ripple.output(x[theta]).bend * spring[j];
+        if !drive.gear_loss.is_none() {
+            let loss = drive.gear_loss.loss(x[dtheta], ratio[j] * spring[j]);
+            slip += loss.by_speed;
+            bend += bend * loss.by_load;
+        }
+        motor[0].1 += bend;
         for (i, s) in coupling.coupled(j) {
             let share = s / T::constant(drive.motor_inertia);
             for (k, slope) in motor {
@@ -142,8 +148,11 @@ impl<T: Scalar> ElasticDynamics<T> {
             }
         }
         let own = &mut ddtheta_by[j * d..][..d];
+        if !drive.bearing_loss.is_none() {
+            ddq_by[j * d + n + j] -= drive.bearing_loss.loss(x[n + j], spring[j]).by_speed;
+        }
         for ((k, slope), (_, reaction)) in link.into_iter().zip(motor) {
-            ddq_by[j * d + k] += slope;
+            ddq_by[j * d + k] += slope * left[j];
             own[k] -= reaction;
         }
         own[dtheta] -= slip;
@@ -151,8 +160,8 @@ impl<T: Scalar> ElasticDynamics<T> {
             own[k] = one;
         }
         for (i, element) in drive.hysteresis.elements.iter().enumerate() {
-            let (k, felt) = (layout.deflections[j] + i, ratio[j] * element.stiffness);
-            ddq_by[j * d + k] = T::constant(element.stiffness);
+            let (k, felt) = (layout.deflections[j] + i, felt[j] * element.stiffness);
+            ddq_by[j * d + k] = left[j] * element.stiffness;
             own[k] = -felt;
             for (i, s) in coupling.coupled(j) {
                 ddq_by[i * d + k] += s / T::constant(drive.motor_inertia) * felt;
@@ -201,8 +210,8 @@ impl<T: Scalar> ElasticDynamics<T> {
         let row = |j: usize| j * width..(j + 1) * width;
         for (j, drive) in robot.drives.iter().enumerate() {
             if drive.elastic {
-                linear::add_scaled(&mut links[row(j)], one, &transmitted[row(j)]);
-                linear::add_scaled(&mut motors[row(j)], -self.ratio[j], &transmitted[row(j)]);
+                linear::add_scaled(&mut links[row(j)], self.left[j], &transmitted[row(j)]);
+                linear::add_scaled(&mut motors[row(j)], -self.felt[j], &transmitted[row(j)]);
                 for (i, s) in self.coupling.coupled(j) {
                     let share = s / T::constant(drive.motor_inertia);
                     linear::add_scaled(&mut links[row(i)], -share, &motors[row(j)]);

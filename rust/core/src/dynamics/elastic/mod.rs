@@ -30,10 +30,11 @@ use coupling::Coupling;
 /// eqs. (10)–(16)):
 ///
 /// ```text
-/// M q̈ + S θ̈ + C q̇ + g + d(q̇) = τ_e(θ + ε(θ) − q, (1 + ε′) θ̇ − q̇)
-/// Sᵀ q̈ + B θ̈ + f(θ̇)          = τ − (1 + ε′) τ_e
+/// M q̈ + S θ̈ + C q̇ + g + d(q̇, τ_e) = τ_e(θ + ε(θ) − q, (1 + ε′) θ̇ − q̇)
+/// Sᵀ q̈ + B θ̈ + f(θ̇, (1 + ε′) τ_e) = τ − (1 + ε′) τ_e
 /// ```
 ///
+/// Frictions f and d may grow with the torque that is transmitted: that is a function of the state, no unknown.
 /// ε is the kinematic error of each gear, on which power does not depend. Beside each spring there may be friction elements,
 /// whose deflections are states: ż = δ̇ g(z, sign δ̇).
 /// θ̈ is eliminated, as B is diagonal: (M − S B⁻¹ Sᵀ) q̈ = τ_e − C q̇ − g − d − S B⁻¹ (τ − f − (1 + ε′) τ_e). A rigid joint's motor
@@ -86,6 +87,10 @@ pub struct ElasticDynamics<T = f64> {
     spring: Vec<T>,
     /// 1 + ε′ (n): the motor feels the spring's torque times this.
     ratio: Vec<T>,
+    /// How much more than a torque of the spring a motor has to give, and how much of it is left for the link (n): 1 + ε′ and 1
+    /// where friction does not grow with load.
+    felt: Vec<T>,
+    left: Vec<T>,
     /// Motor torque less friction, and of a rotor less what its carrier's turning takes.
     drive: Vec<T>,
     /// How each friction element's rate depends on the state, after [`differentiate`](Self::differentiate).
@@ -118,6 +123,8 @@ impl<T: Scalar> ElasticDynamics<T> {
             ignored: square(),
             spring: room(n),
             ratio: vec![T::constant(1.0); n],
+            felt: vec![T::constant(1.0); n],
+            left: vec![T::constant(1.0); n],
             drive: room(n),
             elements: layout.elements(robot).map(|(_, state, _)| ElementRow::at(state)).collect(),
         }
@@ -192,7 +199,7 @@ impl<T: Scalar> ElasticDynamics<T> {
             self.drive[j] += tau[j] + extra - drive.motor_friction(speed).0;
             self.spring[j] = if drive.elastic {
                 let gear = drive.ripple.output(x[layout.theta[j]]);
-                self.ratio[j] = gear.ratio;
+                (self.ratio[j], self.felt[j]) = (gear.ratio, gear.ratio);
                 drive.spring_torque(gear.angle - q[j])
                     + (gear.ratio * speed - dq[j]) * drive.damping
                     + drive.hysteresis.force(&x[layout.deflections[j]..])
@@ -200,6 +207,16 @@ impl<T: Scalar> ElasticDynamics<T> {
                 self.drive[j]
             };
             self.ddq[j] = self.spring[j] - self.load[j] - drive.link_friction(dq[j]).0;
+            if !drive.gear_loss.is_none() {
+                let loss = drive.gear_loss.loss(speed, self.ratio[j] * self.spring[j]);
+                self.drive[j] -= loss.torque;
+                self.felt[j] += self.ratio[j] * loss.by_load;
+            }
+            if !drive.bearing_loss.is_none() {
+                let loss = drive.bearing_loss.loss(dq[j], self.spring[j]);
+                self.ddq[j] -= loss.torque;
+                self.left[j] = -loss.by_load + 1.0;
+            }
         }
         if let Some(first) = layout.link_disturbance {
             linear::add_scaled(&mut self.ddq, T::constant(1.0), &x[first..][..n]);
@@ -251,6 +268,15 @@ impl<T: Scalar> ElasticDynamics<T> {
     #[inline(always)]
     pub(crate) fn coupling(&self, j: usize) -> impl Iterator<Item = (usize, T)> + '_ {
         self.coupling.links(j)
+    }
+
+    /// Friction of joint `j`'s motor and of its link at state `x`, with what of them grows with load [N m], after
+    /// [`accelerate`](Self::accelerate).
+    #[inline(always)]
+    pub(crate) fn frictions(&self, robot: &Robot, layout: &ElasticLayout, x: &[T], j: usize) -> [T; 2] {
+        let (drive, speed, dq) = (&robot.drives[j], x[layout.dtheta[j]], x[layout.joints + j]);
+        let motor = drive.motor_friction(speed).0 + drive.gear_loss.loss(speed, self.ratio[j] * self.spring[j]).torque;
+        [motor, drive.link_friction(dq).0 + drive.bearing_loss.loss(dq, self.spring[j]).torque]
     }
 
     /// What the transmission of joint `j` gives its link [N m], after [`accelerate`](Self::accelerate): the torque of

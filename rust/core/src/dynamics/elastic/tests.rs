@@ -1,7 +1,7 @@
 //! Both rows of the model, and derivatives against differences.
 
 use super::*;
-use crate::robot::{BodySpec, Drive, JointKind, MotorFriction, SoftWindup, Tree};
+use crate::robot::{BodySpec, Drive, Friction, JointKind, SoftWindup, Tree};
 use crate::spatial::{Mat3, Vec3};
 
 /// Four joints, one of them sliding, one rigid, coupled, with everything nonlinear.
@@ -10,7 +10,7 @@ fn robot() -> Robot {
         elastic,
         cubic_stiffness: 3e3,
         soft_windup: SoftWindup { stiffness: 120.0, shape: 80.0 },
-        motor_friction: MotorFriction { viscous: 0.4, coulomb: 1e-3, ..MotorFriction::default() },
+        motor_friction: Friction { viscous: 0.4, coulomb: 1e-3, ..Friction::default() },
         link_friction: [0.5, 1.5, 0.5, 0.2, 1.0, 0.5],
         ..Drive::spring(500.0, 2.0, 3.0)
     };

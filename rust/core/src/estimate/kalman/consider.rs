@@ -8,7 +8,8 @@ use super::correction::Correction;
 use super::gaussian::Symmetric;
 use super::model::Model;
 use super::sensitivity::Sensitivity;
-use super::uncertain::{Tolerance, Uncertain};
+use super::tolerances::Tolerances;
+use super::uncertain::Uncertain;
 use crate::linear;
 
 /// Samples of one sum from which the noise that lasts is told.
@@ -42,6 +43,8 @@ pub(super) struct Consider {
     pub(super) sensitivity: Sensitivity,
     /// Variances of the parameters as robot.yaml's tolerances have them.
     prior: Vec<f64>,
+    /// Their covariances: two columns and a value each, where the tolerances are correlated.
+    joint: Vec<(usize, usize, f64)>,
     /// Share of each prior variance that no reading takes away, and the square root of the rest.
     kept: Vec<f64>,
     open: Vec<f64>,
@@ -88,6 +91,7 @@ impl Consider {
             count,
             sensitivity: Sensitivity::new(model, count),
             prior: tolerances.iter().map(|t| t.counted() * t.counted()).collect(),
+            joint: tolerances.covariances().collect(),
             mean: vec![0.0; stride],
             spread: Symmetric::zeros(stride),
             moment: Symmetric::zeros(stride),
@@ -118,6 +122,9 @@ impl Consider {
         self.spread.data.fill(0.0);
         for (i, variance) in self.prior.iter().enumerate() {
             self.spread.put(i, i, *variance);
+        }
+        for &(i, j, covariance) in &self.joint {
+            self.spread.put(i, j, covariance);
         }
         self.lasting.fill(1.0);
         self.peak.fill(1.0);
@@ -215,6 +222,10 @@ impl Consider {
             }
             for (i, (prior, kept)) in self.prior.iter().zip(&self.kept).enumerate() {
                 self.moment.data[i * stride + i] += kept * prior;
+            }
+            for &(i, j, covariance) in &self.joint {
+                self.moment.data[i * stride + j] += self.kept[i] * covariance;
+                self.moment.data[j * stride + i] += self.kept[i] * covariance;
             }
         }
     }
@@ -361,7 +372,7 @@ impl Held {
 ///
 /// Of modes whose frequencies differ by the share σ/2 for σ in ln K, the differences are in the end as large as √2 times
 /// the vibration. On a spring that does not damp, Σ would grow with time for ever; damped by this it ends there.
-fn blur(tolerances: &[Tolerance], j: usize) -> f64 {
+fn blur(tolerances: &Tolerances, j: usize) -> f64 {
     let own = tolerances.iter().find(|t| t.parameter == Uncertain::Stiffness(j));
     own.map_or(0.0, |t| t.counted() * core::f64::consts::FRAC_1_SQRT_2)
 }

@@ -1,8 +1,8 @@
-//! The measurement update, one channel after the other.
+//! The measurement update: all channels of a sample by one factor of [S, H P, e].
 //!
 //! The likelihood has an update of its own, which changes the covariance after every reading: derivative numbers want few
 //! operations. This one touches the covariance once a sample, in padded rows that fill a processor's registers, and keeps
-//! each channel's gain for the smoother. Both are the same mathematics; a test holds them equal.
+//! each channel's gain, after those before it, for the smoother. Both are the same mathematics; a test holds them equal.
 
 use super::gaussian::{Gaussian, Innovation, Row, SHARP, Symmetric};
 use super::model::Model;
@@ -56,7 +56,7 @@ impl Correction {
             raw: vec![0.0; m],
             turned: vec![0.0; model.dense() * own],
             shares: vec![0.0; m * own],
-            joint: vec![0.0; m * (own + stride + linear::LANES)],
+            joint: vec![0.0; m * joint_width(own, stride)],
             innovations: vec![Innovation::NONE; m],
             factors: vec![0.0; m * m],
             gated: vec![false; m],
@@ -75,7 +75,6 @@ impl Correction {
     pub(super) fn update(&mut self, model: &impl Model, belief: &mut Gaussian, readings: &[f64], gate: Option<f64>) {
         (self.status, self.nis, self.used, self.log_likelihood) = (0, 0.0, 0, 0.0);
         self.project(model, belief);
-        self.share(model, belief.covariance.stride);
         self.read(model, belief, readings);
         if self.is_sharp(model) {
             for i in 0..readings.len() {
@@ -108,24 +107,13 @@ impl Correction {
         }
     }
 
-    /// Rows of H P.
+    /// H P, and the upper triangle of H P Hᵀ.
     #[inline(always)]
     fn project(&mut self, model: &impl Model, belief: &Gaussian) {
         let Symmetric { stride, ref data, .. } = belief.covariance;
-        linear::product(model.linearised().jacobian, model.dense(), data, stride, &mut self.projections);
-        for (projection, bias) in self.projections.chunks_exact_mut(stride).zip(model.biases()) {
-            if let Some(b) = *bias {
-                linear::add_scaled(projection, 1.0, &data[b * stride..][..stride]);
-            }
-        }
-    }
-
-    /// H P Hᵀ, its upper triangle.
-    #[inline(always)]
-    fn share(&mut self, model: &impl Model, stride: usize) {
-        let (m, d) = (self.raw.len(), model.dense());
-        let own = m.next_multiple_of(linear::LANES);
-        for (i, row) in model.linearised().jacobian.chunks_exact(d).enumerate() {
+        observe(model, data, stride, &mut self.projections);
+        let own = self.own();
+        for (i, row) in model.linearised().jacobian.chunks_exact(model.dense()).enumerate() {
             for (k, h) in row.iter().enumerate() {
                 self.turned[k * own + i] = *h;
             }
@@ -138,10 +126,16 @@ impl Correction {
         }
     }
 
+    /// Numbers between rows of what has a column for each channel.
+    #[inline(always)]
+    fn own(&self) -> usize {
+        self.raw.len().next_multiple_of(linear::LANES)
+    }
+
     /// Whether some reading's noise is lost beside the variance of its prediction.
     #[inline(always)]
     fn is_sharp(&self, model: &impl Model) -> bool {
-        let own = self.raw.len().next_multiple_of(linear::LANES);
+        let own = self.own();
         let mut read = self.raw.iter().enumerate().filter(|(_, raw)| !raw.is_nan());
         read.any(|(i, _)| self.shares[i * own + i] > SHARP * model.variance(i))
     }
@@ -155,9 +149,8 @@ impl Correction {
     /// All channels at once, by one factor; false where the gate has just shut one out, and all is to be done anew.
     #[inline(always)]
     fn use_all(&mut self, model: &impl Model, stride: usize, gate: Option<f64>) -> bool {
-        let m = self.raw.len();
-        let own = m.next_multiple_of(linear::LANES);
-        let width = own + stride + linear::LANES;
+        let (m, own) = (self.raw.len(), self.own());
+        let width = joint_width(own, stride);
         for i in 0..m {
             let open = self.is_open(i);
             self.joint[i * width..][..own].copy_from_slice(&self.shares[i * own..][..own]);
@@ -274,14 +267,29 @@ impl Correction {
         std: &mut [f64],
     ) {
         self.project(model, belief);
-        self.share(model, belief.covariance.stride);
         self.read(model, belief, readings);
         innovation.copy_from_slice(&self.raw);
-        let own = readings.len().next_multiple_of(linear::LANES);
+        let own = self.own();
         for (i, std) in std.iter_mut().enumerate() {
             *std = (self.shares[i * own + i] + model.variance(i)).sqrt();
         }
     }
+}
+
+/// H X, for X with a row of `stride` for each state.
+#[inline(always)]
+pub(super) fn observe(model: &impl Model, x: &[f64], stride: usize, out: &mut [f64]) {
+    linear::product(model.linearised().jacobian, model.dense(), x, stride, out);
+    for (out, bias) in out.chunks_exact_mut(stride).zip(model.biases()) {
+        if let Some(b) = *bias {
+            linear::add_scaled(out, 1.0, &x[b * stride..][..stride]);
+        }
+    }
+}
+
+/// Numbers in a row of [S, H P, e], for channels and states padded to `own` and `stride`.
+const fn joint_width(own: usize, stride: usize) -> usize {
+    own + stride + linear::LANES
 }
 
 /// Channel `i`'s row of H.

@@ -12,6 +12,7 @@ use super::model::{Linearised, Measurement, Paired, Report};
 use super::motor_velocity::MotorVelocity;
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample};
+use super::tolerances::Tolerances;
 use super::uncertain::{MotorsAt, Tolerance};
 use crate::error::DesignError;
 use crate::estimate::measurement::{Channel, Evaluation};
@@ -37,8 +38,8 @@ impl JerkDriven {
     }
 
     /// The model of a robot of which some numbers are known to a tolerance only.
-    pub fn with_tolerances(mut self, tolerances: Vec<Tolerance>) -> Self {
-        self.measurement.tolerances = tolerances;
+    pub fn with_tolerances(mut self, tolerances: impl Into<Tolerances>) -> Self {
+        self.measurement.tolerances = tolerances.into();
         self
     }
 
@@ -88,7 +89,7 @@ pub struct JerkMeasurement {
     jerk: Vec<f64>,
     dt: f64,
     /// Numbers of the robot that are known to a tolerance only.
-    tolerances: Vec<Tolerance>,
+    tolerances: Tolerances,
 }
 
 impl JerkMeasurement {
@@ -103,7 +104,7 @@ impl JerkMeasurement {
             slope: MotorVelocity::new(n),
             jerk: vec![0.0; n],
             dt: 0.0,
-            tolerances: Vec::new(),
+            tolerances: Tolerances::default(),
             model,
             noise,
             damping,
@@ -174,7 +175,7 @@ impl Measurement for JerkMeasurement {
         &self.model.channels
     }
 
-    fn tolerances(&self) -> &[Tolerance] {
+    fn tolerances(&self) -> &Tolerances {
         &self.tolerances
     }
 

@@ -17,13 +17,13 @@ use super::gaussian::{Gaussian, Symmetric};
 use super::model::{Paired, Process};
 use super::recording::{KalmanRecording, KalmanSample};
 use super::transition::Transition;
-use super::uncertain::Tolerance;
+use super::tolerances::Tolerances;
 use crate::check::{check_deviations, check_readings, check_times, expect_length};
 use crate::dynamics::ElasticLayout;
 use crate::error::DesignError;
 use crate::estimate::measurement::Kind;
 use crate::estimate::observer::link_position_at_rest;
-use crate::robot::Robot;
+use crate::robot::{Drive, Robot};
 use std::sync::Arc;
 
 /// Standard deviations of everything that is random in the elastic-joint model.
@@ -179,8 +179,8 @@ impl ElasticModel {
     }
 
     /// The model of a robot of which some numbers are known to a tolerance only.
-    pub fn with_tolerances(mut self, tolerances: Vec<Tolerance>) -> Self {
-        let sensitivity = ElasticSensitivity::new(tolerances, self.process.robot.len());
+    pub fn with_tolerances(mut self, tolerances: impl Into<Tolerances>) -> Self {
+        let sensitivity = ElasticSensitivity::new(tolerances.into(), self.process.robot.len());
         self.process.transition.consider(sensitivity.clone());
         self.measurement.sensitivity = sensitivity;
         self
@@ -282,7 +282,7 @@ impl ElasticProcess {
         let mut mean = vec![0.0; self.states];
         for j in 0..n {
             for (k, s, x) in [(layout.theta[j], position[j], theta[j]), (layout.dtheta[j], velocity[j], 0.0)] {
-                (std[k], mean[k]) = (s, x);
+                (std[k], mean[k]) = (if self.robot.drives[j].is_passive() { FIXED * s } else { s }, x);
             }
             (std[j], mean[j]) = (position[j], q[j]);
             std[n + j] = velocity[j];
@@ -416,6 +416,9 @@ impl Process for ElasticProcess {
     }
 }
 
+/// Where nothing drives a joint, the fixed end of its spring is known so much better than a motor at the start.
+const FIXED: f64 = 1e-6;
+
 /// # Errors
 /// Noise of `n` joints and `m` channels with a length, or a value, that it must not have.
 fn check(noise: &ElasticNoise, n: usize, m: usize) -> Result<(), DesignError> {
@@ -435,11 +438,16 @@ fn check(noise: &ElasticNoise, n: usize, m: usize) -> Result<(), DesignError> {
     check_readings(&noise.reading)
 }
 
+/// Whether a motor moves beside its link.
+fn driven(drive: &Drive) -> bool {
+    drive.elastic && !drive.is_passive()
+}
+
 /// The states that white noise drives, and its densities.
 fn sources(robot: &Robot, layout: &ElasticLayout, noise: &ElasticNoise) -> Vec<(usize, f64)> {
     let n = robot.len();
     let links = (0..n).map(|j| (n + j, noise.link[j]));
-    let motors = (0..n).filter(|&j| robot.drives[j].elastic).map(|j| (layout.dtheta[j], noise.motor[j]));
+    let motors = (0..n).filter(|&j| driven(&robot.drives[j])).map(|j| (layout.dtheta[j], noise.motor[j]));
     let disturbances = layout
         .disturbance
         .into_iter()

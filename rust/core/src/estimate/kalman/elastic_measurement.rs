@@ -4,7 +4,7 @@ use super::elastic_sensitivity::ElasticSensitivity;
 use super::model::{Linearised, Measurement, Report, teaches};
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample};
-use super::uncertain::Tolerance;
+use super::tolerances::Tolerances;
 use crate::dynamics::{ElasticDynamics, ElasticLayout};
 use crate::error::DesignError;
 use crate::estimate::measurement::{Chained, Channel, Elastic, Values, read_all};
@@ -169,7 +169,7 @@ impl Measurement for ElasticMeasurement {
         }
     }
 
-    fn tolerances(&self) -> &[Tolerance] {
+    fn tolerances(&self) -> &Tolerances {
         self.sensitivity.tolerances()
     }
 

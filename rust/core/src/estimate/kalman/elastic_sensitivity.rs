@@ -4,6 +4,7 @@
 //! right-hand side a parameter through factors that the step of time has anyway. Columns then ride along with the covariance:
 //! Σ ← Φ Σ + ∫ e^(A s) ∂ẋ/∂p ds over a step, and ∂h/∂p + H Σ at a reading.
 
+use super::tolerances::Tolerances;
 use super::uncertain::{Tolerance, Uncertain, of_sensor, shares_of_link};
 use crate::dynamics::{ElasticDynamics, ElasticLayout};
 use crate::estimate::measurement::Channel;
@@ -18,7 +19,7 @@ use crate::robot::Robot;
 #[derive(Clone, Debug, Default)]
 pub(super) struct ElasticSensitivity {
     /// One column each.
-    tolerances: Vec<Tolerance>,
+    tolerances: Tolerances,
     /// Numbers between rows: parameters, padded.
     stride: usize,
     /// ∂q̈/∂p (n × stride).
@@ -30,14 +31,14 @@ pub(super) struct ElasticSensitivity {
 }
 
 impl ElasticSensitivity {
-    pub(super) fn new(tolerances: Vec<Tolerance>, joints: usize) -> Self {
+    pub(super) fn new(tolerances: Tolerances, joints: usize) -> Self {
         let stride = tolerances.len().next_multiple_of(linear::LANES);
         let [links, motors, transmitted] = core::array::from_fn(|_| vec![0.0; joints * stride]);
         Self { tolerances, stride, links, motors, transmitted }
     }
 
     /// The parameters, in the order of the columns.
-    pub(super) fn tolerances(&self) -> &[Tolerance] {
+    pub(super) fn tolerances(&self) -> &Tolerances {
         &self.tolerances
     }
 
@@ -121,12 +122,12 @@ impl ElasticSensitivity {
                 U::CubicStiffness(_) => drive.hardening(torsion),
                 U::Damping(_) => drive.damping * drive.slip(theta, [speed, dq]),
                 U::TorqueConstant(_) => tau[j],
-                U::MotorFriction(_) => -drive.motor_friction(speed).0,
+                U::MotorFriction(_) => -dynamics.frictions(robot, layout, x, j)[0],
                 U::MotorInertia(_) => -drive.motor_inertia * dynamics.ddtheta[j],
                 _ => 0.0,
             };
             match parameter {
-                U::LinkFriction(_) => links[at] = -drive.link_friction(dq).0,
+                U::LinkFriction(_) => links[at] = -dynamics.frictions(robot, layout, x, j)[1],
                 U::Stiffness(_) | U::CubicStiffness(_) | U::Damping(_) if drive.elastic => transmitted[at] = motor,
                 U::Stiffness(_)
                 | U::CubicStiffness(_)
@@ -193,7 +194,7 @@ mod tests {
         Model, Process,
     };
     use crate::estimate::measurement::Kind;
-    use crate::robot::{BodySpec, Drive, Frame, JointKind, MotorFriction, Rotor, Sensor, SoftWindup, Tree};
+    use crate::robot::{BodySpec, Drive, Frame, Friction, JointKind, LoadFriction, Rotor, Sensor, SoftWindup, Tree};
     use crate::spatial::{Mat3, Vec3};
     use Uncertain as U;
     use std::sync::Arc;
@@ -205,15 +206,20 @@ mod tests {
     /// coupled to links, or links carry those of the last two joints.
     fn robot(carried: bool, parameter: Uncertain, error: f64) -> Robot {
         let log = |p: Uncertain| if p == parameter { error.exp() } else { 1.0 };
+        let share = |j: usize, [driving, driven]: [f64; 2]| {
+            if j == 2 { LoadFriction::default() } else { LoadFriction { driving, driven, rounding: 0.1 } }
+        };
         let drive = |j: usize| Drive {
             elastic: j != 2,
             cubic_stiffness: 3e3 * log(U::Stiffness(j)) + if parameter == U::CubicStiffness(j) { error } else { 0.0 },
             soft_windup: SoftWindup { stiffness: 120.0 * log(U::Stiffness(j)), shape: 80.0 },
-            motor_friction: MotorFriction {
+            motor_friction: Friction {
                 viscous: 0.4 * log(U::MotorFriction(j)),
                 coulomb: 0.1 * log(U::MotorFriction(j)),
-                ..MotorFriction::default()
+                ..Friction::default()
             },
+            gear_loss: share(j, [0.3, 0.2].map(|mu| mu * log(U::MotorFriction(j)))),
+            bearing_loss: share(j, [0.1 * log(U::LinkFriction(j)); 2]),
             link_friction: {
                 let share = log(U::LinkFriction(j));
                 [0.5 * share, 1.5, 0.5, 0.2 * share, 1.0, 0.5 * share]

@@ -44,8 +44,7 @@ pub(crate) struct Fit {
 
 /// Kalman filter with exact derivatives; a step allocates nothing.
 ///
-/// Readings with independent noise are used one after the other, which equals using them at once, needs no matrix
-/// inverse, and makes a missing one a loop that runs once less.
+/// All readings of a sample are used by one factor, without a matrix inverse; one that is missing is a row of zeros.
 ///
 /// ```
 /// use linkside_core::estimate::kalman::{

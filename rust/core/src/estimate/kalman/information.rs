@@ -21,7 +21,7 @@ pub(super) struct Information {
     projections: Vec<f64>,
     /// U with Uᵀ U = P.
     root: Vec<f64>,
-    /// Scratch: Uᵀ, and rows of U Λ.
+    /// Scratch: Uᵀ, and some rows of U Λ.
     turned: Vec<f64>,
     product: Vec<f64>,
     /// 1 + U Λ Uᵀ or 1 + G Λ Gᵀ, then its root.
@@ -106,12 +106,7 @@ impl Information {
         linear::upper_factor(root, n, stride);
         linear::congruence(root, data, stride, turned, product, gram);
         // 1 + U Λ Uᵀ has eigenvalues of 1 and more: its root C exists whatever P and Λ are.
-        for i in 0..n {
-            for k in 0..i {
-                gram[k * stride + i] = gram[i * stride + k];
-            }
-            gram[i * stride + i] += 1.0;
-        }
+        (0..n).for_each(|i| gram[i * stride + i] += 1.0);
         linear::upper_factor(gram, n, stride);
         // The Gram matrix of the columns of C⁻ᵀ U is positive by construction.
         let width = rows.next_multiple_of(linear::LANES);

@@ -42,6 +42,7 @@ mod sensitivity;
 mod signal;
 mod smoother;
 mod step_noise;
+mod tolerances;
 mod transition;
 mod uncertain;
 
@@ -64,4 +65,5 @@ pub(crate) use phases::{Linearise, Predict};
 pub use recording::{Inputs, KalmanRecording, KalmanSample};
 pub use signal::Fault;
 pub use smoother::Smoother;
+pub use tolerances::Tolerances;
 pub use uncertain::{Tolerance, Uncertain};

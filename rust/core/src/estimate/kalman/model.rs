@@ -14,7 +14,7 @@ use super::gaussian::{Gaussian, Symmetric};
 use super::late::{Late, LateChannel, Lateness};
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample};
-use super::uncertain::Tolerance;
+use super::tolerances::Tolerances;
 use crate::check::{expect, expect_length};
 use crate::error::DesignError;
 use crate::estimate::measurement::Channel;
@@ -131,9 +131,7 @@ pub trait Measurement: Clone + Send + Sync {
     fn channels(&self) -> &[Channel];
 
     /// Numbers of the robot that are known to a tolerance only, and count in covariances; none unless asked for.
-    fn tolerances(&self) -> &[Tolerance] {
-        &[]
-    }
+    fn tolerances(&self) -> &Tolerances;
 
     /// Whether a channel's present reading may say something of those numbers.
     fn teaches(&self, channel: usize) -> bool {
@@ -266,7 +264,7 @@ pub trait Model: Clone + Send + Sync {
     fn channel_kinds(&self) -> &[Channel];
 
     /// See [`Measurement::tolerances`].
-    fn tolerances(&self) -> &[Tolerance];
+    fn tolerances(&self) -> &Tolerances;
 
     /// See [`Measurement::teaches`].
     fn teaches(&self, channel: usize) -> bool;
@@ -485,7 +483,7 @@ impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
         self.measurement.channels()
     }
 
-    fn tolerances(&self) -> &[Tolerance] {
+    fn tolerances(&self) -> &Tolerances {
         self.measurement.tolerances()
     }
 

@@ -1,6 +1,6 @@
 //! What errors that a filter does not estimate do to its state: columns that ride along with it.
 
-use super::correction::Correction;
+use super::correction::{Correction, observe};
 use super::model::Model;
 use crate::linear;
 
@@ -37,16 +37,13 @@ impl Sensitivity {
     pub(super) fn update(&mut self, model: &impl Model, correction: &Correction) {
         let Self { stride: p, columns, signatures, products } = self;
         let (p, m) = (*p, correction.innovations.len());
-        linear::product(model.linearised().jacobian, model.dense(), columns, p, products);
+        observe(model, columns, p, products);
         let rows = signatures.chunks_exact_mut(p).zip(products.chunks_exact(p));
-        for (((own, product), innovation), bias) in rows.zip(&correction.innovations).zip(model.biases()) {
+        for ((own, product), innovation) in rows.zip(&correction.innovations) {
             if innovation.variance.is_infinite() {
                 own.fill(0.0);
-                continue;
-            }
-            linear::add_scaled(own, 1.0, product);
-            if let Some(b) = *bias {
-                linear::add_scaled(own, 1.0, &columns[b * p..][..p]);
+            } else {
+                linear::add_scaled(own, 1.0, product);
             }
         }
         linear::forward(&correction.factors, m, signatures, p);

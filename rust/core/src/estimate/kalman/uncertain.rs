@@ -137,7 +137,7 @@ impl<T: Scalar> LinkMotion<T> {
     #[inline(always)]
     fn motor(&self, robot: &Robot, j: usize, at: MotorsAt<'_, T>) -> MotorStand<T> {
         let (drive, link) = (&robot.drives[j], [at.links[j], at.links[robot.len() + j]]);
-        let torque = self.tau[j] + drive.link_friction(link[1]).0;
+        let torque = self.tau[j] + drive.link_friction_beside(link[1], self.tau[j]).torque;
         MotorStand::new(&OfDrives(at.wound), drive, j, link, torque, at.dtheta[j])
     }
 
@@ -168,9 +168,11 @@ impl<T: Scalar> LinkMotion<T> {
             return;
         };
         let drive = &robot.drives[j];
-        let friction = drive.link_friction(at.links[n + j]).0;
+        let friction = drive.link_friction_beside(at.links[n + j], self.tau[j]);
+        // A share more of it, and what grows with that.
+        let (friction, more) = (friction.torque, friction.torque * (friction.by_load + 1.0));
         if let (Some(row), U::LinkFriction(_)) = (position(channels, Channel::Torque(j)), parameter) {
-            put(row, friction);
+            put(row, more);
         }
         let Some(row) = position(channels, Channel::Motor(j)) else { return };
         if let U::EncoderZero(_) | U::LostMotion(_) = parameter {
@@ -187,7 +189,7 @@ impl<T: Scalar> LinkMotion<T> {
             U::Stiffness(_) => put(row, -by_torque * drive.spring_torque(torsion)),
             U::CubicStiffness(_) => put(row, -by_torque * drive.hardening(torsion)),
             U::Damping(_) => put(row, -by_torque * slip * drive.damping),
-            U::LinkFriction(_) => put(row, by_torque * friction),
+            U::LinkFriction(_) => put(row, by_torque * more),
             U::Hysteresis(_) => {
                 let Some(wound) = at.wound.get(j) else { return };
                 put(row, -by_torque * torsion.map(|x| wound.inherited(drive, x)));
@@ -208,6 +210,8 @@ impl<T: Scalar> LinkMotion<T> {
     ) {
         shares_of_link(&self.kinematics, &robot.tree, link, |j, share| {
             let drive = &robot.drives[j];
+            let speed = at.links[robot.len() + j];
+            let share = share * (drive.link_friction_beside(speed, self.tau[j]).by_load + 1.0);
             if let Some(row) = position(channels, Channel::Torque(j)) {
                 put(row, share);
             }

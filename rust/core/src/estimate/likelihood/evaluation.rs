@@ -6,7 +6,7 @@ use super::recording::LikelihoodRecording;
 use crate::dynamics::Placed;
 use crate::estimate::kalman::{JerkModel, JerkNoise};
 use crate::estimate::measurement::{Channel, Driven, Jacobian, LinkMotion, Loading, Sensing, Springs, Wanted, read};
-use crate::robot::{Drive, MotorFriction, Robot};
+use crate::robot::{Drive, Friction, Robot};
 use crate::scalar::Scalar;
 use crate::spatial::Mat3;
 use std::sync::Arc;
@@ -66,10 +66,7 @@ impl<T: Scalar> ParametricMeasurement<T> {
         let (n, m) = (model.joints(), model.channels.len());
         let mut motion = LinkMotion::new(&robot);
         motion.kinematics.set_masses(parameters.masses(&robot));
-        let unit = |d: &Drive| Drive {
-            motor_friction: MotorFriction { coulomb: 1.0, ..MotorFriction::default() },
-            ..d.clone()
-        };
+        let unit = |d: &Drive| Drive { motor_friction: Friction { coulomb: 1.0, ..Friction::default() }, ..d.clone() };
         Self {
             channels: model.channels.clone(),
             turns: parameters.sensors.iter().map(|s| s.turn()).collect(),

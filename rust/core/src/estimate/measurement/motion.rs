@@ -112,11 +112,11 @@ impl<T: Scalar> LinkMotion<T> {
         loads.inverse_dynamics_derivatives_into(&robot.tree, kinematics, tau, by_q, by_dq, mass);
     }
 
-    /// Torques (n) that links of other `masses` would need for the motion that was set.
+    /// Torques (n) that `masses` alone would need for the motion that was set.
     #[inline(always)]
     pub(crate) fn loads_of(&mut self, robot: &Robot, masses: &mut Vec<Inertia<T>>, tau: &mut [T]) {
         self.kinematics.swap_masses(masses);
-        self.loads.inverse_dynamics_into(&robot.tree, &self.kinematics, tau);
+        self.loads.load_of_masses_into(&robot.tree, &self.kinematics, tau);
         self.kinematics.swap_masses(masses);
     }
 

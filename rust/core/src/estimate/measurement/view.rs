@@ -156,13 +156,15 @@ impl<T: Scalar, L: Sensing<T> + Loading<T>, S: Springs<T>> View<T> for Driven<'_
             wanted.add(row, j, [T::constant(1.0), T::default()]);
             return;
         }
-        let (friction, slope) = drive.link_friction(dq);
-        let motor = MotorStand::new(self.springs, drive, j, link, self.links.load(j) + friction, self.dtheta[j]);
+        let load = self.links.load(j);
+        let friction = drive.link_friction_beside(dq, load);
+        let motor = MotorStand::new(self.springs, drive, j, link, load + friction.torque, self.dtheta[j]);
         wanted.value(row, motor.theta);
         // ∂θ/∂x = ∂θ/∂q ∂q/∂x + ∂θ/∂r ∂r/∂x, r the torque on the spring; friction and damping add theirs to ∂r/∂q̇.
-        self.links.load_columns(j, motor.by_torque, row, wanted);
-        wanted.add(row, j, [motor.by_link, motor.by_torque * (slope + motor.damping)]);
-        wanted.torque(row, j, motor.by_torque);
+        let by_load = motor.by_torque * (friction.by_load + 1.0);
+        self.links.load_columns(j, by_load, row, wanted);
+        wanted.add(row, j, [motor.by_link, motor.by_torque * (friction.by_speed + motor.damping)]);
+        wanted.torque(row, j, by_load);
     }
 
     /// The rate of the motor's position, which numbers that carry a derivative along time have: not a row of its own.
@@ -173,11 +175,13 @@ impl<T: Scalar, L: Sensing<T> + Loading<T>, S: Springs<T>> View<T> for Driven<'_
 
     #[inline(always)]
     fn joint_torque(&self, robot: &Robot, j: usize, row: usize, wanted: &mut impl Wanted<T>) {
-        let (friction, slope) = robot.drives[j].link_friction(self.link(robot, j)[1]);
-        wanted.value(row, self.links.load(j) + friction);
-        self.links.load_columns(j, T::constant(1.0), row, wanted);
-        wanted.add(row, j, [T::default(), slope]);
-        wanted.torque(row, j, T::constant(1.0));
+        let load = self.links.load(j);
+        let friction = robot.drives[j].link_friction_beside(self.link(robot, j)[1], load);
+        let by_load = friction.by_load + 1.0;
+        wanted.value(row, load + friction.torque);
+        self.links.load_columns(j, by_load, row, wanted);
+        wanted.add(row, j, [T::default(), friction.by_speed]);
+        wanted.torque(row, j, by_load);
     }
 }
 

@@ -1,26 +1,17 @@
-//! The particle filter: one step, and whole recordings.
+//! The particle filter, a sample at a time.
 
 use super::cloud::Cloud;
-use super::density::Density;
 use super::guard::Guard;
-use super::initialise::InitialCloud;
-use super::output::{ParticleOutput, Summary, packed};
+use super::output::Summary;
 use super::past::Past;
 use super::process_noise::ProcessNoise;
-use super::proposal::{ParticleReading, ParticleSample, Propagate, Walk};
+use super::proposal::{ParticleSample, Propagate};
 use super::rao_blackwell;
 use super::regularise::Moments;
-use super::settings::{Marginalised, ParticleSettings, Proposal};
-use super::shared::{Probe, Shared};
-use super::sums::Deviations;
+use super::settings::{Marginalised, ParticleSettings};
+use super::shared::Shared;
 use crate::error::{DesignError, RunError};
-use crate::estimate::Status;
-use crate::estimate::kalman::{
-    FilterOutput, Gaussian, JerkDriven, KalmanRecording, KalmanSample, Keep, Linearise, Model, Phases, Predict, Tool,
-};
-use crate::interrupt::Watch;
-use crate::linear;
-use crate::parallel;
+use crate::estimate::kalman::{FilterOutput, Gaussian, JerkDriven, KalmanSample, Model, Phases, Predict, Tool};
 use crate::simd;
 
 /// Fewer particles than this are not worth a second thread.
@@ -81,11 +72,11 @@ pub struct ParticleFilter {
     /// What all particles share at the present sample.
     pub(super) sample: ParticleSample,
     /// Scratch of the linearisation that all particles share.
-    shared: Shared,
+    pub(super) shared: Shared,
     /// Whether the shared linearisation is that of each particle.
     pub(super) sharing: bool,
     /// There where accelerations are marginalised.
-    motion: Option<ProcessNoise>,
+    pub(super) motion: Option<ProcessNoise>,
     /// Variance of each channel's bias for a given path of the links (channels), where biases alone are marginalised.
     pub(super) bias_variance: Vec<f64>,
     /// Mean, effective number and likelihood of the last sample.
@@ -105,7 +96,7 @@ pub struct ParticleFilter {
     pub(super) taken: usize,
     pub(super) started: bool,
     /// The belief at the first sample; none: at rest.
-    start: Option<Gaussian>,
+    pub(super) start: Option<Gaussian>,
     /// Whether entries of that are correlated.
     correlated: bool,
 }
@@ -225,12 +216,12 @@ impl ParticleFilter {
     }
 
     /// Whether the cloud still has a mean.
-    fn is_finite(&self) -> bool {
+    pub(super) fn is_finite(&self) -> bool {
         self.summary.mean.iter().all(|x| x.is_finite())
     }
 
     /// [`step`](Self::step) with a sample that has been checked.
-    fn take(&mut self, sample: KalmanSample<'_>) -> Result<(), RunError> {
+    pub(super) fn take(&mut self, sample: KalmanSample<'_>) -> Result<(), RunError> {
         // 1. Resample. At the start of a sample and not at its end, so that estimates come from the weighted cloud: a
         // choice at random only adds variance to them (Liu and Chen 1998). The Kalman filter is still at the same sample.
         self.resample_if_due();
@@ -268,153 +259,6 @@ impl ParticleFilter {
         Ok(())
     }
 
-    /// The belief at a first sample: given, or at rest; and what marginalised biases begin with.
-    fn start(&mut self, sample: &KalmanSample<'_>) -> Result<(), DesignError> {
-        match &self.start {
-            Some(start) => {
-                self.belief.copy_from(start);
-                self.model.resume(sample, &mut self.belief);
-            }
-            None => self.model.start(sample, &mut self.belief)?,
-        }
-        let jerk = self.model.jerk_model();
-        for (variance, bias) in self.bias_variance.iter_mut().zip(&jerk.biases) {
-            *variance = bias.filter(|_| self.motion.is_none()).map_or(0.0, |b| self.belief.covariance.at(b, b));
-        }
-        self.sample.offset = 0.0;
-        Ok(())
-    }
-
-    /// The first particles.
-    fn initialise(&mut self) {
-        let Self { model, settings, belief, sample, cloud, .. } = self;
-        let n = model.jerk_model().joints();
-        if self.motion.is_some() {
-            InitialCloud::blind(belief, 0).draw_into(cloud, &settings.initial, n, settings.seed);
-            rao_blackwell::start(cloud, belief, n);
-            return;
-        }
-        let blind = settings.proposal == Proposal::Bootstrap || !settings.initial.is_empty();
-        let start = if blind {
-            InitialCloud::blind(belief, 3 * n)
-        } else {
-            InitialCloud::informed(belief, sample, model.linearised(), 3 * n)
-        };
-        start.draw_into(cloud, &settings.initial, n, settings.seed);
-    }
-
-    /// What all particles share at this sample; the belief's mean is where they are expected.
-    fn prepare(&mut self, sample: &KalmanSample<'_>) {
-        let n = self.model.jerk_model().joints();
-        let (dt, first) = (sample.dt, !self.started);
-        let mut reference = core::mem::take(&mut self.summary.reference);
-        reference.copy_from_slice(&self.belief.mean[..3 * n]);
-        JerkDriven::linearise_phase(Linearise { model: &mut self.model, reference: &reference });
-        self.summary.reference = reference;
-        let Self { model, sample: shared, .. } = self;
-        shared.step = self.taken as u32;
-        shared.dt = if first { 0.0 } else { dt };
-        let (dtheta, jerk) = model.inputs();
-        shared.dtheta.copy_from_slice(dtheta);
-        for j in 0..n {
-            shared.jerk[j] = if first { 0.0 } else { jerk[j] };
-        }
-        shared.set_noise(model.noise());
-        self.summary.status = 0;
-        self.summary.used = 0;
-        self.summary.reseeded = false;
-        self.plan(sample.readings);
-    }
-
-    /// What each reading, and each bias, is to do.
-    fn plan(&mut self, readings: &[f64]) {
-        let first = !self.started;
-        let Self { model, sample, bias_variance, settings, summary, marginalised, motion, belief, .. } = self;
-        let closed = *marginalised == Marginalised::Biases;
-        let late = |sample: &ParticleSample, channel| sample.past.found.iter().any(|late| late.channel == channel);
-        sample.readings.clear();
-        sample.walks.clear();
-        sample.decays.clear();
-        let jerk = model.jerk_model();
-        sample.draws = 3 * jerk.joints();
-        if let Some(motion) = motion {
-            motion.prepare(jerk, model.noise(), sample.dt, first.then_some(&belief.covariance));
-            sample.draws = 2 * jerk.joints();
-        }
-        for (channel, &value) in readings.iter().enumerate() {
-            // A bias b ~ N(·, prior) with a reading y = h + b + v, in one of three ways:
-            // marginalised (`closed`), never drawn: its variance goes into the reading's, each particle keeps its mean;
-            // drawn late: y given the links, b integrated out, then b given y, N(gain · innovation, rest²);
-            // drawn early, as a walk: where nothing is read, noise is not normal, or the proposal is the bootstrap's.
-            let bias = jerk.biases[channel];
-            let own = model.variance(channel);
-            let drift = model.noise().bias_step(channel, sample.dt);
-            if let Some(bias) = bias {
-                sample.decays.push((bias, drift.decay));
-            }
-            let walk = bias.filter(|_| motion.is_none()).map_or(0.0, |_| drift.variance);
-            let density = settings.densities[channel];
-            let read = !value.is_nan();
-            let past = late(sample, channel);
-            let drawn_late =
-                closed || (!past && read && settings.proposal != Proposal::Bootstrap && density.is_normal());
-            // Where biases are drawn each particle knows its own: no variance is left from before, only the walk's.
-            let before = if closed || first { bias_variance[channel] } else { 0.0 };
-            let prior = before * drift.decay * drift.decay + walk;
-            if let (false, Some(bias)) = (drawn_late || prior == 0.0, bias) {
-                sample.walks.push(Walk { entry: bias, std: prior.sqrt(), draw: sample.draws });
-                sample.draws += 1;
-            }
-            let extra = if drawn_late { prior } else { 0.0 };
-            // The scalar Kalman update of the bias: y has variance own + prior, b takes prior/variance of its innovation.
-            let variance = own + extra;
-            let gain = extra / variance;
-            if closed {
-                bias_variance[channel] = if read { prior * (1.0 - gain) } else { prior };
-            }
-            if !read {
-                summary.status |= Status::BRIDGED;
-                continue;
-            }
-            summary.used += 1;
-            if past {
-                continue;
-            }
-            let rest = if closed { 0.0 } else { (extra * (1.0 - gain)).sqrt() };
-            let noise = density.of_variance(variance);
-            let draw = sample.draws;
-            sample.draws += usize::from(rest > 0.0);
-            sample.readings.push(ParticleReading { channel, value, bias, noise, gain, rest, draw });
-        }
-        for (late, variance) in sample.past.decorrelate(|channel| model.variance(channel)) {
-            let noise = settings.densities[late.channel].of_variance(variance);
-            let (channel, value) = (late.channel, late.value);
-            sample.readings.push(ParticleReading { channel, value, bias: None, noise, gain: 0.0, rest: 0.0, draw: 0 });
-        }
-        if summary.used == 0 {
-            summary.status |= Status::PREDICTED;
-        }
-    }
-
-    /// Linearises once for all particles, if that is what each would find.
-    fn share(&mut self) {
-        let Self { model, sample, shared, sharing, motion, cloud, settings, belief, .. } = self;
-        // Shared only where particles could not tell the difference: one iteration, normal noise, nothing marginalised.
-        let once = matches!(settings.proposal, Proposal::Linearised { iterations: 1, .. });
-        *sharing = self.started
-            && sample.past.found.is_empty()
-            && motion.is_none()
-            && once
-            && settings.densities.iter().all(Density::is_normal);
-        if *sharing {
-            let linearised = model.linearised();
-            shared.set(sample, linearised, &belief.mean);
-            // The mean may be a fair place to linearise and the cloud's edge not: `Probe` tries particles far out.
-            let probe = Probe { model: model.jerk_model(), sample, linearised, cloud, shared };
-            *sharing = simd::dispatch_lanes(simd::level(), probe);
-        }
-    }
-
     /// Every block to this sample, on all cores where that pays: [`Propagate`], or its sibling that marginalises
     /// accelerations.
     fn advance(&mut self) {
@@ -429,134 +273,5 @@ impl ParticleFilter {
         }
         let shared = sharing.then_some(&*shared);
         cloud.each(*threads, |block| simd::dispatch_lanes(level, Propagate { model, sample, shared, block }));
-    }
-
-    /// Mean, spread, likelihood and effective number; false when no particle has a weight.
-    pub(super) fn summarise(&mut self) -> bool {
-        let Self { cloud, summary, sample, belief, .. } = self;
-        // Weights are logarithms: relative to the largest, none overflows, and those that vanish may.
-        let largest = cloud.blocks.iter().fold(f64::NEG_INFINITY, |l, b| l.max(b.sums.largest));
-        if !largest.is_finite() {
-            return false;
-        }
-        sample.offset = summary.weigh(cloud, largest);
-        belief.mean.copy_from_slice(&summary.mean);
-        self.spread(self.model.jerk_model().joints());
-        let Self { cloud, summary, .. } = self;
-        summary.gather_covariance(cloud);
-        true
-    }
-
-    /// Weighted products of deviations from the mean, of the first `entries` of the state, in every block.
-    pub(super) fn spread(&mut self, entries: usize) {
-        let Self { cloud, summary, threads, .. } = self;
-        let (mean, level) = (&summary.mean, simd::level());
-        cloud.each(*threads, |block| simd::dispatch(level, Deviations { block, mean, entries }));
-    }
-
-    /// Covariance of the state after the last sample (states × states), with what tolerances add to it.
-    pub fn covariance(&mut self) -> Vec<f64> {
-        self.take_covariance();
-        let mut covariance: Vec<f64> = self.belief.covariance.dense().collect();
-        if let Some(more) = self.guard.kalman.considered(self.belief.mean.len()) {
-            linear::add_scaled(&mut covariance, 1.0, more);
-        }
-        covariance
-    }
-
-    /// The whole state and its covariance into row `i`.
-    pub(super) fn report_state(&mut self, i: usize, out: &mut FilterOutput) {
-        self.take_covariance();
-        let Self { summary, belief, guard, .. } = self;
-        out.write_state(i, &summary.mean, &belief.covariance.data, belief.covariance.stride);
-        if let Some(more) = guard.kalman.considered(summary.mean.len()) {
-            out.add_covariance(i, more);
-        }
-    }
-
-    /// Covariance of the whole state into the belief: the cloud's own, and what each particle leaves open.
-    pub(super) fn take_covariance(&mut self) {
-        let d = self.belief.mean.len();
-        self.spread(d);
-        let Self { cloud, summary, belief, model, bias_variance, .. } = self;
-        summary.gather_covariance(cloud);
-        let mut products = summary.products.iter();
-        for r in 0..d {
-            for (c, &product) in (r..d).zip(&mut products) {
-                belief.covariance.put(r, c, product);
-            }
-        }
-        // Law of total variance: what particles differ by, and the mean of what each does not know (biases, then
-        // accelerations, where these are marginalised).
-        for (bias, variance) in model.jerk_model().biases.iter().zip(bias_variance) {
-            if let (Marginalised::Biases, Some(b)) = (self.marginalised, *bias) {
-                belief.covariance.put(b, b, belief.covariance.at(b, b) + *variance);
-            }
-        }
-        if self.motion.is_some() {
-            let first = 2 * model.jerk_model().joints();
-            for r in first..d {
-                for c in r..d {
-                    let own = summary.average(cloud, d + packed(r - first, c - first, d - first));
-                    belief.covariance.put(r, c, belief.covariance.at(r, c) + own);
-                }
-            }
-        }
-    }
-
-    /// Filters a recording, `count` rows; goes on from where it was, so that it may come in pieces.
-    ///
-    /// # Errors
-    /// As [`step`](Self::step), wrong lengths, or a sample after which the estimate is not finite.
-    pub fn run(&mut self, recording: KalmanRecording<'_>, keep: Keep) -> Result<ParticleOutput, RunError> {
-        self.run_with(recording, keep, |_| {})
-    }
-
-    /// [`run`](Self::run), calling `after` at each sample.
-    pub(super) fn run_with(
-        &mut self,
-        recording: KalmanRecording<'_>,
-        keep: Keep,
-        mut after: impl FnMut(&mut Self),
-    ) -> Result<ParticleOutput, RunError> {
-        self.model.check(&recording)?;
-        let count = recording.dt.len();
-        let mut out = ParticleOutput::zeros(count, self, keep)?;
-        let watch = Watch::current();
-        for i in 0..count {
-            // Resample, move, weigh, judge: see `take`.
-            let done = self.take(recording.sample(i, &self.model));
-            // Blocks are left out once it is to stop, and then the sample is not a whole one.
-            if watch.stops() {
-                return Err(RunError::Interrupted { sample: i });
-            }
-            done?;
-            if !self.is_finite() {
-                return Err(RunError::NotFinite { sample: self.taken - 1 });
-            }
-            out.report(i, self, keep);
-            after(self);
-        }
-        out.links.findings.extend_from_slice(self.guard.kalman.findings());
-        Ok(out)
-    }
-
-    /// Runs each recording from a fresh start with the settings of its filter, on all cores.
-    pub fn run_each(jobs: &[(&Self, KalmanRecording<'_>)], keep: Keep) -> Vec<Result<ParticleOutput, RunError>> {
-        Self::each(jobs, |filter, recording| filter.run(recording, keep))
-    }
-
-    /// `one` with a new filter for each recording, on all cores.
-    pub(super) fn each(
-        jobs: &[(&Self, KalmanRecording<'_>)],
-        one: impl Fn(&mut Self, KalmanRecording<'_>) -> Result<ParticleOutput, RunError> + Sync,
-    ) -> Vec<Result<ParticleOutput, RunError>> {
-        parallel::map(jobs, |&(like, recording)| {
-            // New, not cloned: a cloud is large, and this one's particles are none of the recording's business.
-            let model = like.guard.kalman.model().clone();
-            let mut filter = Self::new(model, like.settings.clone(), like.marginalised)?;
-            filter.set_start(like.start.clone())?;
-            one(&mut filter, recording)
-        })
     }
 }

@@ -55,10 +55,11 @@ impl RigidDynamics {
         for (entry, added) in self.factor.iter_mut().zip(&self.added) {
             *entry += added;
         }
-        if self.motors {
-            for (j, drive) in self.robot.drives.iter().enumerate() {
+        for (j, drive) in self.robot.drives.iter().enumerate() {
+            if self.motors {
                 self.factor[j * n + j] += 0.5 * self.period * drive.dry_friction_slope(v[j]);
             }
+            self.factor[j * n + j] += 0.5 * self.period * drive.bearing_friction.dry(v[j]).1;
         }
         factorise(&mut self.factor, n);
         is_definite(&self.factor, n)

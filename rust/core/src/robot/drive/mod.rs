@@ -2,16 +2,18 @@
 
 mod backlash;
 mod curve;
+mod friction;
 mod hysteresis;
-mod motor_friction;
+mod load_friction;
 mod ripple;
 mod soft_windup;
 mod transmission;
 
 pub use backlash::Backlash;
 pub use curve::{Interpolation, SpringCurve};
+pub use friction::Friction;
 pub use hysteresis::{FrictionElement, Hysteresis, Moved, Wound};
-pub use motor_friction::MotorFriction;
+pub use load_friction::{LoadFriction, Loss};
 pub use ripple::{GearOutput, Harmonic, Ripple};
 pub use soft_windup::SoftWindup;
 
@@ -42,7 +44,7 @@ pub struct Drive {
     pub stiffness: f64,
     /// D [N m s/rad].
     pub damping: f64,
-    /// B [kg m²].
+    /// B [kg m²]; infinite where there is no motor: θ stays what it is, and the joint is [passive](Self::is_passive).
     pub motor_inertia: f64,
     /// Hardening of the spring [N m/rad³].
     pub cubic_stiffness: f64,
@@ -58,9 +60,15 @@ pub struct Drive {
     /// Kinematic error of the gear before both; of elastic joints alone.
     pub ripple: Ripple,
     /// Friction between motor and ground.
-    pub motor_friction: MotorFriction,
+    pub motor_friction: Friction,
+    /// What the gear takes of the torque that it transmits, on the motor's side; of elastic joints alone.
+    pub gear_loss: LoadFriction,
     /// γ₁ … γ₆ of the link's friction (Ulrich and Sasiadek 2011, eq. (14)).
     pub link_friction: [f64; 6],
+    /// Friction between the link and what carries it, beside that.
+    pub bearing_friction: Friction,
+    /// What of it grows with the torque that the transmission gives the link; likewise.
+    pub bearing_loss: LoadFriction,
 }
 
 /// What of a spring can be freed, plain or with derivatives.
@@ -92,9 +100,18 @@ impl Drive {
             backlash: Backlash::default(),
             hysteresis: Hysteresis::default(),
             ripple: Ripple::default(),
-            motor_friction: MotorFriction::default(),
+            motor_friction: Friction::default(),
+            gear_loss: LoadFriction::default(),
             link_friction: [0.0; 6],
+            bearing_friction: Friction::default(),
+            bearing_loss: LoadFriction::default(),
         }
+    }
+
+    /// Whether nothing drives the joint: a bearing, a link or a base that bends. Its spring is fixed at the other end.
+    #[inline(always)]
+    pub fn is_passive(&self) -> bool {
+        self.motor_inertia == f64::INFINITY
     }
 
     /// # Errors
@@ -103,25 +120,24 @@ impl Drive {
     pub(crate) fn check(&self, owner: &str) -> Result<(), RobotError> {
         let owner = || owner.to_string();
         let SoftWindup { stiffness, shape } = self.soft_windup;
-        let MotorFriction { viscous, coulomb, stribeck, stribeck_velocity } = self.motor_friction;
         let finite = [
             ("stiffness", self.stiffness),
             ("damping", self.damping),
-            ("motor inertia", self.motor_inertia),
+            ("motor inertia", if self.elastic && self.is_passive() { 1.0 } else { self.motor_inertia }),
             ("cubic stiffness", self.cubic_stiffness),
             ("soft wind-up's stiffness", stiffness),
             ("soft wind-up's shape", shape),
-            ("viscous motor friction", viscous),
-            ("dry motor friction", coulomb),
-            ("Stribeck friction", stribeck),
-            ("Stribeck velocity", stribeck_velocity),
         ];
         let friction = self.link_friction.iter().map(|&g| ("link friction", g));
         for (what, value) in finite.into_iter().chain(friction) {
             expect_of(value.is_finite(), what, owner, value, "a finite number")?;
         }
-        let fades = stribeck == 0.0 || stribeck_velocity > 0.0;
-        expect_of(fades, "Stribeck velocity", owner, stribeck_velocity, "greater than 0")?;
+        self.motor_friction.check(&owner())?;
+        self.gear_loss.check(&owner())?;
+        self.bearing_friction.check(&owner())?;
+        self.bearing_loss.check(&owner())?;
+        let LoadFriction { driving, driven, .. } = self.bearing_loss;
+        expect_of(driving == driven, "load friction of the bearing", owner, driving, "the same both ways")?;
         if self.elastic {
             expect_of(self.stiffness > 0.0, "stiffness", owner, self.stiffness, "greater than 0")?;
             expect_of(self.motor_inertia > 0.0, "motor inertia", owner, self.motor_inertia, "greater than 0")?;
@@ -134,7 +150,11 @@ impl Drive {
             self.backlash.check(&owner())?;
         }
         let none = "none, as the joint is rigid";
-        for (what, absent) in [("ripple", self.ripple.is_none()), ("hysteresis", self.hysteresis.is_none())] {
+        for (what, absent) in [
+            ("ripple", self.ripple.is_none()),
+            ("hysteresis", self.hysteresis.is_none()),
+            ("load friction", self.gear_loss.is_none() && self.bearing_loss.is_none()),
+        ] {
             expect_of(absent || self.elastic, what, owner, 1.0, none)?;
         }
         self.hysteresis.check(&owner())?;
@@ -262,9 +282,32 @@ impl Drive {
     }
 
     /// Friction torque of the link at speed `v` [rad/s], and its slope [N m, N m s/rad]:
-    /// γ₁(tanh γ₂v − tanh γ₃v) + γ₄ tanh γ₅v + γ₆v (Ulrich and Sasiadek 2011, eq. (14)).
+    /// γ₁(tanh γ₂v − tanh γ₃v) + γ₄ tanh γ₅v + γ₆v (Ulrich and Sasiadek 2011, eq. (14)), and that of its bearing without load.
     #[inline(always)]
     pub fn link_friction<T: Scalar>(&self, v: T) -> (T, T) {
+        let own = self.fitted_friction(v);
+        if self.bearing_friction.is_none() {
+            return own;
+        }
+        let (torque, slope) = self.bearing_friction.torque(v);
+        (own.0 + torque, own.1 + slope)
+    }
+
+    /// All friction of the link at speed `v` where nothing else takes `rest` [N m], with its slopes by both.
+    #[inline(always)]
+    pub(crate) fn link_friction_beside<T: Scalar>(&self, v: T, rest: T) -> Loss<T> {
+        let (torque, by_speed) = self.link_friction(v);
+        if self.bearing_loss.is_none() {
+            return Loss { torque, by_speed, by_load: T::default() };
+        }
+        let loss = self.bearing_loss.loss_beside(v, rest + torque);
+        // Of the rest with the other friction.
+        let gain = loss.by_load + 1.0;
+        Loss { torque: torque + loss.torque, by_speed: by_speed * gain + loss.by_speed, by_load: loss.by_load }
+    }
+
+    #[inline(always)]
+    fn fitted_friction<T: Scalar>(&self, v: T) -> (T, T) {
         let [g1, .., g4, _, g6] = self.link_friction;
         if g1 == 0.0 && g4 == 0.0 {
             return (v * g6, T::constant(g6));
@@ -272,7 +315,7 @@ impl Drive {
         simd::phase(LinkFriction { law: &self.link_friction, v })
     }
 
-    /// Friction torque of the motor at speed `v` [rad/s], and its slope [N m, N m s/rad].
+    /// Friction torque of the motor at speed `v` [rad/s] without load, and its slope [N m, N m s/rad].
     #[inline(always)]
     pub fn motor_friction<T: Scalar>(&self, v: T) -> (T, T) {
         self.motor_friction.torque(v)
@@ -339,8 +382,15 @@ mod tests {
         Drive {
             cubic_stiffness: 3e4,
             soft_windup: SoftWindup { stiffness: 120.0, shape: 800.0 },
-            motor_friction: MotorFriction { viscous: 0.1, coulomb: 2.0, stribeck: 1.5, stribeck_velocity: 0.05 },
+            motor_friction: Friction {
+                viscous: 0.1,
+                coulomb: 2.0,
+                stribeck: 1.5,
+                stribeck_velocity: 0.05,
+                asymmetry: -0.7,
+            },
             link_friction: [0.5, 150.0, 50.0, 2.0, 100.0, 0.5],
+            bearing_friction: Friction { viscous: 0.3, coulomb: 1.0, asymmetry: 0.2, ..Friction::default() },
             ..Drive::spring(500.0, 1.0, 1.0)
         }
     }
@@ -405,7 +455,7 @@ mod tests {
         assert!(windup(10.0, -1.0).unwrap_err().to_string().contains("soft wind-up's shape of it is -1"));
         let cubic = Drive { cubic_stiffness: -1.0, ..drive() }.check("it").unwrap_err();
         assert!(cubic.to_string().contains("cubic stiffness of it is -1, expected at least 0"));
-        let stribeck = MotorFriction { stribeck: 1.0, ..MotorFriction::default() };
+        let stribeck = Friction { stribeck: 1.0, ..Friction::default() };
         let error = Drive { motor_friction: stribeck, ..drive() }.check("it").unwrap_err();
         assert!(error.to_string().contains("Stribeck velocity of it is 0, expected greater than 0"));
     }

@@ -1,0 +1,112 @@
+"""Draws the pictures of the tutorials, from what their pages do when they are followed."""
+
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from linkside import Estimate, ExtendedKalmanFilter, Log, Robot
+from linkside.figures.style import COLOURS, finish
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE.parent))
+from walk import walk  # noqa: E402
+
+
+def norm(error: np.ndarray) -> np.ndarray:
+    """Length in mm of errors in m, without their mean."""
+    return 1e3 * np.linalg.norm(error - error.mean(axis=0), axis=1)
+
+
+def save(figure: plt.Figure, name: str) -> None:
+    """Write an SVG that is the same each time."""
+    figure.savefig(HERE / name, metadata={"Date": None})
+
+
+def draw_path(names: dict[str, Any], folder: Path) -> None:
+    """Path and errors of the first tutorial."""
+    log, estimate, motors = names["log"], names["estimate"], names["motors"]
+    truth = Estimate.read(folder / "run/truth.parquet").tool_position
+    figure, (path, error) = plt.subplots(1, 2, figsize=(9, 3.2), layout="constrained", width_ratios=(1, 1.7))
+    for tool, style in (
+        (motors, {"color": COLOURS[1]}),
+        (estimate.tool_position, {"color": COLOURS[0], "linewidth": 3}),
+    ):
+        path.plot(tool[:, 0], tool[:, 2], **style)
+    path.plot(truth[:, 0], truth[:, 2], "k--", linewidth=1)
+    path.set(title="path of the tool", xlabel="x [m]", ylabel="z [m]", aspect="equal")
+    error.semilogy(log.t, 1e3 * np.linalg.norm(motors - truth, axis=1), color=COLOURS[1], label="motors alone")
+    smoothed = 1e3 * np.linalg.norm(estimate.tool_position - truth, axis=1)
+    error.semilogy(log.t, smoothed, color=COLOURS[0], label="smoother")
+    bound = 3e3 * np.linalg.norm(estimate.tool_std, axis=1)
+    error.semilogy(log.t, bound, color=COLOURS[0], linestyle=":", label="smoother, three standard deviations")
+    error.plot([], [], "k--", linewidth=1, label="truth")
+    error.set(title="error of the tool", xlabel="time [s]", ylabel="[mm]", ylim=(1e-4, 1e3))
+    error.legend(frameon=False, ncols=2, loc="upper right", fontsize="small")
+    for axes in (path, error):
+        finish(axes, legend=False)
+    save(figure, "path.svg")
+
+
+def draw_fault(names: dict[str, Any], folder: Path) -> None:
+    """The NIS and the error around the fault of the first tutorial."""
+    robot = names["robot"]
+    log = Log.read(folder / "faulty.parquet", robot, check=False)
+    estimate = ExtendedKalmanFilter(robot).run(log)
+    truth = Estimate.read(folder / "run/truth.parquet").tool_position
+    figure, (nis, error) = plt.subplots(2, 1, figsize=(8, 3.6), layout="constrained", sharex=True)
+    nis.semilogy(log.t, np.maximum(estimate.nis, 1e-2), color=COLOURS[0])
+    nis.set(ylabel="NIS of the sample", title="z axis of the accelerometer flipped at 0.6 s")
+    error.plot(log.t, 1e3 * np.linalg.norm(estimate.tool_position - truth, axis=1), color=COLOURS[0])
+    error.set(xlabel="time [s]", ylabel="tool error [mm]")
+    for axes in (nis, error):
+        axes.axvspan(0.6, log.t[-1], color=COLOURS[1], alpha=0.15, linewidth=0)
+        finish(axes, legend=False)
+    save(figure, "fault.svg")
+
+
+def draw_calibration(names: dict[str, Any], folder: Path) -> None:
+    """Estimates over true values, and the error on the second recording of the second tutorial."""
+    true, found = (Robot.load(folder / name) for name in ("true.yaml", "robot.calibrated.yaml"))
+    tolerances = found.config.tolerances.calibrated
+    figure, (values, error) = plt.subplots(1, 2, figsize=(9, 3), layout="constrained", width_ratios=(1, 1.7))
+    labels = []
+    for joint, known in zip(found.drives, true.drives, strict=True):
+        for kind in ("stiffness", "damping"):
+            ratio = getattr(joint, kind) / getattr(known, kind)
+            spread = tolerances[f"{kind}_{joint.name}"]
+            values.errorbar(ratio, len(labels), xerr=2 * spread * ratio, fmt="o", color=COLOURS[0], capsize=4)
+            labels.append(f"{kind},\n{joint.name}")
+    values.axvline(1, color="0.5", linewidth=1)
+    values.set(yticks=range(len(labels)), yticklabels=labels, title="estimate over true value", ylim=(3.5, -0.5))
+    truth = Estimate.read(folder / "test/truth.parquet").tool_position
+    for name, colour in (("typical.yaml", COLOURS[1]), ("robot.calibrated.yaml", COLOURS[0])):
+        robot = Robot.load(folder / name)
+        log = Log.read(folder / "test/log.parquet", robot)
+        tool = names["RauchTungStriebelSmoother"](robot).run(log).tool_position
+        error.semilogy(log.t, norm(tool - truth), color=colour, label=name.replace(".yaml", ""))
+    error.set(title="error of the tool, second recording", xlabel="time [s]", ylabel="[mm]", ylim=(1e-4, 30))
+    error.legend(frameon=False, loc="upper right", ncols=2)
+    for axes in (values, error):
+        finish(axes, legend=False)
+    values.margins(x=0.1)
+    save(figure, "calibrate.svg")
+
+
+def main() -> None:
+    """Follow both tutorials, and draw what came out."""
+    plt.rcParams["svg.hashsalt"] = "linkside"
+    with tempfile.TemporaryDirectory() as directory:
+        for page, draw in (("path.md", (draw_path, draw_fault)), ("calibrate.md", (draw_calibration,))):
+            folder = Path(directory) / page
+            folder.mkdir()
+            names = walk(HERE / page, folder)
+            for picture in draw:
+                picture(names, folder)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,41 @@
+"""What came of a log, in the metadata of its Parquet estimate, so that one that is left alone is judged as it was."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import asdict
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from linkside.findings import Fault
+from linkside.recording.checks.finding import Finding
+
+from .tally import Tally
+
+METADATA = "linkside.outcome"
+"""The key in the metadata of a Parquet file."""
+
+
+def record(tally: Tally, conversions: tuple[str, ...], suspicions: tuple[Finding, ...]) -> dict[str, str]:
+    """Give it as metadata, the same for the same estimate: without the time it took, nor the rounding of sums."""
+    kept = {name: value for name, value in vars(tally).items() if not name.startswith("_") and name != "seconds"}
+    kept["nis"] = float(f"{tally.nis:.10g}")
+    kept["findings"] = [asdict(fault) for fault in tally.findings]
+    told = {"tally": kept, "conversions": conversions, "suspicions": [asdict(found) for found in suspicions]}
+    return {METADATA: json.dumps(told, ensure_ascii=False)}
+
+
+def recall(path: Path) -> tuple[Tally, tuple[str, ...], tuple[Finding, ...]] | None:
+    """Read it back; None where the file has none, or not as `record` writes it."""
+    try:
+        told = json.loads((pq.read_metadata(path).metadata or {})[METADATA.encode()])
+        counts = dict(told["tally"])
+        status: Counter[str] = Counter(counts.pop("status"))
+        faults = tuple(Fault(**fault) for fault in counts.pop("findings"))
+        suspicions = tuple(Finding(**found) for found in told["suspicions"])
+        return Tally(status=status, findings=faults, **counts), tuple(told["conversions"]), suspicions
+    except (OSError, pa.ArrowException, KeyError, ValueError, TypeError):
+        return None

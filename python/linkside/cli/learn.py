@@ -1,0 +1,97 @@
+"""``linkside learn``: from repeat to repeat of a motion, the next command."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from linkside.files.writing import check_writable
+from linkside.learning import PathLearning, read, wanted_motion, write
+from linkside.recording.estimate import Estimate
+from linkside.robot import Robot
+from linkside.text import Titled
+
+from .group import main
+from .options import example, refuse_clashes
+from .terminal import show
+
+
+class Gains(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.4 only
+    """A number for all joints, or one for each, ``2e5,1e5``."""
+
+    name = "gain,gain"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[float]:
+        """Read the numbers."""
+        try:
+            return [float(number) for number in str(value).split(",")]
+        except ValueError:
+            self.fail(f"{value!r} is not a number, nor a list of numbers with commas between", param, ctx)
+
+
+@main.group(epilog=example("linkside learn start robot.yaml log.parquet --kp 4e5 --kd 1e4 --out learning.parquet"))
+def learn() -> None:
+    """Improve a motion from repeat to repeat, by estimates of where the links went (iterative learning control)."""
+
+
+@learn.command(
+    epilog=example("linkside learn start robot.yaml log.parquet --kp 4e5,2e5 --kd 1e4,6e3 --out learning.parquet")
+)
+@click.argument("robot", type=click.Path())
+@click.argument("motion", type=click.Path())
+@click.option("--kp", type=Gains(), required=True, help="Gains of the motors' positions, link side [N m/rad].")
+@click.option("--kd", type=Gains(), required=True, help="Gains of the motors' velocities, link side [N m s/rad].")
+@click.option("--bandwidth", type=float, help="Learn up to this frequency [Hz].  [default: what converges, at most 20]")
+@click.option("--rate", type=float, default=0.5, show_default=True, help="1 learns at once; less averages noise.")
+@click.option("--out", required=True, type=click.Path(), help="State of the iteration, a Parquet file.")
+def start(robot: str, motion: str, out: str, **settings: Any) -> None:
+    """Begin to learn MOTION of ROBOT's links: columns t and qref_<joint>, or q_<joint>."""
+    refuse_clashes([Path(out)], [robot, motion])
+    check_writable(out, (".parquet",))
+    loaded = Robot.load(robot)
+    learning = PathLearning(loaded, wanted_motion(motion, loaded), **settings)
+    write(learning, out)
+    margin = learning.margin
+    click.echo(
+        f"{out}: {len(learning.motion.t)} rows, learns up to {learning.bandwidth:g} Hz; a repeat brings the correction "
+        f"to at most {margin.contraction:.2f} of its distance from its limit, {margin.worst:.2f} on a robot of "
+        f"{margin.stiffness:.2f} times the stiffness and {margin.mass:.2f} times the mass"
+    )
+
+
+@learn.command(
+    "next", epilog=example("linkside learn next robot.yaml learning.parquet estimate.parquet --out learning.parquet")
+)
+@click.argument("robot", type=click.Path())
+@click.argument("state", type=click.Path())
+@click.argument("estimate", type=click.Path())
+@click.option("--out", required=True, type=click.Path(), help="The new state, STATE itself if that may be replaced.")
+def next_(robot: str, state: str, estimate: str, out: str) -> None:
+    """Take the ESTIMATE of a repeat with the command in STATE; the next command is in ref_<joint> of --out.
+
+    Exit status 3: the errors are below the estimate's own standard deviation, so that no more can be learnt.
+    """
+    refuse_clashes([Path(out)], [robot, estimate])
+    check_writable(out, (".parquet",))
+    learning = read(state, Robot.load(robot))
+    last = learning.learn(Estimate.read(estimate))
+    write(learning, out)
+    show([_trials(learning)])
+    click.echo(f"{out}: the next command")
+    if last.reached:
+        click.echo("errors are below the estimate's own standard deviation: more cannot be learnt from such estimates")
+        sys.exit(3)
+
+
+def _trials(learning: PathLearning) -> Titled:
+    """A row for each repeat."""
+    joints = (f"{name} [mrad]" for name in learning.robot.names)
+    table = Titled("Errors, rms", ("repeat", "tool [mm]", *joints, "expected next"))
+    for trial in learning.trials:
+        tool = "" if trial.tool_rms is None else f"{1e3 * trial.tool_rms:.4g}"
+        errors = (f"{1e3 * rms:.4g} ± {1e3 * std:.2g}" for rms, std in zip(trial.rms, trial.std, strict=True))
+        table.add_row(str(trial.number), tool, *errors, ", ".join(f"{1e3 * e:.3g}" for e in trial.expected))
+    return table

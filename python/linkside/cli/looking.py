@@ -1,0 +1,177 @@
+"""``linkside check``, ``compare``, ``place`` and ``demo``: what sensors see, and how far motions are apart."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import click
+
+from linkside.errors import LogError, RecordingWarning
+from linkside.files.writing import check_writable
+from linkside.recording.checks import verdicts
+from linkside.recording.log import Log
+from linkside.report import inputs
+from linkside.robot import Robot
+
+from .error_tables import tool_table
+from .estimate_logs import naming
+from .group import main
+from .options import Shift, check_figure, check_report, draw, example, named_number, no_check, refuse_clashes, report
+from .terminal import show
+
+
+@main.command(epilog=example("linkside check robot.yaml log.parquet --figure check.png"))
+@click.argument("robot", type=click.Path())
+@click.argument("log", type=click.Path(), required=False)
+@click.option("--figure", type=click.Path(), help="Draw a figure: a .png, .pdf or .svg file.")
+@click.option("--over", metavar="JOINT,JOINT", help="Joints of the figure's axes.  [default: those that matter most]")
+@click.option("--at", "held", metavar="JOINT=POSITION", multiple=True, help="Where other joints are [rad, m].")
+@report
+def check(
+    robot: str, log: str | None, figure: str | None, over: str | None, held: tuple[str, ...], report: str | None
+) -> None:
+    """Report what the sensors of ROBOT observe, how well and where; with LOG, along it, and check LOG for mistakes."""
+    from linkside.observability import analysis as module
+    from linkside.observability.words import check_tables
+
+    loaded = Robot.load(robot)
+    at = dict(named_number("--at", text) for text in held)
+    if figure is None and (over or at):
+        raise click.UsageError("--over and --at are for --figure")
+    check_figure(figure, [robot, log])
+    check_report(report, [robot, log, figure])
+    rows, refused = ([], None) if log is None else verdicts(Log.read(log, loaded, check=False), loaded)
+    for name, words in rows:
+        click.echo(f"{name:<22}{words}")
+    if rows:
+        click.echo("")
+    if refused is not None and report is None:
+        raise LogError(f"{log}: {refused}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecordingWarning)  # all is listed above
+        sound = log is not None and refused is None
+        found = module.check(loaded, Log.stream(log, loaded) if log is not None and sound else None)
+    show(check_tables(found))
+    if figure is not None:
+        with naming(robot):
+            drawn = found.figure(None if over is None else over.split(","), at)
+        draw(drawn, figure)
+    if report is not None:
+        from linkside.observability.page import page
+
+        page(found, rows, refused, inputs([("robot", robot), ("log", log)])).write(report)
+        click.echo(f"report: {report}")
+    if refused is not None:
+        raise LogError(f"{log}: {refused}")
+
+
+@main.command(epilog=example("linkside compare truth.parquet estimate.parquet --segments rests"))
+@click.argument("reference", type=click.Path())
+@click.argument("estimates", metavar="ESTIMATE...", type=click.Path(), nargs=-1, required=True)
+@click.option("--robot", type=click.Path(), help="A robot.yaml: tool paths where a file has none.")
+@click.option("--names", help="Names of estimates: a,b,c.  [default: their files]")
+@click.option(
+    "--align",
+    type=click.Choice(["time", "start"]),
+    default="time",
+    show_default=True,
+    help="Align rows by time, or by their first rows.",
+)
+@click.option(
+    "--shift", type=Shift(), default="0", show_default=True, help="Delay of the estimates [s]; auto finds it."
+)
+@click.option("--segments", help="A CSV file with start, end, name; or `rests`, for the parts between rests.")
+@click.option("--repeats", is_flag=True, help="The estimates repeat one motion: report their mean and spread too.")
+@click.option("--out", type=click.Path(), help="Write the result: a .json, .csv, .tex or .txt file.")
+@click.option("--figure", type=click.Path(), help="Draw a figure: a .png, .pdf or .svg file.")
+@report
+def compare(reference: str, estimates: tuple[str, ...], **options: Any) -> None:
+    """Measure how far ESTIMATEs are from REFERENCE: a truth, another estimate, or a log, for its commanded path."""
+    from linkside import comparison as module
+    from linkside.comparison.output import SUFFIXES, tables
+
+    out, figure, segments, report = (options[name] for name in ("out", "figure", "segments", "report"))
+    files = [reference, *estimates, options["robot"]]
+    if out is not None:
+        check_writable(out, SUFFIXES)
+        refuse_clashes([Path(out)], files)
+    check_figure(figure, [*files, out])
+    check_report(report, [*files, out, figure])
+    result = module.compare_files(
+        reference,
+        estimates,
+        robot=None if options["robot"] is None else Robot.load(options["robot"]),
+        names=None if options["names"] is None else options["names"].split(","),
+        shift=options["shift"],
+        align=options["align"],
+        segments="rests" if segments == "rests" else () if segments is None else module.read_segments(segments),
+        repeats=options["repeats"],
+    )
+    show(tables(result))
+    if out is not None:
+        result.write(out)
+        click.echo(f"written: {out}")
+    if figure is not None:
+        draw(result.figure(), figure)
+    if report is not None:
+        from linkside.comparison.page import page
+
+        roles = [("reference", reference), *(("estimate", file) for file in estimates), ("robot", options["robot"])]
+        page(result, inputs(roles)).write(report)
+        click.echo(f"report: {report}")
+
+
+@main.command(epilog=example("linkside place robot.yaml log.parquet --link link3 --link link4 --out sensors.yaml"))
+@click.argument("robot", type=click.Path())
+@click.argument("logs", metavar="[LOG]...", type=click.Path(), nargs=-1)
+@click.option("--link", "links", multiple=True, help="A link that can carry a sensor, on a grid around its frame.")
+@click.option("--reach", type=float, default=0.3, show_default=True, help="Half the width of the grid [m].")
+@click.option("--steps", type=click.IntRange(1), default=3, show_default=True, help="Grid points along each axis.")
+@click.option("--axes", default="xyz", show_default=True, help="Three-axis sensors, or x,y,z for single axes.")
+@click.option("--candidates", type=click.Path(), help="A file with `accelerometers` to choose from, as in robot.yaml.")
+@click.option("--count", type=int, help="Number of sensors.  [default: the fewest that suffice]")
+@click.option("--limit", type=float, help="Choose the smallest set within this score.")
+@click.option("--by", type=click.Choice(["condition", "covariance"]), default="condition", show_default=True)
+@click.option("--out", type=click.Path(), help="Write the chosen `accelerometers` to this YAML file.")
+@no_check
+@click.option("--figure", type=click.Path(), help="Draw singular postures: a .png, .pdf or .svg file.")
+def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: Any) -> None:
+    """Choose accelerometers that observe the joints of ROBOT best along LOGs, or in the whole workspace."""
+    from linkside.observability import placement
+
+    out, inputs = options["out"], [robot, *logs, options["candidates"]]
+    if out is not None:
+        check_writable(out, (".yaml", ".yml"))
+        refuse_clashes([Path(out)], inputs)
+    check_figure(options["figure"], [*inputs, out])
+    loaded = Robot.load(robot)
+    sensors = [] if options["candidates"] is None else list(placement.read_candidates(options["candidates"]))
+    kinds = options["axes"].split(",")
+    with naming(robot):
+        sensors += placement.candidates(loaded, links, reach=options["reach"], steps=options["steps"], axes=kinds)
+        where = [Log.read(log, loaded, check=not options["no_check"]) for log in logs] or None
+        choice = {"count": options["count"], "limit": options["limit"], "criterion": options["by"]}
+        found = placement.place(loaded, sensors, where, **choice)
+    click.echo(found.to_text(), nl=False)
+    if out is not None:
+        found.write(out)
+        click.echo(f"accelerometers: {out}")
+    if options["figure"] is not None:
+        draw(found.figure(), options["figure"])
+
+
+@main.command(epilog=example("linkside demo --figure demo.png"))
+@click.option("--figure", type=click.Path(), default="linkside-demo.png", show_default=True, help="Figure to write.")
+def demo(figure: str) -> None:
+    """Run the observer on a robot and a recording that come with the package."""
+    from linkside.demo import run as module
+    from linkside.demo.figure import demo_figure
+
+    check_figure(figure, [])
+    result = module.run()
+    show([tool_table(result.errors, "the truth")])
+    draw(demo_figure(result), figure)
+    click.echo("Next, your own log:   linkside estimate robot.yaml log.parquet --out estimate.parquet")
+    click.echo("      your own robot: linkside check robot.yaml")

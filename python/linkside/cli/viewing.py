@@ -1,0 +1,40 @@
+"""``linkside view``: an estimate for other programs to show."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from linkside.files.writing import check_writable
+from linkside.robot import Robot
+
+from .estimating import urdf_of
+from .group import main
+from .options import example, refuse_clashes
+
+MOST = 3
+"""Names of files that are said."""
+
+
+@main.command(epilog=example("linkside view robot.yaml log.parquet estimate.parquet --out motion.rrd"))
+@click.argument("robot", type=click.Path())
+@click.argument("log", type=click.Path())
+@click.argument("estimate", type=click.Path())
+@click.option("--out", required=True, type=click.Path(), help="A file that ends in .rrd (Rerun) or .mcap.")
+@click.option("--rate", type=float, default=200, show_default=True, help="About how many rows a second to write [Hz].")
+def view(robot: str, log: str, estimate: str, out: str, rate: float) -> None:
+    """Write ROBOT in motion: links by ESTIMATE, their motors' ghost, the tool's path, and how LOG's readings differ.
+
+    .rrd is for Rerun (pip install linkside[rerun]; `rerun FILE`), .mcap for PlotJuggler and Foxglove (linkside[mcap]).
+    """
+    from linkside.scene import SUFFIXES, write_scene
+
+    check_writable(out, SUFFIXES)
+    refuse_clashes([Path(out)], [robot, log, estimate])
+    loaded = Robot.load(robot)
+    found = write_scene(loaded, log, estimate, out, urdf=urdf_of(robot, loaded), rate=rate)
+    if found.missing:
+        names = ", ".join(found.missing[:MOST])
+        click.echo(f"{len(found.missing)} meshes are not there, and their links are shown without: {names}")
+    click.echo(f"written: {out}")

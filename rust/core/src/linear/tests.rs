@@ -1,0 +1,153 @@
+//! Kernels on padded rows against plain loops.
+
+use super::{LANES, add_outer, add_squares, congruence, forward, mirror, product, upper_factor};
+use proptest::collection::vec;
+use proptest::prelude::*;
+
+/// Rows of `columns` numbers.
+type Plain = Vec<Vec<f64>>;
+
+fn matrix(rows: usize, columns: usize) -> impl Strategy<Value = Plain> {
+    vec(vec(-2.0..2.0, columns), rows)
+}
+
+/// Rows of a multiple of [`LANES`], and their length.
+fn padded(plain: &Plain, columns: usize) -> (Vec<f64>, usize) {
+    let stride = columns.next_multiple_of(LANES);
+    let mut data = vec![0.0; plain.len() * stride];
+    for (row, plain) in data.chunks_exact_mut(stride).zip(plain) {
+        row[..columns].copy_from_slice(plain);
+    }
+    (data, stride)
+}
+
+/// Aᵀ B.
+fn gram(a: &Plain, b: &Plain, rows: usize, columns: usize) -> Plain {
+    let sum = |i: usize, j: usize| a.iter().zip(b).map(|(a, b)| a[i] * b[j]).sum();
+    (0..rows).map(|i| (0..columns).map(|j| sum(i, j)).collect()).collect()
+}
+
+fn transposed(a: &Plain, columns: usize) -> Plain {
+    (0..columns).map(|j| a.iter().map(|row| row[j]).collect()).collect()
+}
+
+/// Whether the entries for which `some` holds agree to rounding of sums of this size.
+fn agree(data: &[f64], stride: usize, plain: &Plain, some: impl Fn(usize, usize) -> bool) -> Result<(), TestCaseError> {
+    for (i, (row, plain)) in data.chunks_exact(stride).zip(plain).enumerate() {
+        for (j, (own, plain)) in row.iter().zip(plain).enumerate() {
+            prop_assert!(!some(i, j) || (own - plain).abs() < 1e-10, "({i}, {j}): {own} is not {plain}");
+        }
+    }
+    Ok(())
+}
+
+const ALL: fn(usize, usize) -> bool = |_, _| true;
+
+/// Mᵀ M + 1.
+fn definite(m: &Plain, n: usize) -> Plain {
+    let mut a = gram(m, m, n, n);
+    (0..n).for_each(|i| a[i][i] += 1.0);
+    a
+}
+
+proptest! {
+    #[test]
+    fn product_is_the_sum_over_the_inner_index(
+        (left, right, columns) in (1_usize..11, 1_usize..14, 1_usize..14).prop_flat_map(|(rows, inner, columns)| {
+            (matrix(rows, inner), matrix(inner, columns), Just(columns))
+        })
+    ) {
+        let inner = right.len();
+        let (right_rows, stride) = padded(&right, columns);
+        let mut out = vec![f64::NAN; left.len() * stride];
+        product(&left.concat(), inner, &right_rows, stride, &mut out);
+        agree(&out, stride, &gram(&transposed(&left, inner), &right, left.len(), columns), ALL)?;
+    }
+
+    #[test]
+    fn outer_products_are_added_times_a_factor(
+        (a, b, rows, columns) in (1_usize..9, 1_usize..11, 1_usize..14).prop_flat_map(|(inner, rows, columns)| {
+            (matrix(inner, rows), matrix(inner, columns), Just(rows), Just(columns))
+        }),
+        factor in -2.0..2.0,
+    ) {
+        let ((left, width), (right, stride)) = (padded(&a, rows), padded(&b, columns));
+        let mut out = vec![1.0; rows * stride];
+        add_outer(factor, (&left, width), &right, stride, &mut out);
+        let sums = gram(&a, &b, rows, columns);
+        let plain = sums.iter().map(|row| row.iter().map(|x| 1.0 + factor * x).collect()).collect();
+        agree(&out, stride, &plain, ALL)?;
+    }
+
+    #[test]
+    fn squares_are_added_to_both_triangles(
+        (a, n) in (1_usize..9, 1_usize..14).prop_flat_map(|(inner, n)| (matrix(inner, n), Just(n))),
+        factor in -2.0..2.0,
+    ) {
+        let (rows, stride) = padded(&a, n);
+        let mut out = vec![0.0; n * stride];
+        add_squares(factor, &rows, n, stride, &mut out);
+        let plain = gram(&a, &a, n, n).iter().map(|row| row.iter().map(|x| factor * x).collect()).collect();
+        agree(&out, stride, &plain, ALL)?;
+    }
+
+    #[test]
+    fn upper_triangle_is_copied((a, n) in (1_usize..14).prop_flat_map(|n| (matrix(n, n), Just(n)))) {
+        let (mut out, stride) = padded(&a, n);
+        mirror(&mut out, n, stride);
+        let plain = (0..n).map(|i| (0..n).map(|j| a[i.min(j)][i.max(j)]).collect()).collect();
+        agree(&out, stride, &plain, ALL)?;
+    }
+
+    #[test]
+    fn factor_squared_is_the_matrix_and_forward_undoes_it(
+        (m, x, n, columns) in (1_usize..14, 1_usize..11).prop_flat_map(|(n, columns)| {
+            (matrix(n, n), matrix(n, columns), Just(n), Just(columns))
+        })
+    ) {
+        let a = definite(&m, n);
+        let (mut upper, stride) = padded(&a, n);
+        upper_factor(&mut upper, n, stride);
+        let u: Plain = upper.chunks_exact(stride).map(|row| row[..n].to_vec()).collect();
+        agree(&upper, stride, &vec![vec![0.0; n]; n], |i, j| j < i)?;
+        let (squared, _) = padded(&gram(&u, &u, n, n), n);
+        agree(&squared, stride, &a, ALL)?;
+
+        let (mut solution, width) = padded(&gram(&u, &x, n, columns), columns);
+        forward(&upper, stride, &mut solution, width);
+        agree(&solution, width, &x, ALL)?;
+    }
+
+    #[test]
+    fn factor_of_a_singular_matrix_squares_to_it(
+        (m, n) in (2_usize..14).prop_flat_map(|n| (1..n).prop_flat_map(move |rank| (matrix(rank, n), Just(n))))
+    ) {
+        let a = gram(&m, &m, n, n);
+        let (mut upper, stride) = padded(&a, n);
+        upper_factor(&mut upper, n, stride);
+        let u: Plain = upper.chunks_exact(stride).map(|row| row[..n].to_vec()).collect();
+        let (squared, _) = padded(&gram(&u, &u, n, n), n);
+        // A pivot that is lost leaves out the root of what rounding left.
+        for (row, plain) in squared.chunks_exact(stride).zip(&a) {
+            for (own, plain) in row.iter().zip(plain) {
+                prop_assert!((own - plain).abs() < 1e-5, "{own} is not {plain}");
+            }
+        }
+    }
+
+    #[test]
+    fn congruence_is_the_two_products(
+        (m, s, n) in (1_usize..14).prop_flat_map(|n| (matrix(n, n), matrix(n, n), Just(n)))
+    ) {
+        let upper: Plain = (0..n).map(|i| (0..n).map(|j| if j < i { 0.0 } else { m[i][j] }).collect()).collect();
+        let whole = gram(&s, &s, n, n);
+        let ((u, stride), (matrix, _)) = (padded(&upper, n), padded(&whole, n));
+        let square = vec![0.0; stride * stride];
+        let (mut u_square, mut turned, mut scratch, mut out) = (square.clone(), square.clone(), square.clone(), square);
+        u_square[..u.len()].copy_from_slice(&u);
+        congruence(&u_square, &matrix, stride, &mut turned, &mut scratch, &mut out);
+        let turned = transposed(&upper, n);
+        let plain = gram(&turned, &gram(&transposed(&whole, n), &turned, n, n), n, n);
+        agree(&out, stride, &plain, |i, j| j >= i)?;
+    }
+}

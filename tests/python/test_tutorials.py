@@ -1,0 +1,31 @@
+"""Tutorials do what they say: each is followed from top to bottom in an empty folder."""
+
+import re
+import runpy
+from pathlib import Path
+
+import pytest
+
+from linkside import Robot
+
+DOCS = Path(__file__).parents[2] / "docs"
+walk = runpy.run_path(str(DOCS / "walk.py"))["walk"]
+
+
+def test_path(tmp_path):
+    names = walk(DOCS / "tutorials/path.md", tmp_path)
+    assert names["estimate"].status_summary()["good"] == 1052
+
+
+def test_calibrate(tmp_path):
+    page = DOCS / "tutorials/calibrate.md"
+    walk(page, tmp_path)
+    assert not (tmp_path / "slow.yaml").exists()
+    found, true = (Robot.load(tmp_path / name) for name in ("robot.calibrated.yaml", "true.yaml"))
+    table = re.findall(r"^(stiffness|damping)_(\w+) +[\d.]+ +([\d.]+) +([\d.e+]+)$", page.read_text(), re.MULTILINE)
+    assert len(table) == 4
+    for kind, joint, value, error in table:
+        stated, spread = float(value), float(error)
+        written, right = (getattr(robot.drives[robot.names.index(joint)], kind) for robot in (found, true))
+        assert abs(written - right) < 3 * spread, (kind, joint)
+        assert written == pytest.approx(stated, abs=spread), (kind, joint)
