@@ -1,21 +1,21 @@
 """Public arms that are as their robot.yaml says, and the same with one faulty channel: what filters say of them.
 
-Arms of the package example-robot-data with springs, dampers, motors and two accelerometers or none go from one posture to
-another and back, at several rates. Without a fault every flag is false; with one the right channel is to be named. Prints
-what docs/trust.md has of these; `--arms` and `--rates` say how long it may take.
+Arms of the package example-robot-data with springs, dampers, motors and two accelerometers or none go from one posture
+to another and back, at several rates. Without a fault every flag is false; with one the right channel is to be named.
+Prints what docs/trust.md has of these; `--arms` and `--rates` say how long it may take.
 """
 
 import argparse
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from typing import Any
 
 import numpy as np
 from detection import spoiled
-from drawn_robots import Array, public_arm, public_files, dressed
+from drawn_robots import Array, dressed, public_arm, public_files
 
 from linkside import ElasticJointFilter, ExtendedKalmanFilter, Log, Robot
 from linkside.control.controllers import JointPD
