@@ -90,7 +90,40 @@ def draw_calibration(names: dict[str, Any], folder: Path) -> None:
     save(figure, HERE / "calibrate.svg")
 
 
-PICTURES = {"path.md": (draw_path, draw_fault), "calibrate.md": (draw_calibration,)}
+def draw_loop(names: dict[str, Any], folder: Path) -> None:
+    """Deviation of the link in the closed loop of the third tutorial."""
+    figure, axes = plt.subplots(figsize=(8, 3), layout="constrained")
+    t = names["motion"].t
+    for (fed_back, error), colour in zip(names["deviation"].items(), (COLOURS[1], COLOURS[0]), strict=True):
+        axes.plot(t, error, color=colour, linewidth=1.2, label=f"feedback of {fed_back}")
+    axes.axvspan(0.05, 0.25, color="0.6", alpha=0.2, linewidth=0, label="motion")
+    axes.set(title="deviation of link 1 from its plan", xlabel="time [s]", ylabel="[mrad]")
+    axes.legend(frameon=False)
+    finish(axes, legend=False)
+    save(figure, HERE / "loop.svg")
+
+
+def draw_repeats(names: dict[str, Any], folder: Path) -> None:
+    """Errors over repeats of the fourth tutorial."""
+    figure, axes = plt.subplots(figsize=(8, 3), layout="constrained")
+    for label, errors, look in (
+        ("learning from motors: true error", names["true"], {"color": COLOURS[1], "marker": "o"}),
+        ("learning from motors: error seen by the motors", names["seen"], {"color": COLOURS[1], "linestyle": ":"}),
+        ("learning from the observer: true error", names["better"], {"color": COLOURS[0], "marker": "o"}),
+    ):
+        axes.semilogy(errors, label=label, **look)
+    axes.set(title="error of the tool, RMS of each repeat", xlabel="repeat", ylabel="[mm]")
+    axes.legend(frameon=False, fontsize="small")
+    finish(axes, legend=False)
+    save(figure, HERE / "repeats.svg")
+
+
+PICTURES = {
+    "path.md": (draw_path, draw_fault),
+    "calibrate.md": (draw_calibration,),
+    "loop.md": (draw_loop,),
+    "repeats.md": (draw_repeats,),
+}
 
 
 @style()
