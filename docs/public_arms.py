@@ -82,7 +82,8 @@ def line(verdicts: list[Verdict]) -> str:
     """Means of shares, sums of findings."""
     flagged, off, silent = (np.mean([getattr(v, what) for v in verdicts]) for what in ("flagged", "off", "silent"))
     named, unnamed = (sum(getattr(v, what) for v in verdicts) for what in ("named", "unnamed"))
-    return f"flagged {flagged:.2%}, off {off:.2%}, and good {silent:.2%}, findings {named} with a channel, {unnamed} without"
+    findings = f"findings {named} with a channel, {unnamed} without"
+    return f"flagged {flagged:.2%}, off {off:.2%}, and good {silent:.2%}, {findings}"
 
 
 def shown(estimate: Any) -> str:
@@ -132,9 +133,8 @@ def faulty(specimen: Specimen, method: Any, clean: Any) -> Iterator[tuple[str, s
             else "named"
         )
         if moved >= 3 and outcome != "named":
-            print(
-                f"   {specimen.name}, {method}, {name} {fault}: moved {moved:.0f}, off and good {silent:.1%}, {outcome}; {shown(estimate)}"
-            )
+            what = f"moved {moved:.0f}, off and good {silent:.1%}, {outcome}; {shown(estimate)}"
+            print(f"   {specimen.name}, {method}, {name} {fault}: {what}")
         yield f"{signal} {fault}", outcome
         if moved >= 3:
             yield f"{signal} {fault}", "off and good" if silent > 0.02 else "honest"

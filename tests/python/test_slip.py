@@ -117,7 +117,7 @@ def test_pieces_flag_the_same_rows(moved: Any) -> None:
 @pytest.mark.parametrize("size", [SLIP, -5e-4])
 @pytest.mark.parametrize("joint", [0, 4])
 def test_the_observer_says_so_until_the_encoder_is_back(size: float, joint: int) -> None:
-    """It follows the encoder within milliseconds, innovations being small again, and its link is off as long as that is."""
+    """It follows the encoder within milliseconds, with small innovations, and its link is off as long as that is."""
     robot = Robot.load(DATA / "kr15_six_axes/robot.yaml")
     log = Log.read(DATA / "kr15_six_axes/log.parquet", robot)
     theta, row, back = log.theta.copy(), len(log) // 2, 3 * len(log) // 4
