@@ -21,6 +21,9 @@ from linkside import (
     Robot,
     simulate,
 )
+from linkside.observability import check
+from linkside.observability.sensors import acceleration_map
+from linkside.observability.words import check_words
 
 from .robots import ARM, spring
 from .transmissions import Gear, move, tool_error
@@ -297,3 +300,40 @@ def test_linkages_that_are_none_are_refused_with_their_key(linkages, expected):
     drives = [spring("turn"), spring("lift")]
     with pytest.raises(ConfigError, match=expected):
         Robot.from_urdf(PARALLEL.replace("MIMIC", ""), drives, linkages=linkages)
+
+
+def test_check_sees_through_linkages():
+    robot, q, dq = parallel(), np.array([0.3, -0.2]), np.array([0.4, 0.9])
+    ours, kernel = acceleration_map(robot, q, dq), robot.acceleration_map(q, dq)
+    assert_allclose(ours.matrix, kernel[0], atol=1e-12)
+    assert_allclose(ours.bias, kernel[1], atol=1e-12)
+
+
+LINES = {"harmonics": [{"order": 900, "amplitude": 2e-5, "of": "output"}]}
+HYSTERESIS = [{"stiffness": 5e3, "limit": 3.0}]
+
+
+@pytest.mark.parametrize(
+    ("declared", "expected"),
+    [
+        ({"gearing": SHARED}, "elbow is turned by the motors of elbow, shoulder: a reading that one of them lacks"),
+        ({"hysteresis": HYSTERESIS}, "until its torsion has changed by some 1.2 mrad, no sensor but a link's encoder"),
+        ({"hysteresis": HYSTERESIS}, "up to 300 µrad of the link"),
+        (
+            {"gear_ratio": 100, "ripple": [{"order": 2, "amplitude": 1e-5}]},
+            "shoulder has ripple: nothing is lost by it",
+        ),
+        ({"encoder_error": LINES}, "shoulder: its motor's encoder has lines of 14.1 µrad RMS whose phase no recording"),
+        ({"link_encoder_error": LINES}, "shoulder: its link's encoder has lines of 14.1 µrad RMS"),
+        ({"bearing_friction": {"coulomb": 1.0}}, "shoulder has dry friction in its bearing"),
+    ],
+)
+def test_check_says_what_elements_do(declared, expected):
+    said = "\n".join(check_words(check(arm(**declared))))
+    assert expected in said
+    assert expected not in "\n".join(check_words(check(arm())))
+
+
+def test_check_says_what_linkages_do():
+    said = "\n".join(check_words(check(parallel())))
+    assert "rod moves with turn: accelerometers behind it see turn through both." in said
