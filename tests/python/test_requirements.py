@@ -10,6 +10,7 @@ from linkside import (
     EstimatorError,
     ExtendedKalmanFilter,
     FixedLagSmoother,
+    IteratedSmoother,
     Log,
     MarginalizedParticleFilter,
     NicosiaTomeiObserver,
@@ -138,6 +139,7 @@ METHODS = {
     "observer": lambda robot, log: AccelerationObserver(robot).run(log).q,
     "ekf": lambda robot, log: ExtendedKalmanFilter(robot, NOISE).run(log).q,
     "smoother": lambda robot, log: RauchTungStriebelSmoother(robot, NOISE).run(log).q,
+    "map": lambda robot, log: IteratedSmoother(robot, NOISE).run(log).q,
     "fixed-lag": fixed_lag,
     "particle": lambda robot, log: ParticleFilter(robot, NOISE, particles=20).run(log[:20]).q,
     "marginalized": lambda robot, log: MarginalizedParticleFilter(robot, NOISE, particles=20).run(log[:20]).q,
@@ -166,7 +168,7 @@ UNCONCERNED = {
     ),
     **{
         method: {"motor_friction", "asymmetry", "efficiency"}
-        for method in ("ekf", "smoother", "fixed-lag", "particle", "marginalized")
+        for method in ("ekf", "smoother", "map", "fixed-lag", "particle", "marginalized")
     },
     "observer": {"link_friction", "bearing_friction"} | BEHIND_GEARS,
     "feedforward": SENSOR | BEHIND_GEARS | {"encoder_error"},
