@@ -239,8 +239,8 @@ def _reason(parameter: Parameter, alone: float, covariance: FloatArray, index: i
     correlation = covariance[index] / (std * std[index])
     correlation[index] = 0.0
     partner = int(np.argmax(np.abs(correlation)))
-    return f"it cannot be distinguished from {free[partner].name} (correlation {correlation[partner]:+.2f}); it takes
-    {advice}"
+    other = f"{free[partner].name} (correlation {correlation[partner]:+.2f})"
+    return f"it cannot be distinguished from {other}; it takes {advice}"
 
 
 @dataclass(frozen=True)
