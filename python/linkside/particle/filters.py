@@ -52,7 +52,7 @@ class ParticleEstimate(Estimate):
     effective : (T,)
         Effective number of particles 1/Σw², before resampling.
     reseeded : (T,)
-        Whether the cloud was spread anew from the Kalman filter beside it.
+        Whether the cloud was drawn again from the Kalman filter that runs beside it.
     log_likelihood : (T,)
         Logarithm of the probability density of the sample's readings, given those before, as the particles have it.
     used : (T,)
@@ -121,7 +121,7 @@ class ParticleFilter(DecidingFilter[_core.ParticleFilter], JerkDrivenFilter[_cor
         of the first samples of `step` redoes those before it.
     collapse
         What to do with a cloud that does not explain the readings, as a Kalman filter that runs beside it does.
-        ``"reseed"`` flags the row `Status.CONTRADICTED` and spreads the cloud anew from the Kalman filter's belief; a
+        ``"reseed"`` flags the row `Status.CONTRADICTED` and draws the cloud again from the Kalman filter's estimate; a
         cloud that has only lost spread is renewed before it comes to that, and leans on that belief at each
         resampling, as far as chance makes the difference. ``"flag"`` flags the row and leaves the
         cloud as it is. ``"raise"`` stops with the sample's number. A sample that is impossible to all particles

@@ -81,7 +81,7 @@ class Described:
 class Copies(Described):
     """Copies of an estimator are estimators of their own: `copy.copy` keeps the state of `step`.
 
-    A pickled one has the settings alone: where it is read back, `step` starts anew.
+    A pickled one holds the settings only; after unpickling, `step` starts from the beginning.
     """
 
     _cores: tuple[str, ...] = ()
@@ -103,5 +103,5 @@ class Copies(Described):
         return other
 
     def __getstate__(self) -> dict[str, Any]:
-        """Everything but the core's part, which is made anew."""
+        """Everything but the core's part, which is rebuilt."""
         return {name: None if name in self._cores else value for name, value in vars(self).items()}

@@ -50,7 +50,7 @@ class Status(IntFlag):
     UNWRAPPED = 32
     """An encoder wrapped, and its jump was taken out."""
     CONTRADICTED = 64
-    """Readings contradict the model: the row and its standard deviations are not to be believed; see ``findings``."""
+    """Readings contradict the model: do not use the row and its standard deviations; see ``findings``."""
     FAULTY = 128
     """One channel contradicts the model and all other channels; see ``findings``."""
 

@@ -17,7 +17,7 @@ from linkside.files.tables import failure
 from linkside.robot.units import Unit
 
 COMMANDS = ("qref", "dqref", "ddqref")
-"""Signals that nobody measures: they are known at any time, on straight lines."""
+"""Commanded signals, which are interpolated linearly."""
 
 UNMEASURED = ("tau", "ddq", *COMMANDS)
 """Signals with one column a joint, ``<signal>_<joint>``, beside the channels that filters correct with."""

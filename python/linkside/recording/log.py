@@ -105,9 +105,9 @@ class Log:
             Keep steps of time longer than 1.5 times the spacing of the fastest channel's readings, or of rows if that
             is more, instead of refusing them.
         check
-            Look at the readings before they are believed: units, signs, jumps, stuck channels and more, as
-            `linkside.recording.checks.CHECKS` lists them. What is impossible is refused, what is certain put right, and
-            what is suspicious warned of with a `RecordingWarning`.
+            Check the readings first: units, signs, jumps, stuck channels and more, as
+            `linkside.recording.checks.CHECKS` lists them. Impossible readings are refused, certain mistakes are
+            corrected, and suspicious ones raise a `RecordingWarning`.
 
         Raises
         ------
@@ -384,7 +384,7 @@ def _clock(head: FloatArray, layout: Layout, source: str, inspector: Inspector |
 
 
 def _inspector(robot: RobotColumns, source: str, check: bool) -> Inspector | None:
-    """What looks at a recording before it is believed; None where that is not wanted, or the robot is but names."""
+    """The inspector of a recording; None if no check is wanted, or if only the names of the robot are known."""
     return Inspector(robot, source) if check and able(robot) else None
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from linkside.arrays import FloatArray
 
 STRETCHES = 400
-"""So many, to twice as many, are kept of a long recording."""
+"""Between this many and twice as many points are kept of a long recording."""
 
 
 class Trace:

@@ -124,7 +124,7 @@ class Robot:
         return cls(config, reduced, notes)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle what the robot was made of; it is compiled anew."""
+        """Pickle what the robot was made of; it is compiled again when it is read."""
         return Robot, (self.config, self.model, self.notes)
 
     def __repr__(self) -> str:

@@ -27,7 +27,7 @@ STUCK = 0.025
 """How long a live sensor's reading may stay the very same [s]; and at least 20 rows."""
 
 SATURATED = 10
-"""So many rows at the very same extreme are a sensor at the end of its range."""
+"""A channel that stays at its extreme value for this many rows is saturated."""
 
 
 def sentinels(view: View) -> Iterator[Finding]:
@@ -117,7 +117,7 @@ def _saturated(values: FloatArray, runs: Runs) -> tuple[int, int] | None:
 
 
 def _held(view: View, column: str, values: FloatArray, runs: Runs) -> Iterator[Finding]:
-    """A channel whose value changes every so many rows, like clockwork, and by more than its grain."""
+    """A channel whose value changes only every few rows, at regular intervals, and by more than its resolution."""
     inner = runs.length[1:-1]
     if len(inner) < 20 or np.isnan(values).any():
         return

@@ -15,7 +15,7 @@ from .finding import Finding
 from .view import View
 
 CLEAN = 8.0
-"""A jump is at least so many times what the speed changes around it."""
+"""A jump is at least this many times the change of speed around it."""
 
 SPEED = 100.0
 """What a joint that is not out of order does not exceed from one sample to the next [rad/s]; a fifth of it in m/s."""

@@ -23,7 +23,7 @@ BLOCK = 0.02
 """Length of a block [s]: short for a motion, long for noise."""
 
 BLOCKS = 200
-"""So many blocks, at most, are looked at."""
+"""At most this many blocks are examined."""
 
 
 class Recording(Protocol):
