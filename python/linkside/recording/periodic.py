@@ -1,4 +1,4 @@
-"""Observers that are designed for one sampling period: what they share, live and over recordings."""
+"""The common part of observers that are designed for one sampling period, live and over recordings."""
 
 from __future__ import annotations
 

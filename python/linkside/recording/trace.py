@@ -11,7 +11,7 @@ STRETCHES = 400
 
 
 class Trace:
-    """Channels over time, as what they reach in each stretch of rows.
+    """Channels over time, as least, largest and mean value of each stretch of rows.
 
     While there are few rows a stretch is a row; when stretches become too many, neighbours are joined.
     """

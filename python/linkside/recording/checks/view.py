@@ -1,4 +1,4 @@
-"""What checks look at: some rows of a recording, and means over short blocks of them."""
+"""The part of a recording that checks examine: some rows, and means over short blocks of them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BLOCKS = 200
 
 
 class Recording(Protocol):
-    """What the checks ask of a log; `Log` is made with them."""
+    """The attributes of a log that the checks need."""
 
     @property
     def t(self) -> FloatArray:
