@@ -258,7 +258,7 @@ impl<M: Phases> Smoother<M> {
                 filter.run(recording.rows(from..to, &self.filter.model), Keep::default())?;
             }
         }
-        // Backwards, the last stretch first: λ and Λ, what later readings say, live on in `self` from one to the next.
+        // Backwards, the last stretch first: λ and Λ, the information of later readings, stay in `self` from one to the next.
         self.finish();
         let mut parts = Vec::with_capacity(starts.len());
         for (i, start) in starts.iter().enumerate().rev() {
