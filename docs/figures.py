@@ -8,7 +8,16 @@ from __future__ import annotations
 import argparse
 from importlib import import_module
 
-SCRIPTS = ("tool_error", "transmissions", "trust", "record", "learning", "papers.pictures", "tutorials.pictures")
+SCRIPTS = (
+    "tool_error",
+    "transmissions",
+    "trust",
+    "record",
+    "learning",
+    "particle_error",
+    "papers.pictures",
+    "tutorials.pictures",
+)
 """Scripts beside this one; each has a function ``draw_all``."""
 
 

@@ -223,7 +223,7 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter])
     robot
         The robot.
     noise
-        How uncertain everything is.
+        Noise levels.
     accelerations
         Whether accelerometers are used; by default where the log has them, in `step` where the robot has them.
     dtheta, rate, q, torque, dq
@@ -289,7 +289,7 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter])
             ``dt`` is not a positive, finite time, a reading is infinite, or a signal has a wrong shape. The filter
             is as it was before, and takes the next sample.
         NumericalError
-            Readings so absurd that the estimate is no longer finite: the next sample starts anew.
+            Readings so extreme that the estimate is no longer finite; the filter restarts at the next sample.
         """
         if self._deciding():
             sample: dict[str, Any] = {"dt": dt, "theta": theta, "tau": tau, "dtheta": dtheta}

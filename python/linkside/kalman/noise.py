@@ -1,4 +1,4 @@
-"""How uncertain everything is: the settings of a Kalman filter, in physical units, read from and written to files."""
+"""Noise levels of a Kalman filter, in physical units, read from and written to files."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ Time = Annotated[float, Field(gt=0)]
 Settings = TypeVar("Settings", bound="ReadingNoise")
 
 JERK_TIME = 0.02
-"""Over this time jerk is taken to stay the same, where its size is read off a log [s]."""
+"""Window over which jerk is taken as constant when its size is estimated from a log [s]."""
 
 SHORTEST = 5
-"""Readings that a cubic is put through at least."""
+"""Fewest readings that a cubic is fitted to."""
 
 JUMP = 9
 """Windows that a reading is in."""
 
 LINK_WALKS = ("position_walk", "velocity_walk")
-"""What lets links wander, in the order of the core."""
+"""Process noise of the links, in the order of the core."""
 
 LEAST_JERK = 10.0
 """A log in which nothing moves still leaves this density of jerk [rad/s³/√Hz]."""
 
 
 class ReadingNoise(BaseModel):
-    """How uncertain readings are, whatever the model: what `Noise` and `ElasticNoise` have in common.
+    """Noise of the readings, which is the same for all models: the common part of `Noise` and `ElasticNoise`.
 
-    The defaults belong to industrial arms in SI units, and are meant to work untuned. Biases are kept on a short
-    lead on purpose: at rest a motor's bias cannot be told from link position, nor an accelerometer's from the
-    direction of gravity, so what is known of them beforehand decides.
+    The defaults belong to industrial arms in SI units, and are meant to work untuned. The priors on biases are tight on
+    purpose: at rest a motor's bias cannot be distinguished from the link's position, nor an accelerometer's from the
+    direction of gravity, so the prior decides.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Which accelerometers, where, are enough: the map from link accelerations to what they read, at design time.
+"""The map from link accelerations to accelerometer readings, for the design of sensor sets.
 
 Computed by Pinocchio, independently of the core. A reading is
 

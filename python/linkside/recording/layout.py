@@ -20,7 +20,7 @@ from linkside.robot.units import Unit
 from .motors import encoder_angles, encoder_readings, of_joints, of_motors
 
 COMMANDS = ("qref", "dqref", "ddqref")
-"""Signals that nobody measures: they are known at any time, on straight lines."""
+"""Commanded signals, which are interpolated linearly."""
 
 UNMEASURED = ("tau", "ddq", *COMMANDS)
 """Signals with one column a joint, ``<signal>_<joint>``, beside the channels that filters correct with."""
@@ -31,7 +31,7 @@ OF_MOTORS = ("theta", "dtheta", "tau")
 
 
 class ColumnNames(Protocol):
-    """How a log's columns differ from ours: on the motor shaft, or by name."""
+    """How a log's columns differ from linkside's: by the side of the gear, or by name."""
 
     @property
     def motor_side(self) -> bool:
@@ -43,7 +43,7 @@ class ColumnNames(Protocol):
 
 
 class RobotColumns(Protocol):
-    """What a log needs to know of a robot."""
+    """The properties of a robot that reading a log requires."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -163,7 +163,7 @@ class Layout:
         return arrays
 
     def missing(self, column: str, source: str, why: str = "") -> LogError:
-        """Say that a column is missing, and what it might be called instead."""
+        """Describe a missing column, with a similar name if there is one."""
         close = difflib.get_close_matches(column, set(self.found) - set(self.present), n=1, cutoff=0.75)
         hint = f"; did you mean {close[0]!r}?" if close else "; if another file has it, see `linkside merge`"
         if column.startswith("tau_") and (current := f"current_{column[4:]}") in self.found:

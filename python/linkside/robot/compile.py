@@ -1,4 +1,4 @@
-"""From a Pinocchio model to the core's kinematic tree."""
+"""Compilation of a Pinocchio model into the core's kinematic tree."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""The schema of robot.yaml: what a URDF cannot say about an elastic-joint robot.
+"""The schema of robot.yaml: the properties of an elastic-joint robot that a URDF lacks.
 
 SI units, everything reflected through the gear to the link side. Each model is frozen; an unknown key, a
 missing one or a value out of range is a `ConfigError`: file, line, key, what was expected and what was found.
@@ -86,7 +86,7 @@ class ColumnsConfig(Section):
 
 
 class RobotConfig(Section):
-    """All that a URDF cannot say about a robot; joints in the order of the log."""
+    """The settings of a robot that a URDF lacks; joints in the order of the log."""
 
     rate_hz: Positive | None = None  # of the log; for the reader of the file, nothing depends on it
     gravity: Vector3 = (0.0, 0.0, -9.81)  # m/s², of free fall in the base frame

@@ -1,4 +1,4 @@
-"""Numbers of robot.yaml that are known to a tolerance only: they count in standard deviations, unestimated."""
+"""Parameters that are known to a tolerance only: they widen standard deviations and are not estimated."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CoreTolerance = tuple[str, int, int, float]
 
 @dataclass(frozen=True)
 class Uncertain:
-    """A number that is not known exactly.
+    """A parameter that is not known exactly.
 
     Attributes
     ----------

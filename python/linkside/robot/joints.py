@@ -71,7 +71,7 @@ class JointConfig(Section):
 
     @model_validator(mode="after")
     def _table_alone(self) -> "JointConfig":
-        """A table stands in for rates; `stiffness` is then its nominal one."""
+        """A table replaces the other stiffness values; `stiffness` is then its nominal value."""
         if self.stiffness_table is None:
             return self
         nominal = self.stiffness_table.nominal

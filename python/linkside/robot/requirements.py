@@ -1,4 +1,4 @@
-"""What a robot.yaml may declare that not every method accounts for; a method refuses it by name."""
+"""Keys of robot.yaml that not every method accounts for; such a method refuses them by name."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ JOINT_SIDE = tuple(f"{carrier}.{key}" for carrier in ("link_encoder", "joint_tor
 BY_LOAD = ("efficiency", "load")
 """Friction that grows with the torque transmitted."""
 
-WHY = {"passive": "no motor moves it, whose encoder would tell where its link is"}
+WHY = {"passive": "no motor moves it, so no encoder shows where its link is"}
 """Reasons that a key does not give by itself."""
 
 UNSUPPORTED: dict[str, tuple[str, ...]] = {
@@ -110,7 +110,7 @@ UNSUPPORTED: dict[str, tuple[str, ...]] = {
         "passive",
     ),
 }
-"""By method: what it does not account for."""
+"""Keys that each method does not account for."""
 
 
 def refuse_unsupported(robot: Robot, method: str) -> None:

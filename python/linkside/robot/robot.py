@@ -45,7 +45,7 @@ class Robot:
     model : pinocchio.Model
         The tree of the listed joints alone, all others locked.
     notes : tuple of str
-        What is doubtful about masses: a method that needs them warns of it.
+        Doubts about masses; a method that needs masses warns of them.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ class Robot:
         return cls(config, reduced, notes)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle what the robot was made of; it is compiled anew."""
+        """Pickle what the robot was made of; it is compiled again when it is read."""
         return Robot, (self.config, self.model, self.notes)
 
     def __repr__(self) -> str:
@@ -137,7 +137,7 @@ class Robot:
     def scaled(
         self, *, stiffness: float = 1.0, damping: float = 1.0, motor_inertia: float = 1.0, mass: float = 1.0
     ) -> "Robot":
-        """Make a robot with other parameters, as a specimen differs from what is known of it: factors on all joints.
+        """Return a robot with other parameters, such as a specimen that differs from its model: factors on all joints.
 
         Parameters
         ----------
@@ -159,7 +159,7 @@ class Robot:
         return Robot(config, tree.heavier(self.model, mass), self.notes)
 
     def require_masses(self, purpose: str, *, elastic_only: bool = False) -> None:
-        """Insist on links with masses, for a method that needs them; warn of what is doubtful about them, once.
+        """Require links with masses, for a method that needs them; warn once of doubts about them.
 
         Parameters
         ----------
@@ -382,7 +382,7 @@ class Robot:
         return self._rows(self.core.motor_friction, dtheta=dtheta, load=rest if load is None else load)
 
     def specific_force(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
-        """What the accelerometers read, (T, acceleration channels) [m/s²]; +9.81 upward at rest."""
+        """Readings of the accelerometers, (T, acceleration channels) [m/s²]; +9.81 upward at rest."""
         return self._rows(self.core.specific_force, q=q, dq=dq, ddq=ddq)
 
     def acceleration_map(self, q: ArrayLike, dq: ArrayLike) -> tuple[Array, Array]:
@@ -395,11 +395,11 @@ class Robot:
         return derivatives[..., 2, :, :], self.specific_force(q, dq, rest)
 
     def angular_rate(self, q: ArrayLike, dq: ArrayLike) -> Array:
-        """What the gyroscopes read, (T, gyroscope channels) [rad/s]."""
+        """Readings of the gyroscopes, (T, gyroscope channels) [rad/s]."""
         return self._rows(self.core.angular_rate, q=q, dq=dq)
 
     def tool_position(self, q: ArrayLike) -> Array:
-        """Where the tool is in the base frame, (T, 3) [m]; raises EstimatorError if the robot has none."""
+        """Tool position in the base frame, (T, 3) [m]; raises EstimatorError if the robot has none."""
         if self.tool is None:
             raise EstimatorError("the robot has no tool: name one in robot.yaml, `tool: {link: …}`")
         return self._rows(self.core.tool_position, q=q)

@@ -1,4 +1,4 @@
-"""Simulate a robot with its sensors and a controller in the loop: a design can be studied before it is built."""
+"""Simulate a robot with its sensors and a controller in the loop."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ EXTRA = {channel.signal for channel in CHANNELS.values() if channel.extra}
 
 @dataclass(frozen=True)
 class Sensor:
-    """What a sensor makes of the truth: low-pass, then delay, bias, white noise, steps.
+    """A model of a sensor: low-pass filter, then delay, bias, white noise, quantisation.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Sensor:
     corner_frequency
         Of a low-pass of first order [Hz].
     every
-        One reading in so many samples; the others are NaN.
+        Number of samples for each reading; the others are NaN.
     """
 
     noise: float = 0.0
@@ -68,7 +68,7 @@ class Sensor:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Simulation:
-    """A run: what was recorded, and what was so.
+    """A run: the recording and the truth.
 
     Attributes
     ----------
@@ -168,7 +168,7 @@ def simulate(
     feedback
         What the controller knows of the robot: ``"truth"``, ``"sensors"`` (motors as measured, links taken to be
         there too), or the estimate of an `ElasticJointFilter` or `AccelerationObserver`, of a robot with other
-        parameters if need be; it starts anew, at the simulation's rate.
+        parameters if need be; it starts from the beginning, at the simulation's rate.
     sensors
         A `Sensor` of each kind: ``theta``, ``dtheta``, ``acceleration``, ``rate``, ``q``, ``torque``, ``dq``. A kind
         not given is as robot.yaml has it, or exact; link positions and velocities, and joint torques (what the
@@ -185,7 +185,7 @@ def simulate(
         Of ``"adaptive"``: a step may be wrong by ``atol + rtol |x|`` in each position and velocity; 1e-6 and 1e-9 if
         not given.
     keep_every
-        One sample in so many is kept.
+        Keep every n-th sample.
     seed
         Of the noise: the same seed gives the same bits.
     push : (n,) or (T, n)

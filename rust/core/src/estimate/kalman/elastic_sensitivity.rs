@@ -1,7 +1,7 @@
 //! What errors of a robot's numbers do to its accelerations, and by them to a step of time and to readings.
 //!
 //! The equations of motion are linear in nearly all parameters, F(x, ẍ) = Y p, so that at a given state ∂ẍ/∂p = −(∂F/∂ẍ)⁻¹ Y: one
-//! right-hand side a parameter through factors that the step of time has anyway. Columns then ride along with the covariance:
+//! right-hand side a parameter through factors that the step of time has anyway. Columns are then propagated with the covariance:
 //! Σ ← Φ Σ + ∫ e^(A s) ∂ẋ/∂p ds over a step, and ∂h/∂p + H Σ at a reading.
 
 use super::tolerances::Tolerances;
