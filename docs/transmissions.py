@@ -1,12 +1,14 @@
-"""Draws transmissions.png (torque over motor angle of each law, link held), friction.png and counterbalances.png."""
+"""Draws transmissions.svg (torque over motor angle of each law, link held), friction.svg and counterbalances.svg."""
 
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from drawing import save, style
 
 from linkside import Robot, Sensor, simulate
+from linkside.figures import COLOURS, finish
 
 HERE = Path(__file__).parent
 HELD = """<robot name="held"><link name="base"/><link name="arm"><inertial><mass value="1"/>
@@ -72,35 +74,32 @@ def row(curves: dict[str, tuple[Any, Any]], abscissa: str, ordinate: str, file: 
     """Draw curves side by side."""
     figure, panels = plt.subplots(1, len(curves), figsize=(9, 2.7), layout="constrained")
     for axes, (name, curve) in zip(panels, curves.items(), strict=True):
-        axes.plot(*curve, linewidth=1)
+        axes.plot(*curve, color=COLOURS[0], linewidth=1)
         axes.set_title(name, fontsize=10)
         axes.set_xlabel(abscissa)
-        axes.grid(alpha=0.3)
+        finish(axes, legend=False)
     panels[0].set_ylabel(ordinate)
-    figure.savefig(HERE / file, dpi=110)
+    save(figure, HERE / file)
 
 
-def main() -> None:
+@style()
+def draw_all() -> None:
     """Draw them side by side."""
     frictions = {name: friction(*law) for name, law in FRICTION.items()}
-    row(frictions, "motor speed [rad/s]", "friction [N m]", "friction.png")
+    row(frictions, "motor speed [rad/s]", "friction [N m]", "friction.svg")
     row(
         {name: lift(law) for name, law in COUNTERBALANCES.items()},
         "joint angle [rad]",
         "torque [N m]",
-        "counterbalances.png",
+        "counterbalances.svg",
     )
     figure, panels = plt.subplots(2, 3, figsize=(9, 5), layout="constrained", sharex=True)
     for axes, (name, drive) in zip(panels.flat, LAWS.items(), strict=True):
-        axes.plot(*measured(drive), linewidth=1)
+        axes.plot(*measured(drive), color=COLOURS[0], linewidth=1)
         axes.set_title(name, fontsize=10)
-        axes.grid(alpha=0.3)
+        finish(axes, legend=False)
     for axes in panels[-1]:
         axes.set_xlabel("motor angle, link held [mrad]")
     for axes in panels[:, 0]:
         axes.set_ylabel("torque [N m]")
-    figure.savefig(HERE / "transmissions.png", dpi=110)
-
-
-if __name__ == "__main__":
-    main()
+    save(figure, HERE / "transmissions.svg")

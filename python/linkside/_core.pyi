@@ -52,6 +52,8 @@ class Robot:
         tool: Mapping[str, Any] | None,
         rotors: Sequence[Mapping[str, Any]],
         counterbalances: Sequence[Mapping[str, Any]],
+        gearing: tuple[Sequence[int], Sequence[float]],
+        followers: Sequence[tuple[int, float, float]],
     ) -> Robot: ...
     @property
     def n(self) -> int: ...

@@ -17,6 +17,17 @@ def test_path(tmp_path):
     assert names["estimate"].status_summary()["good"] == 1052
 
 
+def test_loop(tmp_path):
+    names = walk(DOCS / "tutorials/loop.md", tmp_path)
+    assert names["bridged"] == 20
+
+
+def test_repeats(tmp_path):
+    names = walk(DOCS / "tutorials/repeats.md", tmp_path)
+    assert names["true"][-1] > 10 * names["better"][-1]
+    assert names["better"][2] < 1.1 * names["better"][-1]
+
+
 def test_calibrate(tmp_path):
     page = DOCS / "tutorials/calibrate.md"
     walk(page, tmp_path)

@@ -1,4 +1,4 @@
-"""``linkside check``, ``compare``, ``place`` and ``demo``: what sensors see, and how far motions are apart."""
+"""``linkside check``, ``compare``, ``place`` and ``demo``: observability and comparison."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from .terminal import show
 @click.argument("log", type=click.Path(), required=False)
 @click.option("--figure", type=click.Path(), help="Draw a figure: a .png, .pdf or .svg file.")
 @click.option("--over", metavar="JOINT,JOINT", help="Joints of the figure's axes.  [default: those that matter most]")
-@click.option("--at", "held", metavar="JOINT=POSITION", multiple=True, help="Where other joints are [rad, m].")
+@click.option("--at", "held", metavar="JOINT=POSITION", multiple=True, help="Position of another joint [rad, m].")
 @click.option("--bound", is_flag=True, help="Also say how good a filter and a smoother can get along LOG.")
 @report
 def check(
@@ -85,7 +85,7 @@ def check(
 @main.command(epilog=example("linkside compare truth.parquet estimate.parquet --segments rests"))
 @click.argument("reference", type=click.Path())
 @click.argument("estimates", metavar="ESTIMATE...", type=click.Path(), nargs=-1, required=True)
-@click.option("--robot", type=click.Path(), help="A robot.yaml: tool paths where a file has none.")
+@click.option("--robot", type=click.Path(), help="A robot.yaml, to compute tool paths that a file lacks.")
 @click.option("--names", help="Names of estimates: a,b,c.  [default: their files]")
 @click.option(
     "--align",

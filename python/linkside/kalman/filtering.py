@@ -1,4 +1,4 @@
-"""What filters share, whatever their model: readings by kind, one recording or many, the live state."""
+"""What the filters of all models share: readings by kind, one recording or many, the live state."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from .start import Moving, Readings, Spread, Start, find_start, given
 
 @dataclass(frozen=True, eq=False, repr=False)
 class KalmanEstimate(Estimate):
-    """An estimate with what tells whether to believe it.
+    """An estimate with the quantities that show whether to trust it.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class CoreFilter(Protocol):
 
 
 class Startable(CoreFilter, Protocol):
-    """A filter of the core that can be told where it starts."""
+    """A filter of the core whose start can be set."""
 
     def reset(self) -> None:
         """Forget the state."""
@@ -106,7 +106,7 @@ class LiveFilter(Copies, ABC, Generic[Core]):
         return self._live.covariance
 
     def reset(self) -> None:
-        """Forget the state: the next `step` starts anew."""
+        """Reset: the next `step` starts from the beginning."""
         self._started, self.status = None, 0
 
     @property
@@ -264,7 +264,7 @@ class KalmanMethod(Described, ABC):
         jerk: FloatArray,
         law: LinkDisturbance | None = None,
     ) -> None:
-        """Tell a filter of the core where it starts: what the user says, or its first samples, if there are any."""
+        """Set where a filter of the core starts: as the user says, or from its first samples, if there are any."""
         if self._at == "rest":
             return
         arrays = noise.arrays(self.robot, kinds)
@@ -294,7 +294,7 @@ class KalmanMethod(Described, ABC):
             core.set_start(*start)
 
     def _tied(self, covariance: FloatArray) -> FloatArray:
-        """Correlate what depends on each other at the start."""
+        """Set the correlations of states that depend on each other at the start."""
         return covariance
 
     @abstractmethod

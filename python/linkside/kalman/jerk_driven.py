@@ -86,8 +86,8 @@ class JerkDrivenFilter(LiveFilter[Core]):
             ``dt`` is not a positive, finite time, a reading is infinite, or a signal has a wrong shape. The filter
             is as it was before, and takes the next sample.
         NumericalError
-            Readings so absurd that the estimate is no longer finite: the next sample starts anew. Of a particle filter,
-            also: no particle explains the sample, which counts as one without readings.
+            Readings so extreme that the estimate is no longer finite; the filter restarts at the next sample. Of a
+            particle filter, also: no particle explains the sample, which counts as one without readings.
         """
         if self._started is None:
             self._period = time_step(dt)
@@ -222,15 +222,15 @@ class ExtendedKalmanFilter(
 
     Axelsson, Karlsson and Norrlöf, "Tool position estimation of a flexible industrial robot using recursive Bayesian
     methods", ICRA 2012. State: link position, velocity and acceleration of every joint, and a bias of each motor and
-    sensor channel. The links' dynamics are in the measurement: a motor stands where the torque that the links need
-    twists its spring to.
+    sensor channel. The links' dynamics are in the measurement: a motor is displaced from its link by the torsion under
+    the torque that the links need.
 
     Parameters
     ----------
     robot
         The robot, with its accelerometers and gyroscopes.
     noise
-        How uncertain everything is; defaults come from robot.yaml, and the scale of jerk from the log.
+        Noise levels; defaults come from robot.yaml, and the scale of jerk from the log.
     biases
         Kinds of channels with a bias state: any of ``"motor"``, ``"acceleration"``, ``"rate"``.
     damping

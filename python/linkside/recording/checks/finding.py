@@ -1,4 +1,4 @@
-"""What a check says about a recording."""
+"""A finding of a check about a recording."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Verdict = Literal["refused", "suspicious", "mended"]
 
 @dataclass(frozen=True)
 class Finding:
-    """Something about a column of a recording that cannot be, is unlikely, or was put right.
+    """Something in a column of a recording that is impossible, unlikely, or was corrected.
 
     Attributes
     ----------

@@ -15,10 +15,10 @@ from .finding import Finding
 from .view import View
 
 CLEAN = 8.0
-"""A jump is at least so many times what the speed changes around it."""
+"""A jump is at least this many times the change of speed around it."""
 
 SPEED = 100.0
-"""What a joint that is not out of order does not exceed from one sample to the next [rad/s]; a fifth of it in m/s."""
+"""Largest plausible speed of a joint between two samples [rad/s]; a fifth of it in m/s."""
 
 UNLIMITED = 1e6
 """A limit above this is none: Pinocchio has the largest number there is in its place."""
@@ -47,7 +47,7 @@ class Jumps:
 
 
 def turns(robot: Robot) -> list[tuple[float, ...]]:
-    """After what an encoder of each joint may wrap: a turn of the link, or of the motor's shaft [rad or m]."""
+    """Angle after which the encoder of each joint may wrap: a turn of the link, or of the motor's shaft [rad or m]."""
     out = []
     for slides, ratio in zip(sliding(robot), np.abs(robot.gear_ratio), strict=True):
         link, shaft = () if slides else (2 * np.pi,), () if ratio <= 1 else (2 * np.pi / float(ratio),)

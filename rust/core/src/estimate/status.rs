@@ -5,7 +5,7 @@
 /// ```
 /// use linkside_core::estimate::Status;
 /// let status = Status::BRIDGED | Status::GATED;
-/// assert!(status & Status::CONTRADICTED == 0); // still to be believed
+/// assert!(status & Status::CONTRADICTED == 0); // still good
 /// ```
 #[derive(Clone, Copy, Debug)]
 pub struct Status;
@@ -23,7 +23,7 @@ impl Status {
     pub const PREDICTED: u8 = 16;
     /// An encoder wrapped, and its jump was taken out.
     pub const UNWRAPPED: u8 = 32;
-    /// Readings contradict the model: the row, and its standard deviations, are not to be believed.
+    /// Readings contradict the model: do not use the row and its standard deviations.
     pub const CONTRADICTED: u8 = 64;
     /// One channel contradicts the model and all others.
     pub const FAULTY: u8 = 128;

@@ -170,7 +170,7 @@ impl Correction {
         !self.raw[i].is_nan() && !self.gated[i]
     }
 
-    /// All channels at once, by one factor; false where the gate has just shut one out, and all is to be done anew.
+    /// All channels at once, by one factor; false if the gate has just rejected one, so that all must be repeated.
     #[inline(always)]
     fn use_all(&mut self, stride: usize, gate: Option<f64>) -> bool {
         let (m, own) = (self.raw.len(), self.own());

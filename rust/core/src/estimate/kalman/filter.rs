@@ -226,7 +226,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         self.path = path;
     }
 
-    /// Forgets the state: the next sample starts anew.
+    /// Resets the filter: the next sample starts from the beginning.
     pub fn reset(&mut self) {
         self.taken = 0;
         self.started = false;
@@ -323,7 +323,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
     ///
     /// # Errors
     /// A sample that cannot be used, or a first one from which the model cannot [start](Model::start): the state stays as it
-    /// was. [`RunError::NotFinite`]: readings so absurd that nothing is left; the next sample starts anew.
+    /// was. [`RunError::NotFinite`]: readings so extreme that the state is not finite; the next sample restarts.
     pub fn step(&mut self, sample: KalmanSample<'_>) -> Result<(), RunError> {
         self.step_with(sample, |_, _| ())
     }

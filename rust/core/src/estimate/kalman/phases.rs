@@ -1,7 +1,7 @@
 //! What is compiled for each instruction set: the phases of a sample.
 //!
 //! A phase takes what it works on as one value and is compiled once for each instruction set and model. The filter's loop
-//! is then a sequence of calls, chosen anew each sample ([`simd::phase`]), and holds no arithmetic of its own.
+//! is then a sequence of calls, chosen at each sample ([`simd::phase`]), and holds no arithmetic of its own.
 
 use super::consider::Consider;
 use super::correction::{Correction, Readings};

@@ -251,7 +251,7 @@ impl<M: Phases> Smoother<M> {
     /// As [`ExtendedKalmanFilter::run`].
     pub fn run(&mut self, recording: KalmanRecording<'_>, keep: Keep) -> Result<FilterOutput, RunError> {
         let starts = self.starts(recording)?;
-        // Backwards, the last stretch first: λ and Λ, what later readings say, live on in `self` from one to the next.
+        // Backwards, the last stretch first: λ and Λ, the information of later readings, stay in `self` from one to the next.
         self.finish();
         let mut parts = Vec::with_capacity(starts.len());
         for (start, rows) in starts.iter().rev() {
