@@ -83,7 +83,7 @@ def lift(counterbalance: dict[str, Any]) -> tuple[Any, Any]:
 def misread(error: dict[str, Any]) -> tuple[Any, Any]:
     """Angle [rad] and how far a reading is from it [mrad]."""
     joint = {"name": "axis", "motor_inertia": 1.5, "stiffness": 1e4, "encoder_error": error}
-    angle = np.linspace(-np.pi, np.pi, 4001)
+    angle = np.linspace(-np.pi, np.pi, 1801)
     encoder = Robot.from_urdf(HELD, [joint]).encoder_readings["theta"][0]
     return angle, 1e3 * (encoder.of(angle) - angle)
 
