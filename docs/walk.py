@@ -1,7 +1,8 @@
 """Does what a tutorial says: saves its files, runs its commands and its code, in the order of the page.
 
 A block of ``xml`` is saved as robot.urdf and one of ``yaml`` as robot.yaml. A command ends with ``# exit status N``
-where that is not 0. What ``print`` gives is what the comment behind it, or a line ``# …`` below it, says, to its last digit.
+where that is not 0. What ``print`` gives is what the comment behind it, or a line ``# …`` below it, says, to its last
+digit.
 """
 
 from __future__ import annotations

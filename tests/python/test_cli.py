@@ -169,6 +169,23 @@ def test_tuning_on_a_wrong_model_helps_and_its_file_is_taken(tmp_path):
         assert Estimate.read(out).error_against(recording / "truth.parquet").tool_rms_centred <= bound
 
 
+@pytest.mark.parametrize("method", ["map", "elastic-map"])
+def test_the_most_probable_motion_and_its_loss_are_methods(folder, method):
+    plain = succeed(*estimate("--with", method, out="plain.parquet"))
+    assert re.search(r"NIS [\d.]+ per reading", plain)
+    succeed(*estimate("--with", method, "--loss", "student-t", out="robust.parquet"))
+    robust = Estimate.read("robust.parquet")
+    assert not np.array_equal(Estimate.read("plain.parquet").q, robust.q)
+    assert robust.error_against(demo.FOLDER / "truth.parquet").tool_rms_centred < 0.1
+
+
+def test_check_says_how_good_an_estimate_can_get(folder):
+    text = succeed("check", "robot.yaml", "log.parquet", "--bound")
+    assert "Cramér–Rao bound" in text
+    assert "tool [mm]" in text
+    refuse("check", "robot.yaml", "--bound", words=["--bound is for a LOG"])
+
+
 def test_a_declared_delay_reaches_the_kalman_methods(folder):
     edit("robot.yaml", "  noise_std: 0.05", "  noise_std: 0.05\n  delay: 0.001")
     for method in ("ekf", "smoother"):

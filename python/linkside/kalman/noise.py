@@ -196,6 +196,8 @@ def _reading_noise(noise: ReadingNoise, channel: Channel, robot: Robot) -> Float
         value = np.hypot(robot.config.link_encoder.resolution / np.sqrt(12), value)
     if channel.kind == "torque" and robot.config.joint_torque is not None:
         value = robot.config.joint_torque.noise_std * value
+    if channel.kind == "q":
+        return np.hypot(value, link_lines(robot))
     if channel.carrier == "joint":
         return np.full(robot.n, value)
     sensors = robot.accelerometers if channel.carrier == "accelerometer" else robot.gyroscopes
@@ -204,8 +206,19 @@ def _reading_noise(noise: ReadingNoise, channel: Channel, robot: Robot) -> Float
 
 def motor_noise(robot: Robot, transmission: float | tuple[float, ...]) -> FloatArray:
     """Noise of motor positions (n,) [rad]: encoder steps, and the transmission's error."""
-    step = robot.config.encoder.resolution / np.sqrt(12)
+    step = robot.config.encoder.resolution / np.sqrt(12) * np.linalg.norm(robot.gearing, axis=1)
     return np.asarray(np.hypot(step, per_joint("transmission", transmission, robot.n)))
+
+
+def link_lines(robot: Robot) -> FloatArray:
+    """Noise of link encoders (n,) by lines of their disks, whose phase no run tells [rad]."""
+    lines = [drive.link_encoder_error.unknown(1.0) for drive in robot.drives]
+    return np.array([np.sqrt(sum(0.5 * amplitude**2 for amplitude, _ in own)) for own in lines])
+
+
+def torque_noise(robot: Robot) -> FloatArray:
+    """Noise of motor torques (n,), of motors that turn several joints as those have it [N m]."""
+    return np.asarray(robot.config.torque.noise_std * np.linalg.norm(np.linalg.inv(robot.gearing), axis=0))
 
 
 def jerk_scale(log: Log | Readings) -> FloatArray:

@@ -44,7 +44,7 @@ class Status(IntFlag):
     UNSEEN = 4
     """A direction of joint acceleration is not seen by the sensors at all."""
     GATED = 8
-    """A reading was left out as an outlier."""
+    """A reading was left out as an outlier, or counted less than a tenth."""
     PREDICTED = 16
     """Not one reading was used: the row is a prediction."""
     UNWRAPPED = 32

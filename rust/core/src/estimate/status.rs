@@ -17,7 +17,7 @@ impl Status {
     pub const BRIDGED: u8 = 2;
     /// Some combination of accelerations was not seen at all.
     pub const UNSEEN: u8 = 4;
-    /// A reading was left out as an outlier.
+    /// A reading was left out as an outlier, or counted less than a tenth.
     pub const GATED: u8 = 8;
     /// Not one reading was used: the row is a prediction.
     pub const PREDICTED: u8 = 16;

@@ -126,7 +126,9 @@ impl AccelerationObserver {
             let sampled = Sampled::new(*model, &robot.drives[joint], &poles, settings.period);
             let late = VaryingGain::new(*model, &robot.drives[joint], speed, settings.period);
             let most = sampled.innovation(model.order(), settings.worst_acceleration_std);
-            corrections.push(JointCorrection::new(late, settings.period, most));
+            let bounds = [most, most * (speed * settings.period).min(1.0)];
+            let link = usize::from(*model != JointModel::Rigid);
+            corrections.push(JointCorrection::new(late, settings.period, bounds, link));
             joints.push(sampled);
         }
         Ok(Self {
