@@ -58,12 +58,13 @@ def _on_curve(t: FloatArray, values: FloatArray, std: FloatArray) -> FloatArray:
 
 def _least_absolute(rows: FloatArray, values: FloatArray, noise: float) -> FloatArray:
     """Coefficients of the least sum of absolute residuals, by reweighting."""
-    weight, fit = np.ones(len(values)), np.zeros(rows.shape[1])
+    weight: FloatArray = np.ones(len(values))
+    fit: FloatArray = np.zeros(rows.shape[1])
     least = max(noise, 1e-12 * float(np.abs(values).max()), np.finfo(float).tiny)
     for _ in range(ROUNDS):
         root = np.sqrt(weight)
-        fit = np.linalg.lstsq(rows * root[:, None], values * root, rcond=None)[0]
-        weight = 1.0 / np.maximum(np.abs(values - rows @ fit), least)
+        fit = np.asarray(np.linalg.lstsq(rows * root[:, None], values * root, rcond=None)[0])
+        weight = np.asarray(1.0 / np.maximum(np.abs(values - rows @ fit), least))
         if not np.isfinite(weight).all():  # of absurd readings, which are refused where a start is found
             break
     return np.asarray(fit)
