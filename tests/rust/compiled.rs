@@ -111,7 +111,7 @@ fn content_that_was_tampered_with_does_no_harm() {
         (random % below as u64) as usize
     };
     let (mut read, mut built) = (0, 0);
-    for round in 0..40_000 {
+    for round in 0..2_000 {
         let bytes = reframed(FILES[round % FILES.len()], |content| {
             for _ in 0..=draw(3) {
                 let at = draw(content.len());
@@ -134,7 +134,7 @@ fn content_that_was_tampered_with_does_no_harm() {
             Err(_) => {}
         }
     }
-    assert!(read > 100 && built > 1000, "{read} read, {built} built: the mutations are too coarse to test anything");
+    assert!(read > 20 && built > 50, "{read} read, {built} built: the mutations are too coarse to test anything");
 }
 
 #[test]
