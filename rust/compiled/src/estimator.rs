@@ -165,8 +165,9 @@ impl Estimator {
             Working::Ekf(filter) => filter.step(sample)?,
             Working::ElasticEkf(filter) => filter.step(sample)?,
             Working::Velocity(observer) => {
-                let [position, torque] = velocity_signals(observer).map(|signal| signal.values(sample));
-                observer.step(position, torque)?;
+                let (signals, n) = (velocity_signals(observer), observer.joints());
+                let [position, torque] = signals.map(|signal| signal.checked(sample, n));
+                observer.step(position?, torque?)?;
             }
         }
         self.write();

@@ -168,8 +168,8 @@ impl ElasticFilter {
         };
         let links = self.link_disturbance.clone().map(Into::into);
         let model = ElasticModel::disturbed(Arc::clone(robot), &settings, self.noise.clone().into(), links)?
-            .with_late(&late(&self.late)?)?
-            .with_tolerances(tolerances(robot, &self.tolerances, &self.correlations)?);
+            .with_tolerances(tolerances(robot, &self.tolerances, &self.correlations)?)
+            .with_late(&late(&self.late)?)?;
         let mut filter =
             ExtendedKalmanFilter::new(model, FilterSettings { gate: self.gate, iterations: self.iterations })?;
         filter.set_start(self.start.as_ref().map(Belief::build).transpose()?)?;

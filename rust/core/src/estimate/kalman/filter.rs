@@ -238,8 +238,9 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         {
             own.copy_from_slice(&row[..states]);
         }
-        if let Some(more) = self.considered(states) {
-            linear::add_scaled(out, 1.0, more);
+        if let Some(consider) = &mut self.consider {
+            consider.sum_up_apart(states);
+            linear::add_scaled(out, 1.0, &consider.total[..states * states]);
         }
         Ok(())
     }
