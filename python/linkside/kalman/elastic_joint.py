@@ -14,6 +14,7 @@ from linkside.arrays import FloatArray, Signal
 from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.compiled import Compiles
 from linkside.robot.considered import considered, core_settings
 from linkside.robot.requirements import refuse_unsupported
 
@@ -177,21 +178,25 @@ class ElasticJoint(KalmanMethod):
         law: LinkDisturbance | None = None,
     ) -> _core.ElasticJointFilter:
         """Build a filter of the core, without a sample yet, for channels of these kinds every ``period`` [s]."""
-        core = _core.ElasticJointFilter(
-            self.robot.core,
+        return _core.ElasticJointFilter(self.robot.core, self.described(kinds, period, noise, held, law))
+
+    def described(
+        self, kinds: tuple[str, ...], period: float, noise: ElasticNoise, held: bool, law: LinkDisturbance | None
+    ) -> dict[str, Any]:
+        """Describe such a filter in plain numbers, as the core takes it."""
+        return {
             **self._channels(kinds),
-            disturbances=self._disturbances,
-            first_order=self._transition == "first-order",
-            held=held,
-            noise=noise.arrays(self.robot, kinds),
-            gate=self._gate,
-            iterations=self._iterations,
-            late=inside(self.robot, kinds, period),
+            "disturbances": self._disturbances,
+            "first_order": self._transition == "first-order",
+            "held": held,
+            "noise": noise.arrays(self.robot, kinds),
+            "gate": self._gate,
+            "iterations": self._iterations,
+            "late": inside(self.robot, kinds, period),
             **core_settings(self.robot, self._uncertain),
-            link_disturbance=None if law is None else law.arrays,
-        )
-        self._weigh(core, kinds)
-        return core
+            "link_disturbance": None if law is None else law.arrays,
+            "losses": self.channel_losses(kinds),
+        }
 
     def arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:
         """Steps of time, readings and motor torques, one row a sample; ``before`` ends with the last sample before.
@@ -210,7 +215,7 @@ class ElasticJoint(KalmanMethod):
         return dt, np.ascontiguousarray(readings), tau
 
 
-class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter]):
+class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter], Compiles):
     """EKF on the full elastic-joint dynamics, driven by the motor torques of the log.
 
     Ulrich and Sasiadek, "Extended Kalman filtering for flexible joint space robot control", ACC 2011, who measure motor
@@ -320,6 +325,13 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter])
         state = live.step(dt, np.concatenate(parts), tau)
         self.status = state.status
         return state
+
+    def _controller(self, period: float | None) -> dict[str, dict[str, Any]]:
+        kinds, law = self.live_kinds, self.live_law
+        period = self._compiled_period(period, kinds)
+        own_states = self.core(kinds, period, self.noise, held=self._held, law=law).own_states
+        start = self._compiled_start(own_states, kinds, self.noise, law)
+        return {"elastic-ekf": self.described(kinds, period, self.noise, self._held, law) | {"start": start}}
 
     @property
     def live_kinds(self) -> tuple[str, ...]:

@@ -19,9 +19,11 @@ from linkside.recording.batch import Copies, Described, Job, run_each
 from linkside.recording.estimate import Estimate, without_waits
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.compiled import period_of
 
 from .cleaning import cleaned
 from .disturbance_evidence import explains, is_seen, is_suspicious, looks_broken, of_estimate, of_load
+from .late_sensors import sensors
 from .link_disturbance import LinkDisturbance, Wanted, check, given_law, stiffness, widened
 from .losses import Losses, by_kind
 from .scale import blame_settings
@@ -78,13 +80,6 @@ class Startable(CoreFilter, Protocol):
 
     def set_start(self, mean: FloatArray, covariance: FloatArray) -> None:
         """Let a first sample find this belief."""
-
-
-class Robust(Protocol):
-    """A filter of the core that can weigh readings."""
-
-    def set_losses(self, names: Sequence[str]) -> None:
-        """Let errors of each channel cost what is named."""
 
 
 Core = TypeVar("Core", bound=CoreFilter)
@@ -250,10 +245,11 @@ class KalmanMethod(Described, ABC):
         """The same for `step`, which has no recording to look at."""
         return given_law(self.noise, self.robot) if self._link_disturbance is True else None
 
-    def _weigh(self, core: Robust, kinds: tuple[str, ...]) -> None:
-        """Tell a filter of the core what errors of its channels cost."""
-        if any(self._losses[kind] != "squares" for kind in kinds):
-            core.set_losses([self._losses[kind] for kind in kinds for _ in range(self.width(kind))])
+    def channel_losses(self, kinds: tuple[str, ...]) -> list[str]:
+        """Name what errors of each channel cost; none: squares."""
+        if all(self._losses[kind] == "squares" for kind in kinds):
+            return []
+        return [self._losses[kind] for kind in kinds for _ in range(self.width(kind))]
 
     def _begin(
         self,
@@ -264,19 +260,32 @@ class KalmanMethod(Described, ABC):
         jerk: FloatArray,
         law: LinkDisturbance | None = None,
     ) -> None:
-        """Set where a filter of the core starts: as the user says, or from its first samples, if there are any."""
+        """Tell a filter of the core where it starts: what the user says, or its first samples, if there are any."""
+        start = self._found(core.own_states, first, kinds, noise, jerk, law)
+        if start is not None:
+            core.set_start(*start)
+
+    def _found(
+        self,
+        own_states: int,
+        first: Readings | None,
+        kinds: tuple[str, ...],
+        noise: Any,
+        jerk: FloatArray,
+        law: LinkDisturbance | None,
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """Mean and covariance of the state at the first sample; None: at rest."""
         if self._at == "rest":
-            return
+            return None
         arrays = noise.arrays(self.robot, kinds)
         biased = self._channels(kinds)["biased"]
         bias = np.array(arrays["initial_bias"])[biased]
         if not isinstance(self._at, str):
-            dense = core.own_states - len(bias) - (0 if law is None else self.robot.n)
+            dense = own_states - len(bias) - (0 if law is None else self.robot.n)
             start = given(self._at, np.concatenate([np.zeros(dense), bias]), dense)
-            core.set_start(*(start if law is None else widened(start, dense, law, np.zeros(self.robot.n))))
-            return
+            return start if law is None else widened(start, dense, law, np.zeros(self.robot.n))
         if first is None:
-            return
+            return None
         n = self.robot.n
         sensors = np.array(arrays["reading"])[n:][: self.width("acceleration") if "acceleration" in kinds else 0]
         spread = Spread(np.array(arrays["reading"])[:n], max(noise.motor_velocity, 1e-9), sensors, jerk)
@@ -285,13 +294,27 @@ class KalmanMethod(Described, ABC):
         motors, acceleration = (self._losses[kind] != "squares" for kind in ("motor", "acceleration"))
         first = cleaned(first, spread, motors=motors, acceleration=acceleration)
         moving = find_start(self.robot, first, spread)
-        if moving is not None:
-            mean, std = self._state(moving, arrays)
-            dense, std = len(std), np.concatenate([std, bias])
-            start = np.concatenate([mean, np.zeros(len(bias))]), self._tied(np.diag(std**2))
-            if law is not None:
-                start = widened(start, dense, law, 1 / stiffness(self.robot))
-            core.set_start(*start)
+        if moving is None:
+            return None
+        mean, std = self._state(moving, arrays)
+        dense, std = len(std), np.concatenate([std, bias])
+        start = np.concatenate([mean, np.zeros(len(bias))]), self._tied(np.diag(std**2))
+        return start if law is None else widened(start, dense, law, 1 / stiffness(self.robot))
+
+    def _compiled_start(
+        self, own_states: int, kinds: tuple[str, ...], noise: Any, law: LinkDisturbance | None
+    ) -> dict[str, Any] | None:
+        """Describe where a filter in a controller starts; None: from rest."""
+        if self._at == "auto":
+            raise EstimatorError("a controller has no recording to see where a filter starts: start='rest', or a state")
+        start = self._found(own_states, None, kinds, noise, np.zeros(self.robot.n), law)
+        return None if start is None else {"mean": start[0].tolist(), "covariance": start[1].tolist()}
+
+    def _compiled_period(self, period: float | None, kinds: tuple[str, ...]) -> float:
+        """The period that the delays of sensors are counted in."""
+        if not any(sensor is not None and sensor.delay for kind in kinds for sensor in sensors(self.robot, kind)):
+            return np.inf
+        return period_of(self.robot, period, "as sensors have delays")
 
     def _tied(self, covariance: FloatArray) -> FloatArray:
         """Set the correlations of states that depend on each other at the start."""

@@ -14,6 +14,7 @@ from linkside.arrays import FloatArray, Signal
 from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.compiled import Compiles
 from linkside.robot.considered import considered, core_settings
 from linkside.robot.requirements import refuse_unsupported
 
@@ -156,15 +157,18 @@ class JerkDriven(KalmanMethod):
         self, kinds: tuple[str, ...], noise: Noise, period: float, law: LinkDisturbance | None = None
     ) -> _core.ExtendedKalmanFilter:
         """Build a filter of the core, without a sample yet, for channels of these kinds every ``period`` [s]."""
-        core = _core.ExtendedKalmanFilter(
-            self.robot.core,
-            **self.settings(kinds, noise, period),
-            gate=self._gate,
-            iterations=self._iterations,
-            link_disturbance=None if law is None else law.arrays,
-        )
-        self._weigh(core, kinds)
-        return core
+        return _core.ExtendedKalmanFilter(self.robot.core, self.described(kinds, noise, period, law))
+
+    def described(
+        self, kinds: tuple[str, ...], noise: Noise, period: float, law: LinkDisturbance | None
+    ) -> dict[str, Any]:
+        """Describe such a filter in plain numbers, as the core takes it."""
+        return self.settings(kinds, noise, period) | {
+            "gate": self._gate,
+            "iterations": self._iterations,
+            "link_disturbance": None if law is None else law.arrays,
+            "losses": self.channel_losses(kinds),
+        }
 
     def started_core(
         self,
@@ -216,7 +220,7 @@ class JerkDriven(KalmanMethod):
 
 
 class ExtendedKalmanFilter(
-    JerkDriven, DecidingFilter[_core.ExtendedKalmanFilter], JerkDrivenFilter[_core.ExtendedKalmanFilter]
+    JerkDriven, DecidingFilter[_core.ExtendedKalmanFilter], JerkDrivenFilter[_core.ExtendedKalmanFilter], Compiles
 ):
     """EKF on the jerk-driven model: jerk moves the links, motor and sensors measure.
 
@@ -288,6 +292,13 @@ class ExtendedKalmanFilter(
                 self._live, first, self.live_kinds, self.noise_for(None, self.live_law), self.live_law
             ),
         )
+
+    def _controller(self, period: float | None) -> dict[str, dict[str, Any]]:
+        kinds, law = self.live_kinds, self.live_law
+        noise, period = self.noise_for(None, law), self._compiled_period(period, kinds)
+        own_states = self.core(kinds, noise, period, law).own_states
+        start = self._compiled_start(own_states, kinds, noise, law)
+        return {"ekf": self.described(kinds, noise, period, law) | {"start": start}}
 
     @property
     def live_kinds(self) -> tuple[str, ...]:

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from linkside import _core
 from linkside.errors import ConfigError
 from linkside.files.yaml_source import Source, suggest
 
@@ -101,22 +100,22 @@ def mount(model: Any, frame: FrameConfig) -> tuple[int, Any]:
     return link.parentJoint, link.placement * pose
 
 
-def compile_robot(config: RobotConfig, model: Any) -> _core.Robot:
-    """Flatten a reduced model and the drives and sensors on it into the core's arrays."""
+def describe(config: RobotConfig, model: Any) -> dict[str, Any]:
+    """Flatten a reduced model and the drives and sensors on it into plain numbers, as the core takes them."""
     names = [joint.name for joint in config.joints]
-    return _core.Robot(
-        config.gravity,
-        _bodies(model, [*names, *config.linkages]),
-        [_drive(joint) for joint in config.joints],
-        coupling_matrix(config),
-        [_sensor(model, sensor) for sensor in config.accelerometers],
-        [_sensor(model, sensor) for sensor in config.gyroscopes],
-        None if config.tool is None else _frame(model, config.tool),
-        [_rotor(model, config, motor, rotor) for motor, rotor in config.rotors.items()],
-        [_counterbalance(model, names, balance) for balance in config.counterbalances],
-        _gearing(config, names),
-        [(names.index(one.follows), one.ratio, one.offset) for one in config.linkages.values()],
-    )
+    return {
+        "gravity": config.gravity,
+        "bodies": _bodies(model, [*names, *config.linkages]),
+        "drives": [_drive(joint) for joint in config.joints],
+        "coupling": coupling_matrix(config).tolist(),
+        "accelerometers": [_sensor(model, sensor) for sensor in config.accelerometers],
+        "gyroscopes": [_sensor(model, sensor) for sensor in config.gyroscopes],
+        "tool": None if config.tool is None else _frame(model, config.tool),
+        "rotors": [_rotor(model, config, motor, rotor) for motor, rotor in config.rotors.items()],
+        "counterbalances": [_counterbalance(model, names, balance) for balance in config.counterbalances],
+        "gearing": _gearing(config, names),
+        "followers": [(names.index(one.follows), one.ratio, one.offset) for one in config.linkages.values()],
+    }
 
 
 def coupling_matrix(config: RobotConfig) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -231,12 +230,12 @@ def _body(model: Any, data: Any, index: int, names: list[str]) -> dict[str, Any]
         "parent": model.parents[index] - 1,
         "joint": names.index(model.names[index]),
         "prismatic": bool(linear.any()),
-        "rotation": placement.rotation,
-        "translation": placement.translation,
-        "axis": linear + angular,  # one of them is zero
+        "rotation": placement.rotation.tolist(),
+        "translation": placement.translation.tolist(),
+        "axis": (linear + angular).tolist(),  # one of them is zero
         "mass": inertia.mass,
-        "com": inertia.lever,
-        "inertia": inertia.inertia,
+        "com": inertia.lever.tolist(),
+        "inertia": inertia.inertia.tolist(),
     }
 
 
@@ -274,20 +273,25 @@ def _drive(joint: JointConfig) -> dict[str, Any]:
 
 def _frame(model: Any, frame: FrameConfig) -> dict[str, Any]:
     joint, pose = mount(model, frame)
-    return {"body": joint - 1, "rotation": pose.rotation, "translation": pose.translation}
+    return {"body": joint - 1, "rotation": pose.rotation.tolist(), "translation": pose.translation.tolist()}
 
 
 def _rotor(model: Any, config: RobotConfig, motor: str, rotor: RotorConfig) -> dict[str, Any]:
     link = model.frames[_links(model)[rotor.link]]
     index = [joint.name for joint in config.joints].index(motor)
     axis = link.placement.rotation @ (np.array(rotor.axis) / np.linalg.norm(rotor.axis))
-    return {"motor": index, "body": link.parentJoint - 1, "axis": axis, "ratio": config.joints[index].gear_ratio}
+    return {
+        "motor": index,
+        "body": link.parentJoint - 1,
+        "axis": axis.tolist(),
+        "ratio": config.joints[index].gear_ratio,
+    }
 
 
-def _anchor(model: Any, end: Anchor) -> tuple[int, Any]:
+def _anchor(model: Any, end: Anchor) -> tuple[int, list[float]]:
     """The body that carries a point, −1 for the base, and where in that body's frame."""
     link = model.frames[_links(model)[end.link]]
-    return link.parentJoint - 1, link.placement.act(np.array(end.xyz))
+    return link.parentJoint - 1, link.placement.act(np.array(end.xyz)).tolist()
 
 
 def _counterbalance(model: Any, names: list[str], balance: Counterbalance) -> dict[str, Any]:

@@ -60,7 +60,11 @@ class Robot:
 
     def __post_init__(self) -> None:
         """Compile the robot."""
-        object.__setattr__(self, "core", tree.compile_robot(self.config, self.model))
+        object.__setattr__(self, "core", _core.Robot(self.described()))
+
+    def described(self) -> dict[str, Any]:
+        """Describe it in plain numbers, as the core takes it."""
+        return tree.describe(self.config, self.model)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> "Robot":

@@ -19,6 +19,7 @@ from linkside.recording.estimate import Estimate, without_waits
 from linkside.recording.log import Log
 from linkside.recording.periodic import PeriodicObserver
 from linkside.robot import Robot
+from linkside.robot.compiled import Compiles, period_of
 from linkside.robot.requirements import refuse_unsupported
 from linkside.robot.workspace import prismatic
 
@@ -87,7 +88,7 @@ class VelocityEstimate(Estimate):
     level: npt.NDArray[np.uint8] | None = None
 
 
-class ReducedOrderObserver(PeriodicObserver[_core.VelocityObserver, VelocityEstimate]):
+class ReducedOrderObserver(PeriodicObserver[_core.VelocityObserver, VelocityEstimate], Compiles):
     """Reduced-order velocity observer.
 
     Cristofaro and De Luca, "Reduced-order observer design for robot manipulators", 2023, eq. (6). It takes the joints
@@ -202,25 +203,34 @@ class ReducedOrderObserver(PeriodicObserver[_core.VelocityObserver, VelocityEsti
         return VelocityEstimate(t=log.t, names=self.robot.names, **motor, **without_waits(log, result))
 
     def _design(self, period: float) -> _core.VelocityObserver:
-        core = _core.VelocityObserver(
-            self.robot.core,
-            period=period,
-            gains=[]
-            if isinstance(self.gain, HybridGain | GainMap)
-            else per_joint("gain", self.gain, self.robot.n).tolist(),
-            levels=self.gain.settings() if isinstance(self.gain, HybridGain) else None,
-            map=self.gain.settings() if isinstance(self.gain, GainMap) else None,
-            spring=self._spring(),
-            motors=self.side == "motors",
-            wrap=self._wrap,
-            rest=self._rest,
-        )
+        core = _core.VelocityObserver(self.robot.core, self._settings(period))
         if self._given is not None:
             core.begin(self._given["dq"], np.zeros(self.robot.n))
         return core
 
+    def _settings(self, period: float) -> dict[str, Any]:
+        """Describe such an observer in plain numbers, as the core takes it."""
+        gains = (
+            [] if isinstance(self.gain, HybridGain | GainMap) else per_joint("gain", self.gain, self.robot.n).tolist()
+        )
+        return {
+            "period": period,
+            "gains": gains,
+            "levels": self.gain.settings() if isinstance(self.gain, HybridGain) else None,
+            "map": self.gain.settings() if isinstance(self.gain, GainMap) else None,
+            "spring": self._spring(),
+            "motors": self.side == "motors",
+            "wrap": self._wrap,
+            "rest": self._rest,
+        }
+
     def _spring(self) -> list[float]:
         return [0.0] * self.robot.n
+
+    def _controller(self, period: float | None) -> dict[str, dict[str, Any]]:
+        period = period_of(self.robot, self._period if period is None else period, "for which an observer is designed")
+        start = None if self._given is None else self._given["dq"].tolist()
+        return {"velocity": {**self._settings(period), "start": start}}
 
     def _arrays(self, log: Log, before: Log | None, first: int) -> tuple[FloatArray, FloatArray]:
         position, torque = ("theta", "tau") if self.side == "motors" else ("q", "torque")

@@ -6,40 +6,14 @@ use crate::gil::Release;
 use crate::state::State;
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
-    ExtendedKalmanFilter, Fault, FilterOutput, Finding, Gaussian, KalmanRecording, KalmanSample, Keep, Lateness, Model,
-    NoiseLoss, Phases, Way,
+    ExtendedKalmanFilter, Fault, FilterOutput, Finding, Gaussian, KalmanRecording, KalmanSample, Keep, Model, Phases,
+    Way,
 };
-use linkside_core::estimate::measurement::Kind;
 use numpy::{PyArray1, PyArrayDyn, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 pub(crate) type Matrix<'py> = PyReadonlyArray2<'py, f64>;
-
-/// Kinds of channels by name.
-pub(crate) fn named(kinds: &[String]) -> PyResult<Vec<Kind>> {
-    let find = |name: &String| {
-        Kind::named(name).ok_or_else(|| EstimatorError::new_err(format!("{name:?} is no kind of channel")))
-    };
-    kinds.iter().map(find).collect()
-}
-
-/// Lets errors of readings cost what is named, one name a channel.
-pub(crate) fn set_losses<M: Phases>(filter: &mut ExtendedKalmanFilter<M>, names: &[String]) -> PyResult<()> {
-    let find =
-        |name: &String| NoiseLoss::named(name).ok_or_else(|| EstimatorError::new_err(format!("{name:?} is no loss")));
-    let losses = names.iter().map(find).collect::<PyResult<Vec<_>>>()?;
-    filter.set_losses(&losses).map_err(IntoPyErr::into_py_err)
-}
-
-/// Time constant and delay inside a channel's sensor [s], and how many steps of time the delay can have.
-pub(crate) type Inside = Option<(f64, f64, usize)>;
-
-/// None inside any where there is no list.
-pub(crate) fn inside(late: Option<Vec<Inside>>) -> Vec<Option<Lateness>> {
-    let one = |(time_constant, delay, steps)| Lateness { time_constant, delay, steps };
-    late.unwrap_or_default().into_iter().map(|inside| inside.map(one)).collect()
-}
 
 /// A belief of `states` states.
 pub(crate) fn belief(mean: &Signal<'_>, covariance: &Matrix<'_>, states: usize) -> PyResult<Gaussian> {

@@ -71,6 +71,8 @@ pub(super) struct Consider {
     /// Σ E[p pᵀ] Σᵀ of the first states.
     pub(super) total: Vec<f64>,
     held: Held,
+    /// Scratch beside it.
+    apart: Held,
     /// Time since `total` was last summed up.
     elapsed: f64,
     /// Innovations less what the parameters explain, in their standard deviations; NaN where not used.
@@ -105,6 +107,7 @@ impl Consider {
             blur: (0..model.robot().len()).map(|j| blur(tolerances, j)).collect(),
             total: vec![0.0; states * states],
             held: Held::new(model.robot().len()),
+            apart: Held::new(model.robot().len()),
             elapsed: 0.0,
             residuals: vec![f64::NAN; m],
             variances: vec![1.0; m],
@@ -257,6 +260,14 @@ impl Consider {
         let Self { sensitivity: Sensitivity { columns, .. }, moment, wide, total, swings, held, elapsed, .. } = self;
         spread_of(columns, swings, moment, rows, wide, total);
         held.raise(swings, core::mem::take(elapsed), total, rows);
+    }
+
+    /// The same for one who looks on: what the next sample finds is as it was.
+    pub(super) fn sum_up_apart(&mut self, rows: usize) {
+        self.apart.variances.copy_from_slice(&self.held.variances);
+        let Self { sensitivity: Sensitivity { columns, .. }, moment, wide, total, swings, apart, elapsed, .. } = self;
+        spread_of(columns, swings, moment, rows, wide, total);
+        apart.raise(swings, *elapsed, total, rows);
     }
 
     /// E[p pᵀ] by the readings so far.

@@ -16,6 +16,7 @@ use super::tolerances::Tolerances;
 use super::uncertain::{MotorsAt, Tolerance};
 use crate::error::DesignError;
 use crate::estimate::measurement::{Channel, Evaluation};
+use crate::estimate::observer::Rest;
 use crate::scalar::Dual;
 
 /// The jerk-driven model with its noise, as a filter runs it.
@@ -34,7 +35,7 @@ impl JerkDriven {
     pub fn new(model: JerkModel, noise: JerkNoise, damping: bool) -> Result<Self, DesignError> {
         model.check(&noise)?;
         let measurement = JerkMeasurement::new(model.clone(), noise.clone(), damping);
-        Ok(Self::of(JerkProcess { model, noise }, measurement))
+        Ok(Self::of(JerkProcess { rest: Rest::new(&model.robot), model, noise }, measurement))
     }
 
     /// The model of a robot of which some numbers are known to a tolerance only.

@@ -295,6 +295,25 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         covariance
     }
 
+    /// As [`covariance`](Self::covariance), row-major (states × states), into memory that is there.
+    ///
+    /// # Errors
+    /// Another length.
+    pub fn covariance_into(&mut self, out: &mut [f64]) -> Result<(), DesignError> {
+        let states = self.belief.mean.len();
+        expect_length("covariance", out.len(), states * states)?;
+        for (own, row) in
+            out.chunks_exact_mut(states).zip(self.belief.covariance.data.chunks_exact(self.belief.covariance.stride))
+        {
+            own.copy_from_slice(&row[..states]);
+        }
+        if let Some(consider) = &mut self.consider {
+            consider.sum_up_apart(states);
+            linear::add_scaled(out, 1.0, &consider.total[..states * states]);
+        }
+        Ok(())
+    }
+
     /// This filter without what tolerances add.
     pub(crate) fn without_tolerances(&self) -> Self {
         Self { consider: None, ..self.clone() }
@@ -383,7 +402,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
             // A first sample: no time passes, and the belief is the prior that its readings then correct.
             match &self.start {
                 Some(start) => {
-                    self.belief = start.clone();
+                    self.belief.begin_with(start);
                     self.model.resume(sample, &mut self.belief);
                 }
                 None => self.model.start(sample, &mut self.belief)?,

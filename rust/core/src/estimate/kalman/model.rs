@@ -332,6 +332,8 @@ impl<P: Process, M: Measurement> Paired<P, M> {
             .then(|| Box::new(Late::new(inside, own, self.process.states(), self.measurement.dense())));
         if let Some(late) = &self.late {
             self.process.widen(late.states());
+            let parameters = self.measurement.tolerances().len().next_multiple_of(linear::LANES);
+            self.driven = vec![0.0; self.measurement.channels().len() * parameters];
         }
         Ok(self)
     }

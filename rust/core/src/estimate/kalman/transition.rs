@@ -118,6 +118,7 @@ impl Transition {
     pub(super) fn consider(&mut self, sensitivity: ElasticSensitivity) {
         let n = self.layout.joints;
         self.noise.set_inputs(if sensitivity.is_empty() { n } else { 3 * n });
+        self.carried = vec![0.0; self.layout.dense * sensitivity.tolerances().len().next_multiple_of(linear::LANES)];
         self.sensitivity = sensitivity;
     }
 
