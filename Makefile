@@ -39,6 +39,7 @@ docs: $(VENV) ## the pages, and the API reference of both languages beside them,
 	rm -rf site
 	PYTHONPATH=docs $(BIN)/zensical build --strict
 	cp -r target/doc site/rust
+	$(BIN)/python docs/notebooks.py site/tutorials
 
 figures: $(VENV) ## draw every figure of the pages anew, some minutes
 	$(PIP) ".[docs]"

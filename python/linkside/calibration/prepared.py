@@ -25,7 +25,7 @@ ZEROS = ("rate", "q", "torque")
 """Signals with unknown zeros, which are estimated for each recording."""
 
 LEAST_RATE, PER_PERIOD = 200.0, 16.0
-"""Samples are left out down to this rate [Hz], in which links' vibrations show, and so many a period of a corner."""
+"""Least rate of thinned-out samples [Hz], which shows the links' vibrations, and least number a period of a corner."""
 
 SHORTEST = 100
 """Fewer samples are not thinned out."""

@@ -22,9 +22,13 @@ FORMATS = ("svg", "png", "pdf")
 @main.command(epilog=example("linkside paper deluca2007 --out figures"))
 @click.argument("name", metavar="PAPER", type=click.Choice(list(PAPERS)))
 @click.option("--out", type=click.Path(), help="Folder for the figures.  [default: the paper's name]")
-@click.option("--format", "kind", type=click.Choice(FORMATS), default="svg", show_default=True, help="Of the figures.")
-@click.option("--recording", type=click.Path(), help="axelsson2012: a folder with robot.yaml, log and truth.")
-@click.option("--tuned", is_flag=True, help="axelsson2012: compare with tuned noise, too; half a minute.")
+@click.option(
+    "--format", "kind", type=click.Choice(FORMATS), default="svg", show_default=True, help="Format of the figures."
+)
+@click.option(
+    "--recording", type=click.Path(), help="axelsson2012: use the recording in this folder (robot.yaml, log and truth)."
+)
+@click.option("--tuned", is_flag=True, help="axelsson2012: also compare with tuned noise (half a minute).")
 @click.option("--rate", type=click.FloatRange(500), help="ulrich2011: rate of the loop [Hz].  [default: 1000]")
 def paper(name: str, out: str | None, kind: str, **settings: Any) -> None:
     """Repeat the experiment of PAPER: deluca2007, axelsson2012, ulrich2011 or cristofaro2023.

@@ -197,7 +197,7 @@ def _reading_noise(noise: ReadingNoise, channel: Channel, robot: Robot) -> Float
     if channel.kind == "torque" and robot.config.joint_torque is not None:
         value = robot.config.joint_torque.noise_std * value
     if channel.kind == "q":
-        return np.hypot(value, link_lines(robot))
+        return np.asarray(np.hypot(value, link_lines(robot)))
     if channel.carrier == "joint":
         return np.full(robot.n, value)
     sensors = robot.accelerometers if channel.carrier == "accelerometer" else robot.gyroscopes

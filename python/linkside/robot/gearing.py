@@ -56,5 +56,6 @@ def _refuse_drive(joint: JointConfig, coupled: bool, *keys: str) -> None:
         raise refusal("expected a motor without coupling and rotor, whose inertia is not its own", *keys)
     if joint.motor_friction.load or joint.efficiency != Efficiency():
         raise refusal("expected neither load nor efficiency: the gears' loads are not known one by one", *keys)
-    if any(one.of == "motor" for one in (*joint.ripple, *joint.encoder_error.harmonics)):
+    turning = [*(one.of for one in joint.ripple), *(one.of for one in joint.encoder_error.harmonics)]
+    if "motor" in turning:
         raise refusal("expected no harmonics of this motor's turns: it turns other joints, too", *keys)

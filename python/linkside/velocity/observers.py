@@ -103,7 +103,7 @@ class ReducedOrderObserver(PeriodicObserver[_core.VelocityObserver, VelocityEsti
         ``"motors"``: positions are the log's ``theta`` and torques its ``tau``. ``"links"``: positions are the log's
         ``q`` and torques its ``torque``, what the transmission gives the link; motors then do not matter.
     wrap
-        Positions that jump by a multiple of this are an encoder's wrap, are put right, and flagged UNWRAPPED [rad]:
+        Positions that jump by a multiple of this are an encoder's wrap, are corrected and flagged UNWRAPPED [rad]:
         one number, or one for each joint. By default a turn for revolute joints.
     period
         Sampling period for `step` [s]; by default ``rate_hz`` of robot.yaml. `run` takes the log's.

@@ -18,7 +18,7 @@ class Finding:
         The check that found it: ``"wrap"``, ``"degrees"``, ``"milliseconds"`` and so on.
     verdict : str
         ``"refused"``: no estimate from such a recording can be right; ``"suspicious"``: it may be meant;
-        ``"mended"``: certain, and put right.
+        ``"mended"``: certain, and corrected.
     column : str
         The column of the recording.
     what : str

@@ -99,7 +99,7 @@ def wraps(view: View) -> Iterator[tuple[Finding, str, int, FloatArray]]:
                 np.add.at(offset, found.row[match], -np.sign(found.size[match]) * turn)
                 first, count = int(found.row[match][0]), int(match.sum())
                 what = f"wraps by {turn:.6g}, a turn of the {'link' if turn == 2 * np.pi else 'motor shaft'},"
-                remedy = "put right here; record an unwrapped position to be sure"
+                remedy = "corrected here; record an unwrapped position to be sure"
                 size = float(found.size[match][0])
                 one = view.finding("wrap", "mended", column, what, remedy, at=first, size=size, count=count)
                 yield one, signal, joint, np.cumsum(offset)

@@ -24,7 +24,7 @@ const THIN: u32 = 8;
 const KEPT: f64 = 0.03;
 /// A residual beyond this many standard deviations has another cause and does not update the parameters.
 const STRANGE: f64 = 5.0;
-/// From so many on what parameters may do to it is asked at once: a motion that begins with a shock is no news.
+/// From this many on the effect of the parameters is evaluated at once: a motion may begin with a shock.
 const SURPRISING: f64 = 2.5;
 
 /// How the error of the state depends on the parameters, and what is known of these.

@@ -528,7 +528,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         keep: Keep,
         mut history: Option<&mut History>,
     ) -> Result<FilterOutput, RunError> {
-        let count = recording.dt.len();
+        let (count, before) = (recording.dt.len(), self.taken);
         let mut out = FilterOutput::zeros(count, &self.model, keep)?;
         let watch = Watch::current();
         // The recursion of Kalman (1960) with the derivatives of the extended filter, sample by sample; each step is a
@@ -567,6 +567,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
             }
             out.write_fit(i, &self.correction);
         }
+        Status::doubt_start(&mut out.status, before);
         out.findings.extend_from_slice(self.findings());
         Ok(out)
     }

@@ -170,7 +170,7 @@ impl Monitor {
         let now = self.taken - 1;
         let mut flags = self.findings.record(verdict, now, (&self.signals, &self.turns), matters);
         if let Some(channel) = self.findings.look_again(now, (&self.signals, &self.turns)) {
-            self.effect.release(channel, now); // no step, and over when the channel reads anew
+            self.effect.release(channel, now); // no step, and over when the channel has a new reading
         }
         if let Judgement::Channel(alarm) = verdict
             && self.findings.is_step(&alarm)

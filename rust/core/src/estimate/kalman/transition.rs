@@ -4,7 +4,7 @@
 //!
 //! | part | how |
 //! | --- | --- |
-//! | x(t + h) | the classical rule of fourth order in 2ᵏ substeps, so many that the fastest mode turns by no more than half a radian in one |
+//! | x(t + h) | the classical rule of fourth order in 2ᵏ substeps, in each of which the fastest mode turns by at most half a radian |
 //! | A | ∂a/∂x at the middle of the step, so that Φ is of second order in what A changes by; at its beginning for [`Discretization::FirstOrder`] |
 //! | Φ = e^(A h) | six terms over a substep, doubled k times (N. J. Higham, SIAM J. Matrix Anal. Appl. 26, 2005) |
 //! | Q = ∫ e^(A s) G Gᵀ e^(Aᵀ s) ds | from the same terms, doubled beside Φ: Q₂ = Q + Φ Q Φᵀ |

@@ -154,7 +154,7 @@ impl AccelerationObserver {
         })
     }
 
-    /// Forgets the state: the next sample starts anew.
+    /// Resets the observer: the next sample starts from the beginning.
     pub fn reset(&mut self) {
         self.taken = 0;
         self.started = false;
@@ -190,7 +190,7 @@ impl AccelerationObserver {
     /// # Errors
     /// A sample that cannot be used, of wrong lengths or with an infinite reading; a first one without every motor position,
     /// or without a static equilibrium; a motor position that has been missing for more than [`LONGEST`]. The state then
-    /// stays as it was. [`RunError::NotFinite`]: readings so absurd that nothing is left; the next sample starts anew.
+    /// stays as it was. [`RunError::NotFinite`]: readings so extreme that the state is not finite; the next sample restarts.
     pub fn step(&mut self, sample: ObserverSample<'_>) -> Result<(), RunError> {
         self.check(sample)?;
         self.take(sample)?;

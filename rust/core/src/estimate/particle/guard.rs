@@ -115,7 +115,7 @@ impl Guard {
         let (spread, distance) = self.compare(summary, joints);
         let [narrow, far] = WORN;
         match () {
-            // By evidence first, then by place and spread; the latter only where both filters believe the same.
+            // By evidence first, then by place and spread; the latter only where both filters represent the same distribution.
             () if self.behind > LOST || (self.alike && spread < COLLAPSED) => Verdict::Lost,
             () if !self.alike || self.cloud_leads() => Verdict::Good,
             () if distance > ASTRAY => Verdict::Lost,
