@@ -11,7 +11,7 @@ from linkside.arrays import FloatArray
 from .start import LEAST, Readings, Spread
 
 FAR = 6.0
-"""An outlier is further than this many standard deviations from a curve through the others."""
+"""An outlier is so many standard deviations from a curve through the others."""
 
 DEGREE = 3
 """Of that curve."""
@@ -64,7 +64,7 @@ def _least_absolute(rows: FloatArray, values: FloatArray, noise: float) -> Float
     for _ in range(ROUNDS):
         root = np.sqrt(weight)
         fit = np.asarray(np.linalg.lstsq(rows * root[:, None], values * root, rcond=None)[0], float)
-        weight = np.asarray(1.0 / np.maximum(np.abs(values - rows @ fit), least), float)
+        weight = 1.0 / np.maximum(np.abs(values - rows @ fit), least)
         if not np.isfinite(weight).all():  # of absurd readings, which are refused where a start is found
             break
     return np.asarray(fit)
