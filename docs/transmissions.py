@@ -1,4 +1,4 @@
-"""Draws transmissions.svg (torque over motor angle of each law, link held), friction.svg and counterbalances.svg."""
+"""Draws transmissions.svg (torque over motor angle of each law, link held), and the other pictures of its page."""
 
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,16 @@ COUNTERBALANCES: dict[str, dict[str, Any]] = {
     "gas": {"ends": ENDS, "gas": {**GAS, "acts": "pull"}},
     "series": {"joints": ["axis"], "series": [{"order": 1, "sine": -200}, {"order": 3, "sine": 40}]},
 }
+ENCODERS: dict[str, dict[str, Any]] = {
+    "zero, scale": {"zero": 1e-3, "scale": 1.0005},
+    "beside the centre: order 1": {"harmonics": [{"order": 1, "amplitude": 1e-3, "phase": 0.5, "of": "output"}]},
+    "lines: orders n and n/2": {
+        "harmonics": [
+            {"order": 60, "amplitude": 2e-4, "phase": 0.0, "of": "output"},
+            {"order": 30, "amplitude": 1e-4, "phase": 1.0, "of": "output"},
+        ]
+    },
+}
 TIME, AMPLITUDE, RATE = 3.0, 2e-3, 1000.0
 
 
@@ -70,6 +80,14 @@ def lift(counterbalance: dict[str, Any]) -> tuple[Any, Any]:
     return angle[:, 0], -robot.gravity_torque(angle)[:, 0]
 
 
+def misread(error: dict[str, Any]) -> tuple[Any, Any]:
+    """Angle [rad] and how far a reading is from it [mrad]."""
+    joint = {"name": "axis", "motor_inertia": 1.5, "stiffness": 1e4, "encoder_error": error}
+    angle = np.linspace(-np.pi, np.pi, 1801)
+    encoder = Robot.from_urdf(HELD, [joint]).encoder_readings["theta"][0]
+    return angle, 1e3 * (encoder.of(angle) - angle)
+
+
 def row(curves: dict[str, tuple[Any, Any]], abscissa: str, ordinate: str, file: str) -> None:
     """Draw curves side by side."""
     figure, panels = plt.subplots(1, len(curves), figsize=(9, 2.7), layout="constrained")
@@ -93,6 +111,8 @@ def draw_all() -> None:
         "torque [N m]",
         "counterbalances.svg",
     )
+    encoders = {name: misread(error) for name, error in ENCODERS.items()}
+    row(encoders, "angle [rad]", "reading less angle [mrad]", "encoders.svg")
     figure, panels = plt.subplots(2, 3, figsize=(9, 5), layout="constrained", sharex=True)
     for axes, (name, drive) in zip(panels.flat, LAWS.items(), strict=True):
         axes.plot(*measured(drive), color=COLOURS[0], linewidth=1)

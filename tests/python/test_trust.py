@@ -311,3 +311,16 @@ def test_the_command_line_says_which_channel_and_strict_fails(robot: Robot, log:
     written = Estimate.read(out)
     assert written.nis is not None
     assert (written.status & Status.FAULTY).any()
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+@pytest.mark.parametrize("joint", [0, 1])
+def test_a_start_that_was_fitted_to_contradictions_is_not_good(
+    robot: Robot, log: Log, estimator: Any, joint: int
+) -> None:
+    """A motor's shaft taken for its link: each row is wrong, also those before the contradiction is large enough."""
+    theta = log.theta[:400].copy()
+    theta[:, joint] *= 160
+    estimate = estimator(robot).run(replace(log[:400], theta=theta))
+    contradicted = estimate.status & Status.CONTRADICTED > 0
+    assert contradicted[:32].all()

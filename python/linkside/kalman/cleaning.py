@@ -63,8 +63,8 @@ def _least_absolute(rows: FloatArray, values: FloatArray, noise: float) -> Float
     least = max(noise, 1e-12 * float(np.abs(values).max()), np.finfo(float).tiny)
     for _ in range(ROUNDS):
         root = np.sqrt(weight)
-        fit = np.asarray(np.linalg.lstsq(rows * root[:, None], values * root, rcond=None)[0])
-        weight = np.asarray(1.0 / np.maximum(np.abs(values - rows @ fit), least))
+        fit = np.asarray(np.linalg.lstsq(rows * root[:, None], values * root, rcond=None)[0], float)
+        weight = np.asarray(1.0 / np.maximum(np.abs(values - rows @ fit), least), float)
         if not np.isfinite(weight).all():  # of absurd readings, which are refused where a start is found
             break
     return np.asarray(fit)

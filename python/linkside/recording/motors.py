@@ -48,12 +48,16 @@ def _through(
 
 def of_joints(arrays: Mapping[str, Any], gearing: FloatArray) -> dict[str, FloatArray]:
     """Positions, velocities and torques behind a gearing Γ, of those of its motors: Γ θ and Γ⁻ᵀ τ, rows of (T, n)."""
-    return _mixed(arrays, gearing, np.asarray(np.linalg.inv(gearing), dtype=float).T)
+    return _mixed(arrays, gearing, _inverse(gearing).T)
 
 
 def of_motors(arrays: Mapping[str, Any], gearing: FloatArray) -> dict[str, FloatArray]:
     """The inverse."""
-    return _mixed(arrays, np.asarray(np.linalg.inv(gearing), dtype=float), gearing.T)
+    return _mixed(arrays, _inverse(gearing), gearing.T)
+
+
+def _inverse(gearing: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.inv(gearing), dtype=np.float64)
 
 
 def _mixed(arrays: Mapping[str, Any], motion: FloatArray, torque: FloatArray) -> dict[str, FloatArray]:

@@ -6,8 +6,8 @@ use crate::gil::Release;
 use crate::state::State;
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
-    ExtendedKalmanFilter, Fault, FilterOutput, Finding, Gaussian, KalmanRecording, KalmanSample, Keep, Lateness, Loss,
-    Model, Phases, Way,
+    ExtendedKalmanFilter, Fault, FilterOutput, Finding, Gaussian, KalmanRecording, KalmanSample, Keep, Lateness, Model,
+    NoiseLoss, Phases, Way,
 };
 use linkside_core::estimate::measurement::Kind;
 use numpy::{PyArray1, PyArrayDyn, PyReadonlyArray2};
@@ -26,7 +26,8 @@ pub(crate) fn named(kinds: &[String]) -> PyResult<Vec<Kind>> {
 
 /// Lets errors of readings cost what is named, one name a channel.
 pub(crate) fn set_losses<M: Phases>(filter: &mut ExtendedKalmanFilter<M>, names: &[String]) -> PyResult<()> {
-    let find = |name: &String| Loss::named(name).ok_or_else(|| EstimatorError::new_err(format!("{name:?} is no loss")));
+    let find =
+        |name: &String| NoiseLoss::named(name).ok_or_else(|| EstimatorError::new_err(format!("{name:?} is no loss")));
     let losses = names.iter().map(find).collect::<PyResult<Vec<_>>>()?;
     filter.set_losses(&losses).map_err(IntoPyErr::into_py_err)
 }

@@ -27,4 +27,16 @@ impl Status {
     pub const CONTRADICTED: u8 = 64;
     /// One channel contradicts the model and all others.
     pub const FAULTY: u8 = 128;
+
+    /// Samples that a filter's start is fitted to.
+    const START: usize = 32;
+
+    /// Flags the rows before a contradiction that begins among the samples which a start was fitted to: it was fitted to
+    /// readings that contradict the model. `rows` follow `before` earlier ones.
+    pub(crate) fn doubt_start(rows: &mut [u8], before: usize) {
+        let first = Self::START.saturating_sub(before).min(rows.len());
+        if let Some(begin) = rows[..first].iter().position(|row| row & Self::CONTRADICTED != 0) {
+            rows[..begin].iter_mut().for_each(|row| *row |= Self::CONTRADICTED);
+        }
+    }
 }

@@ -5,7 +5,7 @@
 //! each channel's gain, after those before it, for the smoother. Both are the same mathematics; a test holds them equal.
 
 use super::gaussian::{Gaussian, Innovation, Row, SHARP, Symmetric};
-use super::loss::{LEFT_OUT, Sensors};
+use super::loss::{LEFT_OUT, SensorLosses};
 use super::model::Model;
 use crate::estimate::Status;
 use crate::linear;
@@ -286,7 +286,7 @@ impl Correction {
     ///
     /// `raw` is then these squares: what is known of the readings themselves is read anew by the next update.
     #[inline(always)]
-    pub(super) fn weigh(&mut self, model: &impl Model, belief: &Gaussian, read: Readings<'_>, sensors: &Sensors) {
+    pub(super) fn weigh(&mut self, model: &impl Model, belief: &Gaussian, read: Readings<'_>, sensors: &SensorLosses) {
         self.project(model, belief);
         self.read(model, belief, read.values);
         let own = self.own();

@@ -7,11 +7,11 @@ use super::effect::Step;
 use super::findings::Finding;
 use super::gaussian::{Gaussian, Symmetric};
 use super::iterated::IteratedSmoother;
-use super::loss::{Loss, Sensors};
+use super::loss::{NoiseLoss, SensorLosses};
 use super::monitor::Monitor;
 use super::output::{FilterOutput, Keep, Tool};
-use super::path::Path;
-use super::phases::{Judge, Linearise, Phases, Predict, Update, Weigh, WriteReport};
+use super::path::StatePath;
+use super::phases::{Judge, Linearise, Phases, Predict, Update, WeighReadings, WriteReport};
 use super::recording::{KalmanRecording, KalmanSample};
 use super::smoother::{History, Smoother};
 use crate::check::{expect, expect_length};
@@ -123,9 +123,9 @@ pub struct ExtendedKalmanFilter<M> {
     /// The belief at the first sample; none: at rest.
     start: Option<Gaussian>,
     /// What errors of each sensor's readings cost.
-    pub(super) sensors: Sensors,
+    pub(super) sensors: SensorLosses,
     /// Where to linearise; none: at its own estimates.
-    path: Option<Arc<Path>>,
+    path: Option<Arc<StatePath>>,
 }
 
 impl ExtendedKalmanFilter<JerkDriven> {
@@ -163,7 +163,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
             taken: 0,
             started: false,
             start: None,
-            sensors: Sensors::of_squares(&model),
+            sensors: SensorLosses::of_squares(&model),
             path: None,
             belief,
             model,
@@ -190,8 +190,8 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
     ///
     /// # Errors
     /// Not one a channel.
-    pub fn set_losses(&mut self, losses: &[Loss]) -> Result<(), DesignError> {
-        self.sensors = Sensors::new(&self.model, losses)?;
+    pub fn set_losses(&mut self, losses: &[NoiseLoss]) -> Result<(), DesignError> {
+        self.sensors = SensorLosses::new(&self.model, losses)?;
         Ok(())
     }
 
@@ -217,12 +217,12 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
             own[..width].copy_from_slice(row);
         }
         let weights = filled(1.0, leading.len() / width, channels)?;
-        self.path = Some(Arc::new(Path { states, channels, means, weights }));
+        self.path = Some(Arc::new(StatePath { states, channels, means, weights }));
         Ok(())
     }
 
     /// From now on linearises at this path, and weighs readings as it says.
-    pub(super) fn set_path(&mut self, path: Option<Arc<Path>>) {
+    pub(super) fn set_path(&mut self, path: Option<Arc<StatePath>>) {
         self.path = path;
     }
 
@@ -459,7 +459,13 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
     /// How much readings count by the present belief, which has `used` them or not.
     fn weigh(&mut self, values: &[f64], used: bool) {
         let Self { model, correction, belief, sensors, .. } = self;
-        M::weigh_phase(Weigh { model: &*model, correction, belief, readings: Readings { values, used }, sensors });
+        M::weigh_phase(WeighReadings {
+            model: &*model,
+            correction,
+            belief,
+            readings: Readings { values, used },
+            sensors,
+        });
     }
 
     /// At the present mean, or where the path says.
@@ -522,7 +528,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         keep: Keep,
         mut history: Option<&mut History>,
     ) -> Result<FilterOutput, RunError> {
-        let count = recording.dt.len();
+        let (count, before) = (recording.dt.len(), self.taken);
         let mut out = FilterOutput::zeros(count, &self.model, keep)?;
         let watch = Watch::current();
         // The recursion of Kalman (1960) with the derivatives of the extended filter, sample by sample; each step is a
@@ -561,6 +567,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
             }
             out.write_fit(i, &self.correction);
         }
+        Status::doubt_start(&mut out.status, before);
         out.findings.extend_from_slice(self.findings());
         Ok(out)
     }

@@ -4,15 +4,15 @@
 //!
 //! ½ ‖x₀ − x̄₀‖²_P₀⁻¹ + Σ ½ ‖xₖ − f(xₖ₋₁)‖²_Q⁻¹ + Σ ρ(‖yₖ − h(xₖ)‖_R⁻¹)
 //!
-//! with a [`Loss`] ρ of each sensor. A step of Gauss and Newton is the linear smoother of the model linearised at the last
+//! with a [`NoiseLoss`] ρ of each sensor. A step of Gauss and Newton is the linear smoother of the model linearised at the last
 //! trajectory (B. M. Bell, SIAM J. Optimization 4, 1994), so that time and memory grow as the recording does; a loss that is
 //! not a square divides R by a weight (A. Y. Aravkin et al. 2014). A step that does not lower the sum is halved until it does.
 
 use super::filter::ExtendedKalmanFilter;
-use super::loss::Sensors;
+use super::loss::SensorLosses;
 use super::misfit::Misfit;
 use super::output::{FilterOutput, Keep};
-use super::path::Path;
+use super::path::StatePath;
 use super::phases::Phases;
 use super::recording::KalmanRecording;
 use super::smoother::{History, Smoother};
@@ -65,7 +65,7 @@ impl<M: Phases> IteratedSmoother<M> {
         // Nobody asks the passes how well they fit, nor what tolerances add to a covariance that is not looked at.
         let mut plain = self.filter.without_tolerances();
         plain.watch(false);
-        plain.sensors = Sensors::of_squares(&plain.model);
+        plain.sensors = SensorLosses::of_squares(&plain.model);
         let mut path = self.start(&plain, recording)?;
         // A loss that is not convex has many minima: from that of Huber's, which has one, it is the right one's more often.
         for sensors in self.filter.sensors.convex().iter().chain([&self.filter.sensors]) {
@@ -81,23 +81,23 @@ impl<M: Phases> IteratedSmoother<M> {
     }
 
     /// The plain smoother's trajectory, all readings counting fully.
-    fn start(&self, plain: &ExtendedKalmanFilter<M>, recording: KalmanRecording<'_>) -> Result<Path, RunError> {
+    fn start(&self, plain: &ExtendedKalmanFilter<M>, recording: KalmanRecording<'_>) -> Result<StatePath, RunError> {
         let (states, channels) = (self.filter.model.states(), self.filter.model.channels());
         let weights = filled(1.0, recording.dt.len(), channels)?;
-        Ok(Path { states, channels, means: Smoother::new(plain).means(recording)?, weights })
+        Ok(StatePath { states, channels, means: Smoother::new(plain).means(recording)?, weights })
     }
 }
 
 /// One minimisation.
 struct Descent<'a, 'b, M> {
     plain: &'a ExtendedKalmanFilter<M>,
-    sensors: &'a Sensors,
+    sensors: &'a SensorLosses,
     recording: KalmanRecording<'b>,
 }
 
 impl<M: Phases> Descent<'_, '_, M> {
     /// The minimum near `path`, with the weights there.
-    fn minimise(&self, mut path: Path) -> Result<Path, RunError> {
+    fn minimise(&self, mut path: StatePath) -> Result<StatePath, RunError> {
         let mut misfit = Misfit::new(self.plain, self.sensors, self.recording)?;
         for _ in 0..MOST {
             // 1. How well the path fits: the sum to beat, and weights and variances that hold until it is beaten.
@@ -120,7 +120,7 @@ impl<M: Phases> Descent<'_, '_, M> {
     }
 
     /// Moves the path to `aim`, or a part of the way; gives by how much the sum fell from `now`.
-    fn step(&self, misfit: &mut Misfit<'_, M>, path: &mut Path, aim: &[f64], now: f64) -> Result<f64, RunError> {
+    fn step(&self, misfit: &mut Misfit<'_, M>, path: &mut StatePath, aim: &[f64], now: f64) -> Result<f64, RunError> {
         let mut trial = path.means.clone();
         for halving in 0..HALVINGS {
             let part = 0.5_f64.powi(halving);
@@ -193,7 +193,7 @@ impl<M: Phases> Smoother<M> {
 
 impl FilterOutput {
     /// Flags the rows that have not converged: one step more has moved a link by more than is not known of it.
-    fn flag_moved(&mut self, path: &Path) {
+    fn flag_moved(&mut self, path: &StatePath) {
         let n = self.q.len() / self.status.len();
         for (i, status) in self.status.iter_mut().enumerate() {
             let now = path.state(i);

@@ -5,9 +5,9 @@
 //!
 //! | | ρ | w |
 //! | --- | --- | --- |
-//! | [`Squares`](Loss::Squares) | r²/2 | 1 |
-//! | [`Huber`](Loss::Huber) (P. J. Huber 1964) | r²/2 to r = c, then c r − c²/2 | min(1, c/r) |
-//! | [`StudentT`](Loss::StudentT) (K. L. Lange et al. 1989) | (ν + m)/2 · ln(1 + r²/ν) | (ν + m)/(ν + r²) |
+//! | [`Squares`](NoiseLoss::Squares) | r²/2 | 1 |
+//! | [`Huber`](NoiseLoss::Huber) (P. J. Huber 1964) | r²/2 to r = c, then c r − c²/2 | min(1, c/r) |
+//! | [`StudentT`](NoiseLoss::StudentT) (K. L. Lange et al. 1989) | (ν + m)/2 · ln(1 + r²/ν) | (ν + m)/(ν + r²) |
 
 use super::model::Model;
 use crate::check::expect_length;
@@ -25,7 +25,7 @@ pub(super) const LEFT_OUT: f64 = 0.1;
 
 /// What an error of a sensor's readings costs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Loss {
+pub enum NoiseLoss {
     /// Half its square: noise is Gaussian.
     #[default]
     Squares,
@@ -35,7 +35,7 @@ pub enum Loss {
     StudentT,
 }
 
-impl Loss {
+impl NoiseLoss {
     /// All, with their names.
     const ALL: [(&'static str, Self); 3] =
         [("squares", Self::Squares), ("huber", Self::Huber), ("student-t", Self::StudentT)];
@@ -73,17 +73,17 @@ impl Loss {
 
 /// The sensors of a model, each with its channels and its loss: what hits one axis usually hits all.
 #[derive(Clone, Debug)]
-pub(super) struct Sensors {
-    list: Vec<(Range<usize>, Loss)>,
+pub(super) struct SensorLosses {
+    list: Vec<(Range<usize>, NoiseLoss)>,
 }
 
-impl Sensors {
+impl SensorLosses {
     /// # Errors
     /// Not one loss a channel.
-    pub(super) fn new(model: &impl Model, losses: &[Loss]) -> Result<Self, DesignError> {
+    pub(super) fn new(model: &impl Model, losses: &[NoiseLoss]) -> Result<Self, DesignError> {
         let channels = model.channel_kinds();
         expect_length("losses", losses.len(), channels.len())?;
-        let mut list: Vec<(Range<usize>, Loss)> = Vec::with_capacity(channels.len());
+        let mut list: Vec<(Range<usize>, NoiseLoss)> = Vec::with_capacity(channels.len());
         for (i, (channel, &loss)) in channels.iter().zip(losses).enumerate() {
             match list.last_mut() {
                 Some((own, _)) if same(channels[own.start], *channel) => own.end = i + 1,
@@ -95,14 +95,14 @@ impl Sensors {
 
     /// All losses squares.
     pub(super) fn of_squares(model: &impl Model) -> Self {
-        let list = (0..model.channels()).map(|i| (i..i + 1, Loss::Squares)).collect();
+        let list = (0..model.channels()).map(|i| (i..i + 1, NoiseLoss::Squares)).collect();
         Self { list }
     }
 
     /// Whether some weight may differ from 1.
     #[inline(always)]
     pub(super) fn is_robust(&self) -> bool {
-        self.list.iter().any(|(_, loss)| *loss != Loss::Squares)
+        self.list.iter().any(|(_, loss)| *loss != NoiseLoss::Squares)
     }
 
     /// The same with convex losses; none where they are.
@@ -143,7 +143,7 @@ mod tests {
     #[test]
     fn a_weight_is_the_slope_of_its_cost() {
         // dρ/d(r²) = w/2, which is what makes reweighted least squares a descent of ρ.
-        for loss in [Loss::Squares, Loss::Huber, Loss::StudentT] {
+        for loss in [NoiseLoss::Squares, NoiseLoss::Huber, NoiseLoss::StudentT] {
             for squared in [1e-3, 0.5, 1.7, 2.0, 9.0, 2500.0] {
                 for size in [1.0, 3.0] {
                     let h = 1e-6 * squared;
@@ -156,9 +156,9 @@ mod tests {
 
     #[test]
     fn all_have_names() {
-        for (name, loss) in Loss::ALL {
-            assert_eq!(Loss::named(name), Some(loss));
+        for (name, loss) in NoiseLoss::ALL {
+            assert_eq!(NoiseLoss::named(name), Some(loss));
         }
-        assert_eq!(Loss::named("cauchy"), None);
+        assert_eq!(NoiseLoss::named("cauchy"), None);
     }
 }

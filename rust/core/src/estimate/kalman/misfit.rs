@@ -2,8 +2,8 @@
 
 use super::filter::ExtendedKalmanFilter;
 use super::gaussian::{Gaussian, Symmetric};
-use super::loss::Sensors;
-use super::path::Path;
+use super::loss::SensorLosses;
+use super::path::StatePath;
 use super::phases::{Linearise, Phases, Predict};
 use super::recording::KalmanRecording;
 use crate::error::RunError;
@@ -18,7 +18,7 @@ const LOST: f64 = 1e-12;
 pub(super) struct Misfit<'a, M> {
     /// Before the recording; a copy goes along with the samples.
     filter: &'a ExtendedKalmanFilter<M>,
-    sensors: &'a Sensors,
+    sensors: &'a SensorLosses,
     recording: KalmanRecording<'a>,
     /// Variances of the readings at the path that was last weighed (samples × channels).
     variances: Vec<f64>,
@@ -30,7 +30,7 @@ pub(super) struct Misfit<'a, M> {
 impl<'a, M: Phases> Misfit<'a, M> {
     pub(super) fn new(
         filter: &'a ExtendedKalmanFilter<M>,
-        sensors: &'a Sensors,
+        sensors: &'a SensorLosses,
         recording: KalmanRecording<'a>,
     ) -> Result<Self, RunError> {
         let m = filter.model.channels();
@@ -39,8 +39,8 @@ impl<'a, M: Phases> Misfit<'a, M> {
     }
 
     /// The sum at `path`; the weights there are its from now on, and the variances hold for the sums that follow.
-    pub(super) fn weigh(&mut self, path: &mut Path) -> Result<f64, RunError> {
-        let Path { means, weights, .. } = path;
+    pub(super) fn weigh(&mut self, path: &mut StatePath) -> Result<f64, RunError> {
+        let StatePath { means, weights, .. } = path;
         self.go(means, Some(weights))
     }
 
@@ -53,7 +53,7 @@ impl<'a, M: Phases> Misfit<'a, M> {
         let mut filter = self.filter.clone();
         let (states, m, watch) = (filter.model.states(), filter.model.channels(), Watch::current());
         let room = vec![0.0; states];
-        let mut step = Step { belief: Gaussian::independent(&room), error: room.clone(), diagonal: room };
+        let mut step = StepCost { belief: Gaussian::independent(&room), error: room.clone(), diagonal: room };
         let mut total = 0.0;
         for (i, state) in means.chunks_exact(states).enumerate() {
             if watch.stops() {
@@ -93,14 +93,14 @@ impl<'a, M: Phases> Misfit<'a, M> {
 }
 
 /// One step of time: where it was to lead, and how sure that is.
-struct Step {
+struct StepCost {
     belief: Gaussian,
     /// Scratch (states).
     error: Vec<f64>,
     diagonal: Vec<f64>,
 }
 
-impl Step {
+impl StepCost {
     /// ½ ‖x − x̄‖² in the measure of the inverse covariance, which is factored in its place; in directions without variance
     /// there is nothing to pay.
     fn cost(&mut self, state: &[f64]) -> f64 {

@@ -61,7 +61,7 @@ pub use iterated::IteratedSmoother;
 pub use jerk::{JerkModel, JerkNoise};
 pub use jerk_process::JerkProcess;
 pub use late::Lateness;
-pub use loss::Loss;
+pub use loss::NoiseLoss;
 pub use model::{Linearised, Measurement, Model, Paired, Process, Report};
 pub use monitor::largest_nis;
 pub(crate) use output::Tool;

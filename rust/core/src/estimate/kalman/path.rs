@@ -7,7 +7,7 @@ use super::gaussian::Gaussian;
 /// A filter that has one is the Kalman filter of the model linearised at these states; its own estimates change nothing of
 /// the linearisation.
 #[derive(Clone, Debug)]
-pub(super) struct Path {
+pub(super) struct StatePath {
     /// Numbers a sample: states and channels.
     pub(super) states: usize,
     pub(super) channels: usize,
@@ -17,7 +17,7 @@ pub(super) struct Path {
     pub(super) weights: Vec<f64>,
 }
 
-impl Path {
+impl StatePath {
     /// Samples.
     pub(super) fn len(&self) -> usize {
         self.means.len() / self.states

@@ -9,7 +9,7 @@ use super::driven::JerkDriven;
 use super::elastic::ElasticModel;
 use super::gaussian::Gaussian;
 use super::iterated::MeanBack;
-use super::loss::Sensors;
+use super::loss::SensorLosses;
 use super::model::Model;
 use super::monitor::Monitor;
 use super::output::{FilterOutput, Tool};
@@ -28,7 +28,7 @@ pub trait Phases: Model {
     #[doc(hidden)]
     fn update_phase(phase: Update<'_, Self>);
     #[doc(hidden)]
-    fn weigh_phase(phase: Weigh<'_, Self>);
+    fn weigh_phase(phase: WeighReadings<'_, Self>);
     #[doc(hidden)]
     fn judge_phase(phase: Judge<'_, '_, Self>);
     #[doc(hidden)]
@@ -58,7 +58,7 @@ macro_rules! phases {
                 simd::phase(phase);
             }
 
-            fn weigh_phase(phase: Weigh<'_, Self>) {
+            fn weigh_phase(phase: WeighReadings<'_, Self>) {
                 simd::phase(phase);
             }
 
@@ -137,15 +137,15 @@ impl<M: Model> Kernel for Update<'_, M> {
 }
 
 /// How much the readings of the channels that were linearised count.
-pub(super) struct Weigh<'a, M> {
+pub(super) struct WeighReadings<'a, M> {
     pub(super) model: &'a M,
     pub(super) correction: &'a mut Correction,
     pub(super) belief: &'a Gaussian,
     pub(super) readings: Readings<'a>,
-    pub(super) sensors: &'a Sensors,
+    pub(super) sensors: &'a SensorLosses,
 }
 
-impl<M: Model> Kernel for Weigh<'_, M> {
+impl<M: Model> Kernel for WeighReadings<'_, M> {
     type Output = ();
 
     #[inline(always)]

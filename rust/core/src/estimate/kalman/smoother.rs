@@ -219,7 +219,7 @@ impl<M: Phases> Kernel for Retreat<'_, M> {
 }
 
 /// The filter as it is before a stretch, and the stretch.
-pub(super) type Start<M> = (ExtendedKalmanFilter<M>, Range<usize>);
+pub(super) type Stretch<M> = (ExtendedKalmanFilter<M>, Range<usize>);
 
 /// Bytes of history that a stretch may take.
 const STRETCH: usize = 256 << 20;
@@ -263,7 +263,7 @@ impl<M: Phases> Smoother<M> {
     }
 
     /// The stretches of a recording, and the filter as it is before each.
-    pub(super) fn starts(&self, recording: KalmanRecording<'_>) -> Result<Vec<Start<M>>, RunError> {
+    pub(super) fn starts(&self, recording: KalmanRecording<'_>) -> Result<Vec<Stretch<M>>, RunError> {
         let (count, stretch) = (recording.dt.len(), self.stretch());
         let mut filter = self.filter.clone();
         let mut starts = Vec::with_capacity(count / stretch + 1);
