@@ -14,7 +14,6 @@ SCRIPTS = (
     "trust",
     "record",
     "learning",
-    "particle_error",
     "papers.pictures",
     "tutorials.pictures",
 )

@@ -19,6 +19,7 @@ from linkside.recording.estimate import Status
 
 HERE = Path(__file__).parent
 DATA = HERE.parent / "tests/data"
+THIN = 5  # rows of the recording for one of the figure
 METHODS = {"ekf": ExtendedKalmanFilter, "smoother": RauchTungStriebelSmoother, "elastic": ElasticJointFilter}
 
 
@@ -80,8 +81,16 @@ def model(axes: Any) -> None:
         estimate = ExtendedKalmanFilter(robot, tolerances=tolerances).run(log)
         assert estimate.q_std is not None
         width = 3e6 * estimate.q_std[:, 0]
-        axes.fill_between(log.t, -width, width, color=color, alpha=0.3 if tolerances else 0.9, label=f"3 σ, {label}")
-    axes.plot(log.t, 1e6 * (estimate.q - truth.q[: len(log)])[:, 0], "k", linewidth=1, label="error")
+        axes.fill_between(
+            log.t[::THIN],
+            -width[::THIN],
+            width[::THIN],
+            color=color,
+            alpha=0.3 if tolerances else 0.9,
+            label=f"3 σ, {label}",
+        )
+    error = 1e6 * (estimate.q - truth.q[: len(log)])[:, 0]
+    axes.plot(log.t[::THIN], error[::THIN], "k", linewidth=1, label="error")
     axes.set(title="A spring 8 % softer than robot.yaml says, a payload that it lacks", ylabel="axis 2 [µrad]")
     axes.legend(loc="upper right", fontsize=8)
 
