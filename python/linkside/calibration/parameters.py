@@ -1,4 +1,4 @@
-"""What can be freed: every parameter with its unit, its value in robot.yaml, how far off it may be, and its bounds."""
+"""Parameters that can be freed: unit, value in robot.yaml, tolerance and bounds of each."""
 
 from __future__ import annotations
 
@@ -85,13 +85,13 @@ NOISE_RANGE = (0.03, 1e3)
 """Factors on noise: below, an encoder would be better than its steps."""
 
 TORQUE_ONLY = ("motor_inertia", "viscous", "coulomb", "coupling", "torque_noise")
-"""Kinds that nothing but motor torque tells of."""
+"""Kinds that are identifiable only from motor torques."""
 
 DEFAULT = (
     *("stiffness", "cubic_stiffness", "damping", "motor_inertia", "viscous", "coulomb"),
     *("payload_mass", "bias", "time_constant", "delay", *OF_LINK_ENCODERS, *NOISE),
 )
-"""Kinds that are freed where nothing is said, as far as the recordings tell them apart."""
+"""Kinds that are freed by default, as far as the recordings distinguish them."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ class Parameter:
 
 
 def catalogue(robot: Robot, torque: bool) -> list[Parameter]:
-    """Every parameter that a robot has; those that only motor torque tells of where there is ``torque``."""
+    """All parameters of a robot; with ``torque``, also those that are identifiable only from motor torques."""
     tolerances = robot.config.tolerances
     kinds = [kind for kind in KINDS if kind not in (OF_LINK_ENCODERS if torque else TORQUE_ONLY)]
     return [parameter for kind in kinds for parameter in _of_kind(robot, kind, tolerances)]

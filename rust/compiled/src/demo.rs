@@ -61,6 +61,8 @@ fn robot() -> Robot {
         tool: None,
         rotors: vec![],
         counterbalances: vec![],
+        gearing: (vec![], vec![]),
+        followers: vec![],
     }
 }
 
@@ -77,6 +79,7 @@ fn drive() -> Drive {
         curve_straight: false,
         gap: [0.0, 0.5, 1.0],
         ripple: vec![],
+        encoder_lines: vec![],
         hysteresis: vec![],
         friction_viscous: 0.0,
         friction_coulomb: 0.0,

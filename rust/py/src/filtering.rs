@@ -1,12 +1,13 @@
 //! What Kalman filters on both models have in common: channels, runs, and what comes out.
 
 use crate::array::{Signal, rows, shaped};
-use crate::error::{IntoPyErr, outcome};
+use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
 use crate::state::State;
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
     ExtendedKalmanFilter, Fault, FilterOutput, Finding, Gaussian, KalmanRecording, KalmanSample, Keep, Model, Phases,
+    Way,
 };
 use numpy::{PyArray1, PyArrayDyn, PyReadonlyArray2};
 use pyo3::prelude::*;
@@ -54,15 +55,20 @@ pub(crate) fn run<'py, M: Phases>(
     into_dict(py, out, filter.model())
 }
 
-/// Each log from a fresh start with the filter beside it, on all cores, through the smoother where asked: its arrays, or the
-/// exception that it came to.
+/// Each log from a fresh start with the filter beside it, on all cores: its arrays, or the exception that it came to.
 pub(crate) fn run_all<'py, M: Phases>(
     py: Python<'py>,
     jobs: &[(&ExtendedKalmanFilter<M>, KalmanRecording<'_>)],
-    smooth: bool,
+    way: &str,
     keep: Keep,
 ) -> PyResult<Vec<Bound<'py, PyAny>>> {
-    let results = py.release(|| Ok::<_, RunError>(ExtendedKalmanFilter::run_each(jobs, smooth, keep)))?;
+    let way = match way {
+        "filter" => Way::Filter,
+        "smooth" => Way::Smooth,
+        "iterate" => Way::Iterate,
+        other => return Err(EstimatorError::new_err(format!("{other:?} is not filter, smooth or iterate"))),
+    };
+    let results = py.release(|| Ok::<_, RunError>(ExtendedKalmanFilter::run_each(jobs, way, keep)))?;
     let convert = |(filter, _): &(&ExtendedKalmanFilter<M>, _), out| into_dict(py, out, filter.model());
     jobs.iter().zip(results).map(|(job, result)| outcome(py, result, |out| convert(job, out))).collect()
 }

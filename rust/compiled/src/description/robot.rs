@@ -38,6 +38,12 @@ pub struct Robot {
     pub rotors: Vec<Rotor>,
     /// What carries part of the weight.
     pub counterbalances: Vec<Balance>,
+    /// Joints whose motors share gears, and rows of the matrix that says how; none: each has its own.
+    #[serde(default)]
+    pub gearing: (Vec<usize>, Vec<f64>),
+    /// Which joint each body beyond those of joints follows, by which ratio and from which offset.
+    #[serde(default)]
+    pub followers: Vec<(usize, f64, f64)>,
 }
 
 /// A moving body; see [`BodySpec`].
@@ -77,6 +83,9 @@ pub struct Drive {
     pub gap: [f64; 3],
     /// Amplitude, frequency, phase of each harmonic.
     pub ripple: Vec<[f64; 3]>,
+    /// See [`linkside_core::robot::Drive::encoder_lines`].
+    #[serde(default)]
+    pub encoder_lines: Vec<f64>,
     /// Stiffness, limit, recoil, rounding of each friction element.
     pub hysteresis: Vec<[f64; 4]>,
     pub friction_viscous: f64,
@@ -150,9 +159,10 @@ impl Robot {
     /// # Errors
     /// Parts that do not fit together, numbers out of range, an inertia that no links have.
     pub fn build(&self) -> Result<robot::Robot, BuildError> {
-        let n = self.bodies.len();
+        let n = self.drives.len();
         let parts = [
             ("joints", n),
+            ("bodies", self.bodies.len()),
             ("accelerometers", self.accelerometers.len()),
             ("gyroscopes", self.gyroscopes.len()),
             ("rotors", self.rotors.len()),
@@ -167,7 +177,7 @@ impl Robot {
             }
         }
         let specs: Vec<_> = self.bodies.iter().map(Body::spec).collect();
-        let tree = Tree::new(Vec3(self.gravity), &specs)?;
+        let tree = Tree::new(Vec3(self.gravity), &specs)?.with_followers(&self.followers)?;
         let place = |kind, sensors: &[Sensor]| sensors.iter().map(|s| s.build(kind, &tree)).collect::<Result<_, _>>();
         let (accelerometers, gyroscopes) =
             (place("accelerometer", &self.accelerometers)?, place("gyroscope", &self.gyroscopes)?);
@@ -176,7 +186,8 @@ impl Robot {
         let counterbalances: Vec<_> = self.counterbalances.iter().map(Balance::build).collect();
         let robot = robot::Robot::new(tree, drives, self.coupling.concat(), accelerometers, gyroscopes, tool)?
             .with_counterbalances(&counterbalances)?
-            .with_rotors(self.rotors.iter().map(Rotor::build).collect())?;
+            .with_rotors(self.rotors.iter().map(Rotor::build).collect())?
+            .with_gearing(self.gearing.0.clone(), &self.gearing.1)?;
         check_inertia(&robot)?;
         Ok(robot)
     }
@@ -220,6 +231,7 @@ impl Drive {
             backlash: Backlash { half_gap, slope, rounding },
             hysteresis: Hysteresis { elements: self.hysteresis.iter().map(element).collect() },
             ripple: Ripple::new(self.ripple.iter().map(harmonic).collect()),
+            encoder_lines: self.encoder_lines.clone(),
             motor_friction: Friction {
                 viscous: self.friction_viscous,
                 coulomb: self.friction_coulomb,
