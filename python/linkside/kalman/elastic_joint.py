@@ -194,6 +194,7 @@ class ElasticJoint(KalmanMethod):
             "iterations": self._iterations,
             "late": inside(self.robot, kinds, period),
             **core_settings(self.robot, self._uncertain),
+            "losses": self._loss_names(kinds),
             "link_disturbance": None if law is None else law.arrays,
             "losses": self.channel_losses(kinds),
         }

@@ -245,8 +245,8 @@ class KalmanMethod(Described, ABC):
         """The same for `step`, which has no recording to look at."""
         return given_law(self.noise, self.robot) if self._link_disturbance is True else None
 
-    def channel_losses(self, kinds: tuple[str, ...]) -> list[str]:
-        """Name what errors of each channel cost; none: squares."""
+    def _loss_names(self, kinds: tuple[str, ...]) -> list[str]:
+        """What errors of each channel cost; none where all of them cost squares."""
         if all(self._losses[kind] == "squares" for kind in kinds):
             return []
         return [self._losses[kind] for kind in kinds for _ in range(self.width(kind))]
@@ -260,7 +260,7 @@ class KalmanMethod(Described, ABC):
         jerk: FloatArray,
         law: LinkDisturbance | None = None,
     ) -> None:
-        """Tell a filter of the core where it starts: what the user says, or its first samples, if there are any."""
+        """Set where a filter of the core starts: as the user says, or from its first samples, if there are any."""
         start = self._found(core.own_states, first, kinds, noise, jerk, law)
         if start is not None:
             core.set_start(*start)

@@ -166,6 +166,7 @@ class JerkDriven(KalmanMethod):
         return self.settings(kinds, noise, period) | {
             "gate": self._gate,
             "iterations": self._iterations,
+            "losses": self._loss_names(kinds),
             "link_disturbance": None if law is None else law.arrays,
             "losses": self.channel_losses(kinds),
         }

@@ -210,12 +210,12 @@ class ReducedOrderObserver(PeriodicObserver[_core.VelocityObserver, VelocityEsti
 
     def _settings(self, period: float) -> dict[str, Any]:
         """Describe such an observer in plain numbers, as the core takes it."""
-        gains = (
+        gain = (
             [] if isinstance(self.gain, HybridGain | GainMap) else per_joint("gain", self.gain, self.robot.n).tolist()
         )
         return {
             "period": period,
-            "gains": gains,
+            "gains": gain,
             "levels": self.gain.settings() if isinstance(self.gain, HybridGain) else None,
             "map": self.gain.settings() if isinstance(self.gain, GainMap) else None,
             "spring": self._spring(),

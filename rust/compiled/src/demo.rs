@@ -61,7 +61,7 @@ fn robot() -> Robot {
         tool: None,
         rotors: vec![],
         counterbalances: vec![],
-        gearing: Default::default(),
+        gearing: (vec![], vec![]),
         followers: vec![],
     }
 }

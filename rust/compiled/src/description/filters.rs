@@ -4,7 +4,7 @@ use super::BuildError;
 use linkside_core::error::DesignError;
 use linkside_core::estimate::kalman::{
     self, Discretization, ElasticModel, ElasticSettings, ExtendedKalmanFilter, FilterSettings, Gaussian, JerkDriven,
-    JerkModel, Lateness, NoiseLoss, Tolerances, Uncertain,
+    JerkModel, Lateness, NoiseLoss, Phases, Tolerances, Uncertain,
 };
 use linkside_core::estimate::measurement::Kind;
 use linkside_core::robot::Robot;
@@ -39,6 +39,9 @@ pub struct JerkFilter {
     /// What is inside the sensor of each channel; empty where there is nothing in any.
     #[serde(default)]
     pub late: Vec<Option<Late>>,
+    /// What errors of each channel cost, as [`NoiseLoss::named`]; empty where all cost squares.
+    #[serde(default)]
+    pub losses: Vec<String>,
     /// How disturbance torques of links wander, where they have any.
     #[serde(default)]
     pub link_disturbance: Option<LinkDisturbance>,
@@ -71,6 +74,8 @@ pub struct ElasticFilter {
     pub correlations: Vec<(usize, usize, f64)>,
     #[serde(default)]
     pub late: Vec<Option<Late>>,
+    #[serde(default)]
+    pub losses: Vec<String>,
     #[serde(default)]
     pub link_disturbance: Option<LinkDisturbance>,
     #[serde(default)]
@@ -153,6 +158,7 @@ impl JerkFilter {
             .with_late(&late(&self.late)?)?;
         let mut filter =
             ExtendedKalmanFilter::new(model, FilterSettings { gate: self.gate, iterations: self.iterations })?;
+        set_losses(&mut filter, &self.losses)?;
         filter.set_start(self.start.as_ref().map(Belief::build).transpose()?)?;
         if !self.losses.is_empty() {
             filter.set_losses(&losses(&self.losses)?)?;
@@ -180,6 +186,7 @@ impl ElasticFilter {
             .with_late(&late(&self.late)?)?;
         let mut filter =
             ExtendedKalmanFilter::new(model, FilterSettings { gate: self.gate, iterations: self.iterations })?;
+        set_losses(&mut filter, &self.losses)?;
         filter.set_start(self.start.as_ref().map(Belief::build).transpose()?)?;
         if !self.losses.is_empty() {
             filter.set_losses(&losses(&self.losses)?)?;
@@ -230,6 +237,12 @@ impl Belief {
         }
         Gaussian::new(&self.mean, &covariance)
     }
+}
+
+fn set_losses<M: Phases>(filter: &mut ExtendedKalmanFilter<M>, names: &[String]) -> Result<(), BuildError> {
+    let find = |name: &String| NoiseLoss::named(name).ok_or_else(|| BuildError::unknown("a loss", name));
+    let losses: Vec<_> = names.iter().map(find).collect::<Result<_, _>>()?;
+    if losses.is_empty() { Ok(()) } else { Ok(filter.set_losses(&losses)?) }
 }
 
 /// Kinds of channels by name.
@@ -284,6 +297,7 @@ impl Tolerance {
             "torque_constant" => (U::TorqueConstant(i), robot.len()),
             "motor_friction" => (U::MotorFriction(i), robot.len()),
             "motor_inertia" => (U::MotorInertia(i), robot.len()),
+            "encoder_line" => (U::EncoderLine(i, axis), robot.len()),
             "encoder_zero" => (U::EncoderZero(i), robot.len()),
             "encoder_line" => (U::EncoderLine(i, axis), robot.len()),
             "lost_motion" => (U::LostMotion(i), robot.len()),
@@ -293,7 +307,7 @@ impl Tolerance {
             _ => return Err(BuildError::unknown("a tolerance", kind)),
         };
         let axes = match parameter {
-            U::EncoderLine(..) => 2 * robot.drives.get(i).map_or(0, |drive| drive.encoder_lines.len()),
+            U::EncoderLine(j, _) => robot.drives.get(j).map_or(0, |drive| 2 * drive.encoder_lines.len()),
             _ => 3,
         };
         if i >= parts || axis >= axes {

@@ -38,10 +38,10 @@ pub struct Robot {
     pub rotors: Vec<Rotor>,
     /// What carries part of the weight.
     pub counterbalances: Vec<Balance>,
-    /// Joints that share motors, and the matrix from these motors to them, by rows.
+    /// Joints whose motors share gears, and rows of the matrix that says how; none: each has its own.
     #[serde(default)]
     pub gearing: (Vec<usize>, Vec<f64>),
-    /// Linkages: the joint that each follows, ratio and offset; their bodies' joints are numbered after all others.
+    /// Which joint each body beyond those of joints follows, by which ratio and from which offset.
     #[serde(default)]
     pub followers: Vec<(usize, f64, f64)>,
 }
@@ -83,7 +83,7 @@ pub struct Drive {
     pub gap: [f64; 3],
     /// Amplitude, frequency, phase of each harmonic.
     pub ripple: Vec<[f64; 3]>,
-    /// Cycles of each error of its encoder whose phase no run tells [1/rad].
+    /// See [`linkside_core::robot::Drive::encoder_lines`].
     #[serde(default)]
     pub encoder_lines: Vec<f64>,
     /// Stiffness, limit, recoil, rounding of each friction element.
@@ -163,7 +163,7 @@ impl Robot {
         let parts = [
             ("bodies", self.bodies.len()),
             ("joints", n),
-            ("linkages", self.followers.len()),
+            ("bodies", self.bodies.len()),
             ("accelerometers", self.accelerometers.len()),
             ("gyroscopes", self.gyroscopes.len()),
             ("rotors", self.rotors.len()),
