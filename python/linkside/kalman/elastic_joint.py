@@ -196,7 +196,6 @@ class ElasticJoint(KalmanMethod):
             **core_settings(self.robot, self._uncertain),
             "losses": self._loss_names(kinds),
             "link_disturbance": None if law is None else law.arrays,
-            "losses": self.channel_losses(kinds),
         }
 
     def arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:

@@ -168,7 +168,6 @@ class JerkDriven(KalmanMethod):
             "iterations": self._iterations,
             "losses": self._loss_names(kinds),
             "link_disturbance": None if law is None else law.arrays,
-            "losses": self.channel_losses(kinds),
         }
 
     def started_core(

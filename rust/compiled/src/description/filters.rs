@@ -45,9 +45,6 @@ pub struct JerkFilter {
     /// How disturbance torques of links wander, where they have any.
     #[serde(default)]
     pub link_disturbance: Option<LinkDisturbance>,
-    /// What errors of readings cost, one a channel, as [`NoiseLoss::named`] has them; empty: squares.
-    #[serde(default)]
-    pub losses: Vec<String>,
     /// Where it starts; none: from rest.
     #[serde(default)]
     pub start: Option<Belief>,
@@ -78,8 +75,6 @@ pub struct ElasticFilter {
     pub losses: Vec<String>,
     #[serde(default)]
     pub link_disturbance: Option<LinkDisturbance>,
-    #[serde(default)]
-    pub losses: Vec<String>,
     #[serde(default)]
     pub start: Option<Belief>,
 }
@@ -160,9 +155,6 @@ impl JerkFilter {
             ExtendedKalmanFilter::new(model, FilterSettings { gate: self.gate, iterations: self.iterations })?;
         set_losses(&mut filter, &self.losses)?;
         filter.set_start(self.start.as_ref().map(Belief::build).transpose()?)?;
-        if !self.losses.is_empty() {
-            filter.set_losses(&losses(&self.losses)?)?;
-        }
         Ok(filter)
     }
 }
@@ -188,9 +180,6 @@ impl ElasticFilter {
             ExtendedKalmanFilter::new(model, FilterSettings { gate: self.gate, iterations: self.iterations })?;
         set_losses(&mut filter, &self.losses)?;
         filter.set_start(self.start.as_ref().map(Belief::build).transpose()?)?;
-        if !self.losses.is_empty() {
-            filter.set_losses(&losses(&self.losses)?)?;
-        }
         Ok(filter)
     }
 }
@@ -253,10 +242,6 @@ pub fn kinds(names: &[String]) -> Result<Vec<Kind>, BuildError> {
     names.iter().map(|name| Kind::named(name).ok_or_else(|| BuildError::unknown("a kind of channel", name))).collect()
 }
 
-fn losses(names: &[String]) -> Result<Vec<NoiseLoss>, BuildError> {
-    names.iter().map(|name| NoiseLoss::named(name).ok_or_else(|| BuildError::unknown("a loss", name))).collect()
-}
-
 /// What is inside the sensor of each channel.
 ///
 /// # Errors
@@ -299,7 +284,6 @@ impl Tolerance {
             "motor_inertia" => (U::MotorInertia(i), robot.len()),
             "encoder_line" => (U::EncoderLine(i, axis), robot.len()),
             "encoder_zero" => (U::EncoderZero(i), robot.len()),
-            "encoder_line" => (U::EncoderLine(i, axis), robot.len()),
             "lost_motion" => (U::LostMotion(i), robot.len()),
             "rotation" => (U::Rotation(i, axis), robot.accelerometers.len()),
             "translation" => (U::Translation(i, axis), robot.accelerometers.len()),

@@ -161,7 +161,6 @@ impl Robot {
     pub fn build(&self) -> Result<robot::Robot, BuildError> {
         let n = self.drives.len();
         let parts = [
-            ("bodies", self.bodies.len()),
             ("joints", n),
             ("bodies", self.bodies.len()),
             ("accelerometers", self.accelerometers.len()),
