@@ -91,7 +91,8 @@ UNSUPPORTED: dict[str, tuple[str, ...]] = {
     "a particle filter": ("hysteresis",),
     "inverse dynamics along a motion": (UNKNOWN, "rotors", "hysteresis", "passive"),
     "state feedback": (UNKNOWN, "rotors", "hysteresis", "passive"),
-    "calibration": ("rotors", "stiffness_table", "backlash", "hysteresis", "ripple", *BY_LOAD, "asymmetry", "passive"),
+    "calibration": ("rotors", "hysteresis", *BY_LOAD, "asymmetry", "passive"),
+    "calibration with motor torques": ("stiffness_table", "backlash", "ripple"),
 }
 """By method: what it does not account for."""
 
