@@ -7,7 +7,7 @@ PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c co
 # Units stand in brackets, as links do.
 RUSTDOC := RUSTDOCFLAGS="-D warnings -A rustdoc::broken-intra-doc-links" cargo doc --locked --no-deps -p linkside-core -p linkside-bag --target-dir target
 
-.PHONY: demo test lint bench docs lock clean
+.PHONY: demo test lint bench docs figures lock clean
 
 demo: $(VENV) ## build, install, run the main job on the recording inside the package
 	$(PIP) .
@@ -39,6 +39,11 @@ docs: $(VENV) ## the pages, and the API reference of both languages beside them,
 	rm -rf site
 	PYTHONPATH=docs $(BIN)/zensical build --strict
 	cp -r target/doc site/rust
+	$(BIN)/python docs/notebooks.py site/tutorials
+
+figures: $(VENV) ## draw every figure of the pages anew, some minutes
+	$(PIP) ".[docs]"
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python docs/figures.py
 
 lock: $(VENV) ## renew constraints.txt
 	$(PIP) uv

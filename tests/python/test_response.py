@@ -240,7 +240,7 @@ def test_a_filter_that_foretells_less_well_objects():
     assert worse < 0
     assert filters_gain(robot, [log[:800]], Noise(), free, np.zeros(2)) == 0
     (reason,) = objections(free, np.zeros(2), np.zeros(2), None, worse)
-    assert "a Kalman filter foretells less well" in reason
+    assert "a Kalman filter predicts less well" in reason
 
 
 def wandering(seed, rows=2500):

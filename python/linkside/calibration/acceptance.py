@@ -1,4 +1,4 @@
-"""Whether a calibration is to be believed: it must foretell readings that it was not fitted to."""
+"""Whether a calibration can be trusted: it must predict readings that it was not fitted to."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from .problem import OF_SENSORS, Problem
 from .search import ROUGH, Search
 
 FOLDS = 2
-"""Each stretch of a recording is held back once; as many fits."""
+"""Number of folds: each stretch of a recording is held back once."""
 
 STRETCHES = 12
-"""A recording is cut into so many, which the folds take in turn."""
+"""A recording is cut into this many stretches, which the folds take in turn."""
 
 LOSS = -3.0
-"""A sensor whose readings are foretold less well than this, in log-likelihood, speaks against an outcome."""
+"""An outcome is refused if some sensor's readings are predicted less well than this, in log-likelihood."""
 
 FAR = 3.0
 """An estimate further from robot.yaml than this, in tolerances, is not one that robot.yaml's tolerance allows for."""
@@ -37,7 +37,7 @@ WIDE = 1.96
 
 @dataclass(frozen=True)
 class Foretold:
-    """How much better readings are foretold by parameters that were fitted without them.
+    """How much better parameters predict readings that they were not fitted to.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Foretold:
     worst : float
         Gain of the worst stretch.
     sensors : dict of str to float
-        Gain of each sensor's readings, with what the other sensors alone tell; empty where there is one sensor.
+        Gain of each sensor's readings, predicted from the other sensors alone; empty if there is only one sensor.
     """
 
     gain: float
@@ -59,18 +59,18 @@ class Foretold:
 
     @property
     def better(self) -> bool:
-        """Whether there is a gain at all."""
+        """Whether the readings are predicted better than by robot.yaml."""
         return self.gain > 0
 
     def __str__(self) -> str:
-        """Say so in a line."""
+        """Summarise in one line."""
         each = ", ".join(f"{name} {gain:+.1f}" for name, gain in self.sensors.items())
         by_others = f"; each sensor by the others: {each}" if each else ""
         return f"readings held back: log-likelihood {self.gain:+.1f} ± {self.std:.1f}{by_others}"
 
 
 def foretell(problem: Posterior, nominal: Sequence[FloatArray], z: FloatArray) -> Foretold:
-    """Fit without a part of the readings in turn, and see how those are foretold.
+    """Leave out one part of the readings after the other, fit the rest, and predict the part left out.
 
     What is held back are the readings of all sensors but the motors' encoders, in every other stretch of time
     (cross-validation, M. Stone, J. R. Stat. Soc. B 36, 1974).
@@ -111,21 +111,21 @@ def filters_gain(robot: Robot, logs: Sequence[Log], noise: Noise, free: Sequence
 def objections(
     free: Sequence[Parameter], z: FloatArray, std: FloatArray, foretold: Foretold | None, gain: float | None
 ) -> tuple[str, ...]:
-    """Reasons not to believe an outcome, the weightiest first; ``gain`` is that of `filters_gain`.
+    """Reasons not to trust an outcome, the most important first; ``gain`` is that of `filters_gain`.
 
     Estimates ``z`` and their standard errors ``std`` are in tolerances.
     """
     found = []
     if foretold is not None and not foretold.better:
-        found.append(f"it does not foretell better than robot.yaml as it is ({foretold})")
+        found.append(f"it does not predict better than robot.yaml as it is ({foretold})")
     if foretold is not None:
         found += [
-            f"{name} is foretold less well by what the other sensors tell (log-likelihood {worse:+.1f})"
+            f"{name} is predicted less well from the other sensors (log-likelihood {worse:+.1f})"
             for name, worse in foretold.sensors.items()
             if worse < LOSS
         ]
     if gain is not None and gain < 0:
-        found.append(f"a Kalman filter foretells less well with it than with robot.yaml (log-likelihood {gain:+.1f})")
+        found.append(f"a Kalman filter predicts less well with it than with robot.yaml (log-likelihood {gain:+.1f})")
     for p, x, wide in zip(free, z.tolist(), std.tolist(), strict=True):
         if p.kind in NOISE:
             continue

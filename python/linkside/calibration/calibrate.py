@@ -36,13 +36,13 @@ OF_FILTERS = ("motor_noise", "jerk_noise")
 
 @contextmanager
 def _in_our_words() -> Iterator[None]:
-    """Let nothing out that is not ours."""
+    """Turn errors of the libraries below into our own."""
     try:
         yield
     except LinksideError:
         raise
     except np.linalg.LinAlgError as error:
-        message = "calibration: the recordings do not tell the free parameters apart (a matrix is singular)"
+        message = "calibration: the recordings do not distinguish the free parameters (a matrix is singular)"
         raise NumericalError(f"{message}; leave some out of free, or check the tolerances") from error
     except (ValueError, ArithmeticError) as error:
         raise EstimatorError(f"calibration: {error}") from error
@@ -78,9 +78,10 @@ def calibrate(
         One recording or several of the same robot, with motion in them.
     free
         Kinds of parameters such as ``"stiffness"``, or names such as ``"stiffness_axis2"``; by default
-        `parameters.DEFAULT`. Those that the recordings cannot tell are left as they are, see `Calibration.refused`.
+        `parameters.DEFAULT`. Those that are not identifiable from the recordings stay as they are, see
+        `Calibration.refused`.
     noise
-        How uncertain everything is; motors, sensors and torques also have a free factor on it by default.
+        Noise levels; those of motors, sensors and torques are also multiplied by free factors by default.
     torque
         Whether motor torques are readings by the motor's equation of motion: needed for motor inertia, friction and
         coupling, and to tell stiffness from mass. By default only for a robot without accelerometers.
@@ -151,7 +152,7 @@ def _run(
     start: Mapping[str, float],
     progress: Progress | None,
 ) -> FilterRun | ResponseRun:
-    """Choose how: by a filter where motor torques are readings, else by the links' response."""
+    """Choose the method: a Kalman filter if motor torques are measurements, else the response of the links."""
     moves = np.any([moving(log) for log in logs], axis=0)
     still = [name for name, does in zip(robot.names, moves, strict=True) if not does]
     if torque:
@@ -161,7 +162,7 @@ def _run(
 
 
 def _refuse_without_part(chosen: Sequence[Parameter], asked: Sequence[str], logs: Sequence[Log]) -> None:
-    """Refuse by name what nothing in the recordings, or in how they are looked at, can depend on."""
+    """Refuse, by name, parameters on which neither the recordings nor the method can depend."""
     for p in (p for p in chosen if p.kind in asked or p.name in asked):
         if p.kind in OF_FILTERS:
             raise EstimatorError(
@@ -189,7 +190,7 @@ def _estimates(free: Sequence[Parameter], z: FloatArray, found: Uncertainty) -> 
 
 
 def _contradictions(problem: Posterior, z: FloatArray) -> tuple[Contradiction, ...]:
-    """Estimate by each recording alone, from the joint estimate on."""
+    """Estimate from each recording alone, starting at the joint estimate."""
     if len(problem.logs) < 2:
         return ()
     fits = []

@@ -12,7 +12,7 @@ from linkside.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Lag:
-    """A first-order filter, sampled, and a delay.
+    """A sampled first-order filter and a delay.
 
     Sampled with step h, a filter of time constant T that is fed what runs straight over a sample is
     y = α y₋ + (1 − α) f with α = exp(−h/T) and f the signal T − h α/(1 − α) earlier, to second order.

@@ -13,17 +13,17 @@ from linkside.robot import Robot
 from .signals import filled, without_spikes
 
 CORNERS = (0.4, 2.0)
-"""Corner frequencies that are tried: a share of the sampling rate at most, and at least so many Hz."""
+"""Corner frequencies that are tried: from this many Hz up to this share of the sampling rate."""
 
 PER_OCTAVE = 6
 SHORTEST = 16
 """Fewer samples are not smoothed."""
 
 ALLOWED = 1.05
-"""What smoothing takes away may be so much larger than the encoder's noise."""
+"""What smoothing removes may be larger than the encoder's noise by this factor."""
 
 FOURTH = float(np.sqrt(70.0))
-"""Fourth differences of white noise are so much larger."""
+"""Factor by which fourth differences of white noise are larger than the noise."""
 
 SHARE_OF_ENDS = 20
 """Of a recording, no more is left out at either end than one part in so many."""

@@ -1,4 +1,4 @@
-"""A robot.yaml with calibrated values: the user's own, comments and order kept, standard errors beside the values."""
+"""A robot.yaml with calibrated values and their standard errors; the user's comments and order are kept."""
 
 from __future__ import annotations
 

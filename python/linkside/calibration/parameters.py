@@ -1,4 +1,4 @@
-"""What can be freed: every parameter with its unit, its value in robot.yaml, how far off it may be, and its bounds."""
+"""Parameters that can be freed: unit, value in robot.yaml, tolerance and bounds of each."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ WITHOUT_TORQUE = (*OF_LINK_ENCODERS, "link_friction", "link_coulomb", "half_gap"
 """Kinds that are found where motor torques are not readings."""
 
 TORQUE_ONLY = ("motor_inertia", "viscous", "coulomb", "coupling", "torque_noise")
-"""Kinds that nothing but motor torque tells of."""
+"""Kinds that are identifiable only from motor torques."""
 
 BESIDE = ("half_gap", "mass_scale", "link_friction", "translation", "rotation", "scale")
 """Kinds of which little is sought, but robot.yaml is hardly right: held, they would make springs wrong."""
@@ -110,7 +110,7 @@ DEFAULT = (
     *("stiffness", "cubic_stiffness", "damping", "motor_inertia", "viscous", "coulomb"),
     *("payload_mass", "bias", "time_constant", "delay", *BY_LINK_ENCODERS, *NOISE),
 )
-"""Kinds that are freed where nothing is said, as far as recordings tell them apart; without torques `BESIDE` too."""
+"""Kinds that are freed by default, as far as the recordings distinguish them; without torques `BESIDE` too."""
 
 
 @dataclass(frozen=True)
@@ -181,7 +181,7 @@ class Parameter:
 
 
 def catalogue(robot: Robot, torque: bool) -> list[Parameter]:
-    """Every parameter that a robot has; those that only motor torque tells of where there is ``torque``."""
+    """All parameters of a robot; with ``torque``, also those that are identifiable only from motor torques."""
     tolerances = robot.config.tolerances
     kinds = [kind for kind in KINDS if kind not in (WITHOUT_TORQUE if torque else TORQUE_ONLY)]
     return [parameter for kind in kinds for parameter in _of_kind(robot, kind, tolerances)]

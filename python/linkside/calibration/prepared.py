@@ -19,13 +19,13 @@ from .motors import motors, unsettled
 from .signals import filled, without_spikes
 
 KINDS = ("acceleration", "rate", "q", "torque", "dq")
-"""Signals that tell of the links, as the core calls them."""
+"""Signals of sensors on the links, by the core's names."""
 
 ZEROS = ("rate", "q", "torque")
-"""Signals with zeros that nobody knows, which are estimated in each recording."""
+"""Signals with unknown zeros, which are estimated for each recording."""
 
 LEAST_RATE, PER_PERIOD = 200.0, 16.0
-"""Samples are left out down to this rate [Hz], in which links' vibrations show, and so many a period of a corner."""
+"""Least rate of thinned-out samples [Hz], which shows the links' vibrations, and least number a period of a corner."""
 
 SHORTEST = 100
 """Fewer samples are not thinned out."""
@@ -121,7 +121,7 @@ def _readings(robot: Robot, log: Log, kind: str) -> FloatArray:
 
 
 def kinds(robot: Robot, logs: Sequence[Log]) -> tuple[str, ...]:
-    """Give the signals that tell of the links in all of ``logs``."""
+    """Return the signals of sensors on the links that all of ``logs`` have."""
     return tuple(kind for kind in KINDS if all(_has(robot, log, kind) for log in logs))
 
 

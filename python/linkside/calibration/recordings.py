@@ -17,7 +17,7 @@ from linkside.robot.requirements import refuse_unsupported
 from .prepared import kinds
 
 SATURATED = 10
-"""So many samples in a row at an extreme value are a sensor at the end of its range."""
+"""A sensor that stays at its extreme value for this many samples is saturated."""
 
 
 def use_torque(robot: Robot, logs: Sequence[Log], torque: bool | None) -> bool:
@@ -37,7 +37,7 @@ def use_torque(robot: Robot, logs: Sequence[Log], torque: bool | None) -> bool:
             log.require("tau", purpose="calibration with motor torques")
     elif not seen:
         raise EstimatorError(
-            "motor positions alone tell nothing of a spring: record accelerometers, link encoders, gyroscopes, joint "
+            "motor positions alone do not determine a spring: record accelerometers, link encoders, gyroscopes, joint "
             "torques or motor torques"
         )
     return torque

@@ -1,7 +1,7 @@
 """The posterior of a robot's parameters by the links' response to their motors: output error, stage by stage.
 
 Motors are where they were measured; nothing else moves the links. What sensors on them should then read is compared
-with what they read, so that no density of the motors' positions is there to be improved by a wrong spring.
+with what they read, so that a wrong spring cannot improve a density of the motors' positions.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LEAST_ZERO = 1e-3
 OF_TIME = ("time_constant", "delay", *OF_LINK_ENCODERS)
 LEAST_NOISE = 1e-9
 FIRST = 0.05
-"""So long motors are looked at to see whether a recording starts in motion [s]."""
+"""Length of the beginning of a recording that decides whether it starts in motion [s]."""
 
 LEAST_START, LEAST_SPEED = 1e-4, 1e-3
 """Uncertainty of the links' first positions [rad] and velocities [rad/s], beside what gravity and motion make of it."""
@@ -209,7 +209,8 @@ class ResponseProblem:
         weighted = np.concatenate([by, np.where(given, left.clean, 0.0)[:, :, None]], axis=2)
         weighted *= np.sqrt(left.weight)[:, :, None]
         gram = products(weighted.reshape(given.size, total + 1))
-        # What another start of the links would explain is not told: it is projected out (Golub and Pereyra 1973).
+        # What another start of the links would explain carries no information: it is projected out (Golub and Pereyra
+        # 1973).
         start = slice(p, total)
         explained = np.linalg.solve(gram[start, start] + np.diag(1 / self._start**2), gram[start])
         told = gram[:p] - gram[:p, start] @ explained

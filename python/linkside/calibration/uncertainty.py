@@ -1,4 +1,4 @@
-"""How far to believe estimates: standard errors, what the data cannot tell, contradictions between recordings."""
+"""How far to trust estimates: standard errors, identifiability, contradictions between recordings."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ NEVER_KNOWN = ("damping", "link_friction", "link_coulomb", *("translation", "rot
 """Kinds of which robot.yaml's value is a guess, as of a sensor's mounting by hand."""
 
 STANDING_IN = (("time_constant", "delay"), OF_LINK_ENCODERS)
-"""Kinds of which one does what another of the same sensor would: without it the other is told."""
+"""Kinds that can replace each other in one sensor: without one of them the other is identifiable."""
 
 HIDING = 0.2
 """A parameter that is less correlated with a stiffness is not what hides it."""
@@ -106,7 +106,7 @@ class Uncertainty:
 
 @dataclass(frozen=True)
 class Untold:
-    """What recordings do not tell.
+    """Parameters that are not identifiable from recordings.
 
     Attributes
     ----------
@@ -154,7 +154,7 @@ def unidentifiable(
     still: Sequence[str],
     known: frozenset[str] = frozenset(),
 ) -> Untold:
-    """Parameters that the recordings cannot tell, each with the reason; the worst first, then anew.
+    """Find the parameters that are not identifiable, each with the reason: leave out the worst, then look again.
 
     Parameters
     ----------
@@ -190,14 +190,14 @@ def unidentifiable(
                 # It stays among what is uncertain: others are no better known for a value that nothing tells.
                 considered.add(name)
         else:
-            reasons[chosen[hidden_by].name] = f"with it {name} could not be told; free it by name to try"
+            reasons[chosen[hidden_by].name] = f"with it {name} would not be identifiable; free it by name to try"
             considered.discard(chosen[hidden_by].name)
             del kept[hidden_by]
     return Untold(reasons, frozenset(considered))
 
 
 def _enough(p: Parameter) -> float:
-    """The standard error, in tolerances, at which a parameter is told: of noise, none is too large.
+    """Largest standard error, in tolerances, of an identifiable parameter; for noise there is no limit.
 
     A damping or a bias that is half known still keeps springs from making up for a wrong one; masses likewise.
     """
@@ -219,7 +219,7 @@ def _least_told(index: int, free: Sequence[Parameter], told: FloatArray) -> int:
 
 
 def _hiding(index: int, covariance: FloatArray, free: Sequence[Parameter]) -> int | None:
-    """What to leave as robot.yaml has it so that a stiffness can be told: what is most like it, or nothing.
+    """Find the parameter to leave as in robot.yaml so that a stiffness becomes identifiable; None if there is none.
 
     Never a damping, a bias or a mounting: a spring that makes up for a wrong one is far off.
     """
@@ -252,7 +252,8 @@ def _reason(parameter: Parameter, alone: float, covariance: FloatArray, index: i
     correlation = covariance[index] / (std * std[index])
     correlation[index] = 0.0
     partner = int(np.argmax(np.abs(correlation)))
-    return f"it cannot be told from {free[partner].name} (correlation {correlation[partner]:+.2f}); it takes {advice}"
+    other = f"{free[partner].name} (correlation {correlation[partner]:+.2f})"
+    return f"it cannot be distinguished from {other}; it takes {advice}"
 
 
 @dataclass(frozen=True)

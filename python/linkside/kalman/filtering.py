@@ -1,11 +1,11 @@
-"""What filters share, whatever their model: readings by kind, one recording or many, the live state."""
+"""What the filters of all models share: readings by kind, one recording or many, the live state."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar, overload
+from typing import Any, Generic, Literal, Protocol, TypeVar, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -20,15 +20,17 @@ from linkside.recording.estimate import Estimate, without_waits
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
+from .cleaning import cleaned
 from .disturbance_evidence import explains, is_seen, is_suspicious, looks_broken, of_estimate, of_load
 from .link_disturbance import LinkDisturbance, Wanted, check, given_law, stiffness, widened
+from .losses import Losses, by_kind
 from .scale import blame_settings
 from .start import Moving, Readings, Spread, Start, find_start, given
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class KalmanEstimate(Estimate):
-    """An estimate with what tells whether to believe it.
+    """An estimate with the quantities that show whether to trust it.
 
     Attributes
     ----------
@@ -65,7 +67,7 @@ class CoreFilter(Protocol):
 
 
 class Startable(CoreFilter, Protocol):
-    """A filter of the core that can be told where it starts."""
+    """A filter of the core whose start can be set."""
 
     def reset(self) -> None:
         """Forget the state."""
@@ -76,6 +78,13 @@ class Startable(CoreFilter, Protocol):
 
     def set_start(self, mean: FloatArray, covariance: FloatArray) -> None:
         """Let a first sample find this belief."""
+
+
+class Robust(Protocol):
+    """A filter of the core that can weigh readings."""
+
+    def set_losses(self, names: Sequence[str]) -> None:
+        """Let errors of each channel cost what is named."""
 
 
 Core = TypeVar("Core", bound=CoreFilter)
@@ -97,7 +106,7 @@ class LiveFilter(Copies, ABC, Generic[Core]):
         return self._live.covariance
 
     def reset(self) -> None:
-        """Forget the state: the next `step` starts anew."""
+        """Reset: the next `step` starts from the beginning."""
         self._started, self.status = None, 0
 
     @property
@@ -112,9 +121,9 @@ class LiveFilter(Copies, ABC, Generic[Core]):
 
 
 class KalmanMethod(Described, ABC):
-    """A Kalman filter, or with ``_smooth`` a smoother, of any model, over recordings."""
+    """A Kalman filter, or by ``_way`` a smoother, of any model, over recordings."""
 
-    _smooth = False
+    _way: Literal["filter", "smooth", "iterate"] = "filter"
     noise: Any
     left_out: tuple[str, ...] = ()
     """Fields of its estimates that are no columns."""
@@ -128,8 +137,10 @@ class KalmanMethod(Described, ABC):
         iterations: int,
         start: Start = "auto",
         link_disturbance: Wanted = False,
+        loss: Losses = "squares",
     ) -> None:
         super().__init__()
+        self._losses = by_kind(loss)
         self._link_disturbance = check(link_disturbance)
         if isinstance(start, str) and start not in ("auto", "rest"):
             raise EstimatorError(f"start is {start!r}, expected 'auto', 'rest', or a mean and a covariance")
@@ -149,7 +160,14 @@ class KalmanMethod(Described, ABC):
             "gate": self._gate,
             "start": start,
             "link_disturbance": self._link_disturbance,
+            "loss": self._described_losses(),
         }
+
+    def _described_losses(self) -> Any:
+        """The loss of all kinds, or of each that has another than squares."""
+        if len(set(self._losses.values())) == 1:
+            return self._losses["motor"]
+        return {kind: loss for kind, loss in self._losses.items() if loss != "squares"}
 
     @overload
     def run(self, log: Log, *, covariance: bool = False, innovations: bool = False) -> KalmanEstimate: ...
@@ -190,11 +208,11 @@ class KalmanMethod(Described, ABC):
     def _run_each(
         self, log: Any, job: Callable[[Log], Job[KalmanEstimate]], covariance: bool, innovations: bool
     ) -> Any:
-        return run_each(log, job, lambda jobs: self._run_all(jobs, self._smooth, covariance, innovations))
+        return run_each(log, job, lambda jobs: self._run_all(jobs, self._way, covariance, innovations))
 
     def _filtered(self, log: Log, law: LinkDisturbance | None) -> KalmanEstimate:
         """The filter's estimate of a recording, also of a smoother."""
-        return run_each(log, lambda one: self._job(one, law), lambda jobs: self._run_all(jobs, False, False, False))
+        return run_each(log, lambda one: self._job(one, law), lambda jobs: self._run_all(jobs, "filter", False, False))
 
     def _disturbed(self, log: Log, plain: KalmanEstimate, covariance: bool, innovations: bool) -> KalmanEstimate:
         """The estimate with disturbance torques of the links where there are some, else ``plain``."""
@@ -232,6 +250,11 @@ class KalmanMethod(Described, ABC):
         """The same for `step`, which has no recording to look at."""
         return given_law(self.noise, self.robot) if self._link_disturbance is True else None
 
+    def _weigh(self, core: Robust, kinds: tuple[str, ...]) -> None:
+        """Tell a filter of the core what errors of its channels cost."""
+        if any(self._losses[kind] != "squares" for kind in kinds):
+            core.set_losses([self._losses[kind] for kind in kinds for _ in range(self.width(kind))])
+
     def _begin(
         self,
         core: Startable,
@@ -241,7 +264,7 @@ class KalmanMethod(Described, ABC):
         jerk: FloatArray,
         law: LinkDisturbance | None = None,
     ) -> None:
-        """Tell a filter of the core where it starts: what the user says, or its first samples, if there are any."""
+        """Set where a filter of the core starts: as the user says, or from its first samples, if there are any."""
         if self._at == "rest":
             return
         arrays = noise.arrays(self.robot, kinds)
@@ -259,6 +282,8 @@ class KalmanMethod(Described, ABC):
         spread = Spread(np.array(arrays["reading"])[:n], max(noise.motor_velocity, 1e-9), sensors, jerk)
         if "acceleration" not in kinds:
             first = Readings(first.t, first.theta, first.dtheta, None)
+        motors, acceleration = (self._losses[kind] != "squares" for kind in ("motor", "acceleration"))
+        first = cleaned(first, spread, motors=motors, acceleration=acceleration)
         moving = find_start(self.robot, first, spread)
         if moving is not None:
             mean, std = self._state(moving, arrays)
@@ -269,7 +294,7 @@ class KalmanMethod(Described, ABC):
             core.set_start(*start)
 
     def _tied(self, covariance: FloatArray) -> FloatArray:
-        """Correlate what depends on each other at the start."""
+        """Set the correlations of states that depend on each other at the start."""
         return covariance
 
     @abstractmethod

@@ -27,7 +27,7 @@ Poles = float | PolePattern | Mapping[str, "PolePattern | Sequence[complex]"]
 
 
 class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate]):
-    """Observer driven by measured accelerations; it needs nothing of the links' dynamics.
+    """Observer driven by measured accelerations; it needs no model of the links' dynamics.
 
     De Luca, Schröder and Thümmel, "An acceleration-based state observer for robot manipulators with elastic joints",
     ICRA 2007: Theorem 1, Theorem 2 (inertial coupling, where robot.yaml gives it) and equation (12).
@@ -52,8 +52,9 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         Combinations of link accelerations that the sensors determine worse than this [rad/s²] are damped, as near a
         singular posture, and flagged in ``status``.
     start
-        ``"auto"``: the first samples tell how fast the robot moves. ``"rest"``: it does not at the first one. Or a
-        state one period before the first sample, a mapping of ``theta``, ``q``, ``dtheta`` and ``dq``, each (n,).
+        ``"auto"``: the first samples determine how fast the robot moves. ``"rest"``: the robot is at rest at the first
+        sample. Or a state one period before the first sample, a mapping of ``theta``, ``q``, ``dtheta`` and ``dq``,
+        each (n,).
 
     Raises
     ------
@@ -131,7 +132,7 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
             A reading is infinite, a signal has a wrong shape, or a motor position has been missing for more than
             0.05 s. The observer is as it was before, and takes the next sample.
         NumericalError
-            Readings so absurd that the estimate is no longer finite: the next sample starts anew.
+            Readings so extreme that the estimate is no longer finite; the observer restarts at the next sample.
         """
         return self._live().step(theta, tau, acceleration)
 

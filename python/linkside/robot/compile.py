@@ -1,4 +1,4 @@
-"""From a Pinocchio model to the core's kinematic tree."""
+"""Compilation of a Pinocchio model into the core's kinematic tree."""
 
 import math
 import re
@@ -11,7 +11,7 @@ from linkside import _core
 from linkside.errors import ConfigError
 from linkside.files.yaml_source import Source, suggest
 
-from . import units
+from . import gearing, units
 from .config import RobotConfig
 from .counterbalances import Anchor, Counterbalance
 from .joints import JointConfig, RotorConfig
@@ -32,7 +32,7 @@ def reduce(model: Any, config: RobotConfig, source: Source) -> Any:
     """Lock the joints that are not listed at neutral, and refuse what cannot be compiled."""
     _refuse_joint_types(model)
     _refuse_unknown_joints(model, config, source)
-    listed = {joint.name for joint in config.joints}
+    listed = {joint.name for joint in config.joints} | set(config.linkages)
     locked = [index for index, name in enumerate(model.names) if index > 0 and name not in listed]
     reduced = _lock(model, locked)
     reduced.gravity.linear = np.array(config.gravity)
@@ -106,7 +106,7 @@ def compile_robot(config: RobotConfig, model: Any) -> _core.Robot:
     names = [joint.name for joint in config.joints]
     return _core.Robot(
         config.gravity,
-        _bodies(model, names),
+        _bodies(model, [*names, *config.linkages]),
         [_drive(joint) for joint in config.joints],
         coupling_matrix(config),
         [_sensor(model, sensor) for sensor in config.accelerometers],
@@ -114,6 +114,8 @@ def compile_robot(config: RobotConfig, model: Any) -> _core.Robot:
         None if config.tool is None else _frame(model, config.tool),
         [_rotor(model, config, motor, rotor) for motor, rotor in config.rotors.items()],
         [_counterbalance(model, names, balance) for balance in config.counterbalances],
+        _gearing(config, names),
+        [(names.index(one.follows), one.ratio, one.offset) for one in config.linkages.values()],
     )
 
 
@@ -125,6 +127,12 @@ def coupling_matrix(config: RobotConfig) -> np.ndarray[Any, np.dtype[np.float64]
         for column, value in entries.items():
             matrix[order[row], order[column]] = value
     return matrix
+
+
+def _gearing(config: RobotConfig, names: list[str]) -> tuple[list[int], list[float]]:
+    """Joints that share motors, and their part of Γ, row by row."""
+    joints = gearing.shared(config.gearing, names)
+    return joints, gearing.matrix(config.gearing, names)[np.ix_(joints, joints)].ravel().tolist()
 
 
 def _refuse_joint_types(model: Any) -> None:
@@ -153,6 +161,9 @@ def _refuse_unknown_joints(model: Any, config: RobotConfig, source: Source) -> N
         if joint.name not in known:
             why = "it is fixed" if joint.name in fixed else suggest(joint.name, known)
             raise ConfigError(f"{source.where('joints', index, 'name')}no moving joint '{joint.name}'; {why}")
+    for name in config.linkages:
+        if name not in known:
+            raise ConfigError(f"{source.where('linkages', name)}no moving joint '{name}'; {suggest(name, known)}")
 
 
 def _refuse_unknown_links(model: Any, config: RobotConfig, source: Source) -> None:
@@ -248,6 +259,7 @@ def _drive(joint: JointConfig) -> dict[str, Any]:
         ],
         "hysteresis": [element.numbers for element in joint.hysteresis],
         "ripple": joint.harmonics,
+        "encoder_lines": [cycles for _, cycles in joint.encoder_error.unknown(joint.gear_ratio)],
         "friction_viscous": joint.motor_friction.viscous,
         "friction_coulomb": joint.motor_friction.coulomb,
         "friction_stribeck": joint.motor_friction.stribeck,

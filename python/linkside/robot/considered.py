@@ -1,4 +1,4 @@
-"""Numbers of robot.yaml that are known to a tolerance only: they count in standard deviations, unestimated."""
+"""Parameters that are known to a tolerance only: they widen standard deviations and are not estimated."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CoreTolerance = tuple[str, int, int, float]
 
 @dataclass(frozen=True)
 class Uncertain:
-    """A number that is not known exactly.
+    """A parameter that is not known exactly.
 
     Attributes
     ----------
@@ -83,10 +83,20 @@ def _of_joints(robot: Robot) -> Iterator[Uncertain]:
         if not drive.passive:
             stds["encoder_zero"] = wide.encoder_zero
             stds["lost_motion"] = wide.lost_motion
+            yield from _of_lines(j, drive)
         for kind, std in stds.items():
             if std:
                 name = "mass_scale" if kind == "mass" else kind
                 yield Uncertain(f"{name}_{drive.name}", kind, j, 0, float(std))
+
+
+def _of_lines(j: int, drive: JointConfig) -> Iterator[Uncertain]:
+    """Sine and cosine of each part of an encoder's reading whose phase no run tells."""
+    for line, (amplitude, _) in enumerate(drive.encoder_error.unknown(drive.gear_ratio)):
+        for part, name in enumerate(("sine", "cosine")):
+            yield Uncertain(
+                f"encoder_{name}_{drive.name}_{line}", "encoder_line", j, 2 * line + part, amplitude / 2**0.5
+            )
 
 
 def brakes(drive: JointConfig) -> bool:

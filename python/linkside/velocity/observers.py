@@ -103,7 +103,7 @@ class ReducedOrderObserver(PeriodicObserver[_core.VelocityObserver, VelocityEsti
         ``"motors"``: positions are the log's ``theta`` and torques its ``tau``. ``"links"``: positions are the log's
         ``q`` and torques its ``torque``, what the transmission gives the link; motors then do not matter.
     wrap
-        Positions that jump by a multiple of this are an encoder's wrap, are put right, and flagged UNWRAPPED [rad]:
+        Positions that jump by a multiple of this are an encoder's wrap, are corrected and flagged UNWRAPPED [rad]:
         one number, or one for each joint. By default a turn for revolute joints.
     period
         Sampling period for `step` [s]; by default ``rate_hz`` of robot.yaml. `run` takes the log's.
@@ -169,13 +169,13 @@ class ReducedOrderObserver(PeriodicObserver[_core.VelocityObserver, VelocityEsti
             A reading is infinite, a signal has a wrong shape, or a position has been missing for more than 0.05 s. The
             observer is as it was before, and takes the next sample.
         NumericalError
-            The inertia is singular, or readings so absurd that the estimate is no longer finite: the next sample starts
-            anew.
+            The inertia is singular, or readings are so extreme that the estimate is no longer finite; the observer
+            restarts at the next sample.
         """
         return self._live().step(q, tau)
 
     def start(self, *, dq: Signal, lag: Signal | None = None) -> None:
-        """Start anew from a velocity (n,) [rad/s] at the next sample, and a position ``lag`` (n,) behind it [rad]."""
+        """Restart from a velocity (n,) [rad/s] at the next sample, and a position ``lag`` (n,) behind it [rad]."""
         self._live().start(dq, np.zeros(self.robot.n) if lag is None else lag)
 
     @overload

@@ -131,6 +131,11 @@ impl ElasticJointFilter {
         self.filter.reset();
     }
 
+    /// From now on errors of readings cost what is named, one name a channel.
+    fn set_losses(&mut self, names: Vec<String>) -> PyResult<()> {
+        filtering::set_losses(&mut self.filter, &names)
+    }
+
     /// From now on a first sample finds this mean and covariance of the state; nothing: the robot at rest.
     #[pyo3(signature = (mean, covariance))]
     fn set_start(&mut self, mean: Signal<'_>, covariance: Matrix<'_>) -> PyResult<()> {
@@ -163,13 +168,13 @@ impl ElasticJointFilter {
         filtering::run(py, &mut self.filter, recording, Keep::default())
     }
 
-    /// Each log from a fresh start with the filter beside it, on all cores, through the smoother where asked: its arrays, or the
-    /// exception that it came to.
+    /// Each log from a fresh start with the filter beside it, on all cores, ``"filter"``, ``"smooth"`` or ``"iterate"``: its
+    /// arrays, or the exception that it came to.
     #[staticmethod]
     fn run_all<'py>(
         py: Python<'py>,
         jobs: Vec<(PyRef<'py, Self>, Arrays<'py>)>,
-        smooth: bool,
+        way: &str,
         covariance: bool,
         innovations: bool,
     ) -> PyResult<Vec<Bound<'py, PyAny>>> {
@@ -177,7 +182,7 @@ impl ElasticJointFilter {
             .iter()
             .map(|(own, arrays)| Ok((&own.filter, recording(own.filter.model(), arrays)?)))
             .collect::<PyResult<Vec<_>>>()?;
-        filtering::run_all(py, &jobs, smooth, Keep { covariance, innovations })
+        filtering::run_all(py, &jobs, way, Keep { covariance, innovations })
     }
 }
 

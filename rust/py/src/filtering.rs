@@ -7,7 +7,7 @@ use crate::state::State;
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
     ExtendedKalmanFilter, Fault, FilterOutput, Finding, Gaussian, KalmanRecording, KalmanSample, Keep, Lateness, Model,
-    Phases,
+    NoiseLoss, Phases, Way,
 };
 use linkside_core::estimate::measurement::Kind;
 use numpy::{PyArray1, PyArrayDyn, PyReadonlyArray2};
@@ -22,6 +22,14 @@ pub(crate) fn named(kinds: &[String]) -> PyResult<Vec<Kind>> {
         Kind::named(name).ok_or_else(|| EstimatorError::new_err(format!("{name:?} is no kind of channel")))
     };
     kinds.iter().map(find).collect()
+}
+
+/// Lets errors of readings cost what is named, one name a channel.
+pub(crate) fn set_losses<M: Phases>(filter: &mut ExtendedKalmanFilter<M>, names: &[String]) -> PyResult<()> {
+    let find =
+        |name: &String| NoiseLoss::named(name).ok_or_else(|| EstimatorError::new_err(format!("{name:?} is no loss")));
+    let losses = names.iter().map(find).collect::<PyResult<Vec<_>>>()?;
+    filter.set_losses(&losses).map_err(IntoPyErr::into_py_err)
 }
 
 /// Time constant and delay inside a channel's sensor [s], and how many steps of time the delay can have.
@@ -73,15 +81,20 @@ pub(crate) fn run<'py, M: Phases>(
     into_dict(py, out, filter.model())
 }
 
-/// Each log from a fresh start with the filter beside it, on all cores, through the smoother where asked: its arrays, or the
-/// exception that it came to.
+/// Each log from a fresh start with the filter beside it, on all cores: its arrays, or the exception that it came to.
 pub(crate) fn run_all<'py, M: Phases>(
     py: Python<'py>,
     jobs: &[(&ExtendedKalmanFilter<M>, KalmanRecording<'_>)],
-    smooth: bool,
+    way: &str,
     keep: Keep,
 ) -> PyResult<Vec<Bound<'py, PyAny>>> {
-    let results = py.release(|| Ok::<_, RunError>(ExtendedKalmanFilter::run_each(jobs, smooth, keep)))?;
+    let way = match way {
+        "filter" => Way::Filter,
+        "smooth" => Way::Smooth,
+        "iterate" => Way::Iterate,
+        other => return Err(EstimatorError::new_err(format!("{other:?} is not filter, smooth or iterate"))),
+    };
+    let results = py.release(|| Ok::<_, RunError>(ExtendedKalmanFilter::run_each(jobs, way, keep)))?;
     let convert = |(filter, _): &(&ExtendedKalmanFilter<M>, _), out| into_dict(py, out, filter.model());
     jobs.iter().zip(results).map(|(job, result)| outcome(py, result, |out| convert(job, out))).collect()
 }

@@ -114,6 +114,17 @@ impl ExtendedKalmanFilter {
         self.live.ddqref.clear();
     }
 
+    /// From now on linearises at these leading states, one row a sample.
+    fn linearise_along(&mut self, leading: Matrix<'_>) -> PyResult<()> {
+        let width = leading.shape()[1];
+        self.filter.linearise_along(rows("leading", &leading, width)?, width).map_err(IntoPyErr::into_py_err)
+    }
+
+    /// From now on errors of readings cost what is named, one name a channel.
+    fn set_losses(&mut self, names: Vec<String>) -> PyResult<()> {
+        filtering::set_losses(&mut self.filter, &names)
+    }
+
     /// From now on a first sample finds this mean and covariance of the state; nothing: the robot at rest.
     #[pyo3(signature = (mean, covariance))]
     fn set_start(&mut self, mean: Signal<'_>, covariance: Matrix<'_>) -> PyResult<()> {
@@ -171,13 +182,13 @@ impl ExtendedKalmanFilter {
         filtering::run(py, &mut self.filter, recording, Keep { covariance, innovations })
     }
 
-    /// Each log from a fresh start with the filter beside it, on all cores, through the smoother where asked: its arrays, or the
-    /// exception that it came to.
+    /// Each log from a fresh start with the filter beside it, on all cores, ``"filter"``, ``"smooth"`` or ``"iterate"``: its
+    /// arrays, or the exception that it came to.
     #[staticmethod]
     fn run_all<'py>(
         py: Python<'py>,
         jobs: Vec<(PyRef<'py, Self>, Arrays<'py>)>,
-        smooth: bool,
+        way: &str,
         covariance: bool,
         innovations: bool,
     ) -> PyResult<Vec<Bound<'py, PyAny>>> {
@@ -185,7 +196,7 @@ impl ExtendedKalmanFilter {
             .iter()
             .map(|(own, arrays)| Ok((&own.filter, recording(own.filter.model(), arrays)?)))
             .collect::<PyResult<Vec<_>>>()?;
-        filtering::run_all(py, &jobs, smooth, Keep { covariance, innovations })
+        filtering::run_all(py, &jobs, way, Keep { covariance, innovations })
     }
 }
 

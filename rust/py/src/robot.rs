@@ -43,6 +43,7 @@ struct Drive {
     curve_straight: bool,
     gap: [f64; 3],
     ripple: Vec<[f64; 3]>,
+    encoder_lines: Vec<f64>,
     hysteresis: Vec<[f64; 4]>,
     friction_viscous: f64,
     friction_coulomb: f64,
@@ -136,6 +137,7 @@ impl TryFrom<Drive> for robot::Drive {
             backlash: Backlash { half_gap, slope, rounding },
             hysteresis: Hysteresis { elements: elements.collect() },
             ripple: Ripple::new(harmonics.collect()),
+            encoder_lines: d.encoder_lines,
             motor_friction: Friction {
                 viscous: d.friction_viscous,
                 coulomb: d.friction_coulomb,
@@ -198,11 +200,13 @@ impl Robot {
         tool: Option<Tool>,
         rotors: Vec<RotorPlace>,
         counterbalances: Vec<Balance>,
+        gearing: (Vec<usize>, Vec<f64>),
+        followers: Vec<(usize, f64, f64)>,
     ) -> PyResult<Self> {
-        let coupling = rows("coupling", &coupling, bodies.len())?.to_vec();
+        let coupling = rows("coupling", &coupling, drives.len())?.to_vec();
         let specs: Vec<BodySpec> = bodies.into_iter().map(Body::spec).collect();
         let build = || {
-            let tree = Tree::new(vec3(gravity), &specs)?;
+            let tree = Tree::new(vec3(gravity), &specs)?.with_followers(&followers)?;
             let place = |kind, sensors: Vec<Sensor>| -> Result<Vec<_>, _> {
                 sensors.into_iter().map(|s| s.place(kind, &tree)).collect()
             };
@@ -215,7 +219,8 @@ impl Robot {
             let counterbalances: Vec<_> = counterbalances.into_iter().map(Balance::counterbalance).collect();
             robot::Robot::new(tree, drives, coupling, accelerometers, gyroscopes, tool)?
                 .with_counterbalances(&counterbalances)?
-                .with_rotors(rotors.collect())
+                .with_rotors(rotors.collect())?
+                .with_gearing(gearing.0, &gearing.1)
         };
         let checked = |robot| check_inertia(&robot).map(|()| Self(Arc::new(robot)));
         build().and_then(checked).map_err(IntoPyErr::into_py_err)

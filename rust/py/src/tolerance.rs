@@ -33,6 +33,7 @@ fn uncertain(kind: &str, i: usize, axis: usize) -> PyResult<Uncertain> {
         "motor_friction" => U::MotorFriction(i),
         "motor_inertia" => U::MotorInertia(i),
         "encoder_zero" => U::EncoderZero(i),
+        "encoder_line" => U::EncoderLine(i, axis),
         "lost_motion" => U::LostMotion(i),
         "rotation" => U::Rotation(i, axis),
         "translation" => U::Translation(i, axis),

@@ -257,7 +257,7 @@ impl Report for JerkMeasurement {
         n * (self.dense() + 2) + self.dense()
     }
 
-    /// Where the motors' channels were linearised, and what came of it.
+    /// Where the motors' channels were linearised, and the result.
     #[inline(always)]
     fn remember(&self, memory: &mut Vec<f64>) {
         let n = self.model.joints();

@@ -26,7 +26,7 @@ use crate::robot::Robot;
 /// The state begins with the link positions (n).
 ///
 /// A filter asks for [`start`](Self::start) and [`predict`](Self::predict); the rest serves the smoother, which goes
-/// through the same steps backwards, and parameters, whose columns ride along. All in place, without allocating.
+/// through the same steps backwards, and parameters, whose columns are propagated too. All in place, without allocating.
 pub trait Process: Clone + Send + Sync {
     /// The robot.
     fn robot(&self) -> &Robot;

@@ -32,7 +32,7 @@ pub struct LikelihoodSettings {
     pub torque: bool,
     /// Parameters that are not free, and not as the robot says.
     pub fixed: Vec<(Parameter, f64)>,
-    /// Beyond so many standard deviations an innovation counts linearly (Huber 1964); infinite for the plain likelihood.
+    /// Beyond this many standard deviations an innovation counts linearly (Huber 1964); infinite for the plain likelihood.
     pub huber: f64,
 }
 

@@ -126,7 +126,9 @@ impl AccelerationObserver {
             let sampled = Sampled::new(*model, &robot.drives[joint], &poles, settings.period);
             let late = VaryingGain::new(*model, &robot.drives[joint], speed, settings.period);
             let most = sampled.innovation(model.order(), settings.worst_acceleration_std);
-            corrections.push(JointCorrection::new(late, settings.period, most));
+            let bounds = [most, most * (speed * settings.period).min(1.0)];
+            let link = usize::from(*model != JointModel::Rigid);
+            corrections.push(JointCorrection::new(late, settings.period, bounds, link));
             joints.push(sampled);
         }
         Ok(Self {
@@ -152,7 +154,7 @@ impl AccelerationObserver {
         })
     }
 
-    /// Forgets the state: the next sample starts anew.
+    /// Resets the observer: the next sample starts from the beginning.
     pub fn reset(&mut self) {
         self.taken = 0;
         self.started = false;
@@ -188,7 +190,7 @@ impl AccelerationObserver {
     /// # Errors
     /// A sample that cannot be used, of wrong lengths or with an infinite reading; a first one without every motor position,
     /// or without a static equilibrium; a motor position that has been missing for more than [`LONGEST`]. The state then
-    /// stays as it was. [`RunError::NotFinite`]: readings so absurd that nothing is left; the next sample starts anew.
+    /// stays as it was. [`RunError::NotFinite`]: readings so extreme that the state is not finite; the next sample restarts.
     pub fn step(&mut self, sample: ObserverSample<'_>) -> Result<(), RunError> {
         self.check(sample)?;
         self.take(sample)?;
