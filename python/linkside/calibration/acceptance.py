@@ -9,8 +9,12 @@ from itertools import pairwise
 import numpy as np
 
 from linkside.arrays import FloatArray
+from linkside.kalman.noise import Noise
+from linkside.recording.log import Log
+from linkside.robot import Robot
 
-from .parameters import NOISE, Parameter
+from .links import with_links
+from .parameters import NOISE, WITHOUT_TORQUE, Parameter
 from .posterior import Posterior
 from .problem import OF_SENSORS, Problem
 from .search import ROUGH, Search
@@ -26,6 +30,9 @@ LOSS = -3.0
 
 FAR = 3.0
 """An estimate further from robot.yaml than this, in tolerances, is not one that robot.yaml's tolerance allows for."""
+
+WIDE = 1.96
+"""So many standard errors an estimate may be nearer than it seems."""
 
 
 @dataclass(frozen=True)
@@ -87,20 +94,27 @@ def foretell(problem: Posterior, nominal: Sequence[FloatArray], z: FloatArray) -
     return Foretold(sum(gains), float(np.std(gains) * np.sqrt(len(gains))), min(gains))
 
 
-def filters_gain(problem: Problem, z: FloatArray) -> float:
+def filters_gain(robot: Robot, logs: Sequence[Log], noise: Noise, free: Sequence[Parameter], z: FloatArray) -> float:
     """Log-likelihood that a Kalman filter's model of the links gains, with noise as filters assume it.
 
     That model shares nothing with the links' response but the robot: what explains the encoders' noise, and not the
     robot, is worse there. Sensors are as they were found in both cases.
     """
-    nominal = np.where([p.kind in OF_SENSORS for p in problem.free], z, 0.0)
-    return problem.log_likelihood(z) - problem.log_likelihood(nominal)
+    theirs = [p for p in free if p.kind not in WITHOUT_TORQUE]
+    at = np.array([x for p, x in zip(free, z, strict=True) if p.kind not in WITHOUT_TORQUE])
+    nominal = np.where([p.kind in OF_SENSORS for p in theirs], at, 0.0)
+    found = with_links(robot, {p.core[:2]: p.value(x) for p, x in zip(free, z.tolist(), strict=True)})
+    before, after = (Problem(one, logs, noise, False, theirs) for one in (robot, found))
+    return after.log_likelihood(at) - before.log_likelihood(nominal)
 
 
 def objections(
-    free: Sequence[Parameter], z: FloatArray, foretold: Foretold | None, gain: float | None
+    free: Sequence[Parameter], z: FloatArray, std: FloatArray, foretold: Foretold | None, gain: float | None
 ) -> tuple[str, ...]:
-    """Reasons not to trust an outcome, the most important first; ``gain`` is that of `filters_gain`."""
+    """Reasons not to trust an outcome, the most important first; ``gain`` is that of `filters_gain`.
+
+    Estimates ``z`` and their standard errors ``std`` are in tolerances.
+    """
     found = []
     if foretold is not None and not foretold.better:
         found.append(f"it does not predict better than robot.yaml as it is ({foretold})")
@@ -112,13 +126,13 @@ def objections(
         ]
     if gain is not None and gain < 0:
         found.append(f"a Kalman filter predicts less well with it than with robot.yaml (log-likelihood {gain:+.1f})")
-    for p, x in zip(free, z.tolist(), strict=True):
+    for p, x, wide in zip(free, z.tolist(), std.tolist(), strict=True):
         if p.kind in NOISE:
             continue
         value = f"{p.name} = {p.value(x):.4g} {p.unit}".rstrip()
-        if p.exceeds(x) and not p.exceeds(0.0):
+        if p.exceeds(x) and not p.exceeds(0.0) and (p.stated or x > 0):  # what is not stated may not be there
             found.append(f"{value} is at its bound")
-        elif abs(x) > FAR and p.stated:
+        elif abs(x) - WIDE * wide > FAR and p.stated:
             found.append(f"{value} is {abs(x):.1f} tolerances from {p.start:.4g}, its value in robot.yaml")
     return tuple(found)
 

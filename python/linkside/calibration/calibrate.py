@@ -19,7 +19,7 @@ from linkside.robot import Robot
 from .acceptance import filters_gain, objections
 from .calibration import Calibration
 from .filter_run import FilterRun
-from .parameters import OF_LINK_ENCODERS, Bounds, Parameter, choose
+from .parameters import BY_LINK_ENCODERS, OF_LINK_ENCODERS, Bounds, Parameter, choose
 from .posterior import Posterior
 from .prepared import kinds, recordings
 from .problem import Problem
@@ -116,15 +116,15 @@ def calibrate(
     if not torque:
         _refuse_without_part(chosen, free or (), logs)
     _refuse_unknown(chosen, start or {})
+    if free is None and not torque and "q" not in kinds(robot, logs):
+        chosen = [p for p in chosen if p.kind not in BY_LINK_ENCODERS]
     run = _run(robot, logs, noise or Noise(), torque, chosen, start or {}, progress)
     run.solve()
     after, found = run.after()
     foretold = run.foretold() if len(run.problem.free) else None
     gain = None
     if foretold is not None and not torque and robot.acceleration_channels:
-        known = [p.kind not in OF_LINK_ENCODERS for p in run.problem.free]  # which that model reads as robot.yaml says
-        theirs = [p for p, is_known in zip(run.problem.free, known, strict=True) if is_known]
-        gain = filters_gain(Problem(robot, logs, noise or Noise(), False, theirs), run.z[known])
+        gain = filters_gain(robot, logs, noise or Noise(), run.problem.free, run.z)
     return Calibration(
         estimates=_estimates(run.problem.free, run.z, found),
         refused=run.refused,
@@ -134,7 +134,7 @@ def calibrate(
         contradictions=_contradictions(run.problem, run.z),
         notes=run.notes,
         foretold=foretold,
-        objections=objections(run.problem.free, run.z, foretold, gain),
+        objections=objections(run.problem.free, run.z, found.std, foretold, gain),
         evaluations=run.evaluations,
         seconds=time.perf_counter() - began,
         problem=run.problem,
@@ -157,8 +157,7 @@ def _run(
     still = [name for name, does in zip(robot.names, moves, strict=True) if not does]
     if torque:
         return FilterRun(Problem(robot, logs, noise, torque, free), still, start, progress)
-    without = OF_FILTERS if "q" in kinds(robot, logs) else (*OF_FILTERS, *OF_LINK_ENCODERS)
-    seen = [p for p in free if p.kind not in without]
+    seen = [p for p in free if p.kind not in OF_FILTERS]
     return ResponseRun(ResponseProblem(robot, recordings(robot, logs), seen), still, start, progress)
 
 

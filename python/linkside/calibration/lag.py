@@ -61,7 +61,7 @@ class Lag:
 
     def _shifted(self, values: FloatArray, order: int) -> FloatArray:
         """Interpolate by cubics through four samples (Lagrange); of order 1, the derivative in the shift."""
-        whole = int(np.floor(self.shift))
+        whole = max(0, int(np.floor(self.shift)))  # rounding may leave a shift of zero below it
         u = self.shift - whole
         if order == 0 and self.shift == 0.0:
             return values

@@ -15,7 +15,7 @@ from linkside.recording.log import Log
 from linkside.robot import Robot
 
 from .band import MISSING
-from .motors import motors
+from .motors import motors, unsettled
 from .signals import filled, without_spikes
 
 KINDS = ("acceleration", "rate", "q", "torque", "dq")
@@ -68,7 +68,8 @@ class Prepared:
     def of(cls, robot: Robot, log: Log, kinds: Sequence[str]) -> Prepared:
         """Prepare ``log``."""
         readings = np.concatenate([_readings(robot, log, kind) for kind in kinds], axis=1)
-        missing = np.isnan(readings)
+        missing, ends = np.isnan(readings), unsettled(robot, log)
+        missing[:ends] = missing[len(missing) - ends :] = True
         readings[:, missing.all(axis=0)] = 0.0
         zeros = sum(width(robot, kind) for kind in kinds if kind in ZEROS)
         return cls(log, motors(robot, log), filled(readings), missing, np.zeros(2 * robot.n + zeros))

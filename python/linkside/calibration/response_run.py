@@ -37,6 +37,9 @@ FACTORS = (1 / 3, 3.0)
 FIRST = ("stiffness", "damping", "bias")
 """Kinds that the way is found with; what makes up for these, such as a load, comes later."""
 
+OF_SPRINGS = ("stiffness", "cubic_stiffness", "damping")
+"""Kinds that one sensor alone must find as the others do."""
+
 WIDER = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8)
 """Factors that are tried on the corner frequencies by which motors' positions are smoothed."""
 
@@ -112,11 +115,11 @@ class ResponseRun(CalibrationRun[ResponseProblem]):
         return replace(found, sensors=self._by_others(settled, nominal))
 
     def _by_others(self, settled: ResponseProblem, nominal: FloatArray) -> dict[str, float]:
-        """Log-likelihood that each sensor's readings gain by a fit to the others' only, sensors' own errors kept."""
+        """Log-likelihood that each sensor's readings gain by a fit of springs to the others' only, all else kept."""
         sensors = self.problem.sensors()
         if len(sensors) < 2:
             return {}
-        drives = [p for p in self.problem.free if p.kind not in OF_SENSORS]
+        drives = [p for p in self.problem.free if p.kind in OF_SPRINGS]
         gains = {}
         for name, columns in sensors.items():
             others = self.problem.reading([c for c in range(len(self.problem.channels)) if c not in columns])

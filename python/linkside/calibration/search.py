@@ -95,7 +95,7 @@ class Search:
             foretold = float(here.gradient @ step - 0.5 * step @ curvature @ step)
             if foretold < self.gain:
                 break
-            there = self._try(here.z + step)
+            there = self._try(np.clip(here.z + step, *self.bounds()))
             gained = -np.inf if there is None else there.value - here.value
             box = _resized(box, step, gained / foretold)
             if there is None:

@@ -79,7 +79,7 @@ def _of_joints(robot: Robot) -> Iterator[Uncertain]:
             stds["cubic_stiffness"] = 0.5 * drive.cubic_stiffness
         else:
             stds["yielding"] = (2 * np.pi * wide.rigid_frequency) ** -2
-        stds["link_friction"] = wide.link_friction if _brakes(drive) else 0.0
+        stds["link_friction"] = wide.link_friction if brakes(drive) else 0.0
         if not drive.passive:
             stds["encoder_zero"] = wide.encoder_zero
             stds["lost_motion"] = wide.lost_motion
@@ -99,7 +99,7 @@ def _of_lines(j: int, drive: JointConfig) -> Iterator[Uncertain]:
             )
 
 
-def _brakes(drive: JointConfig) -> bool:
+def brakes(drive: JointConfig) -> bool:
     """Whether a link has friction."""
     bearing = drive.bearing_friction
     return any((*drive.link_friction, bearing.viscous, bearing.coulomb, bearing.stribeck, bearing.load))

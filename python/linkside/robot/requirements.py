@@ -101,14 +101,12 @@ UNSUPPORTED: dict[str, tuple[str, ...]] = {
         "rotors",
         "gearing",
         "linkages",
-        "stiffness_table",
-        "backlash",
         "hysteresis",
-        "ripple",
         *BY_LOAD,
         "asymmetry",
         "passive",
     ),
+    "calibration with motor torques": ("stiffness_table", "backlash", "ripple"),
 }
 """Keys that each method does not account for."""
 
