@@ -5,9 +5,9 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 # Units stand in brackets, as links do.
-RUSTDOC := RUSTDOCFLAGS="-D warnings -A rustdoc::broken-intra-doc-links" cargo doc --locked --no-deps -p linkside-core -p linkside-bag --target-dir target
+RUSTDOC := RUSTDOCFLAGS="-D warnings -A rustdoc::broken-intra-doc-links" cargo doc --locked --no-deps -p linkside-core -p linkside-bag -p linkside-compiled --target-dir target
 
-.PHONY: demo test lint bench docs lock clean
+.PHONY: demo test lint bench latency header docs figures lock clean
 
 demo: $(VENV) ## build, install, run the main job on the recording inside the package
 	$(PIP) .
@@ -16,9 +16,9 @@ demo: $(VENV) ## build, install, run the main job on the recording inside the pa
 test: $(VENV) ## everything that must hold
 	$(PIP) ".[test,lint]"
 	RUSTFLAGS="--cfg one_level" cargo test --locked -p linkside-core -p linkside-bag
-	cargo test --locked --workspace --release --test '*' # of the workspace: with the wheel's features, on its build of the core
+	cargo test --locked --workspace --release --features linkside-capi/header --test '*' # of the workspace: with the wheel's features, on its build of the core
 	$(BIN)/python -m mypy.stubtest linkside._core
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile # a worker a core, not two
+	LINKSIDE_CAPI=target/release/deps OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile # a worker a core, not two
 
 lint: $(VENV)
 	$(PIP) ".[test,lint]"
@@ -33,12 +33,25 @@ bench: $(VENV) ## beside what one would use instead
 	$(PIP) ".[test,bench]"
 	$(BIN)/python benches/python/run.py
 
+latency: $(VENV) ## the slowest of 10⁶ steps of a controller's loop, for 3, 6 and 7 joints
+	$(PIP) ".[test]"
+	mkdir -p target/latency
+	cargo run --locked --release -p linkside-compiled --example latency -- 1e6 $$($(BIN)/python benches/python/latency.py target/latency)
+
+header: ## rust/capi/include/linkside.h, of the functions that are there
+	LINKSIDE_WRITE_HEADER=1 cargo test --locked -p linkside-capi --features header --test header
+
 docs: $(VENV) ## the pages, and the API reference of both languages beside them, into site
 	$(PIP) ".[docs]"
 	$(RUSTDOC)
 	rm -rf site
 	PYTHONPATH=docs $(BIN)/zensical build --strict
 	cp -r target/doc site/rust
+	$(BIN)/python docs/notebooks.py site/tutorials
+
+figures: $(VENV) ## draw every figure of the pages anew, some minutes
+	$(PIP) ".[docs]"
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python docs/figures.py
 
 lock: $(VENV) ## renew constraints.txt
 	$(PIP) uv

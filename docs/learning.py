@@ -1,10 +1,11 @@
-"""Draws docs/learning.png, and prints the table of docs/learning.md: a motion, learnt from by each kind of estimate."""
+"""Draws learning.svg and prints the table of learning.md: a motion is learnt with each kind of estimate."""
 
 from collections.abc import Callable
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from drawing import save, style
 
 from linkside import (
     Estimate,
@@ -18,6 +19,7 @@ from linkside import (
 )
 from linkside.arrays import FloatArray
 from linkside.control.controllers import JointPD
+from linkside.figures import COLOURS, finish
 from linkside.learning import Motion, PathLearning, wanted_motion
 
 HERE = Path(__file__).parent
@@ -35,7 +37,8 @@ ESTIMATES: dict[str, Estimator] = {
 }
 
 
-def main() -> None:
+@style()
+def draw_all() -> None:
     """Learn a square and a turn of the base, on robots that are as known and on others."""
     square, turn = Robot.load(SQUARE / "robot.yaml"), Robot.load(demo.ROBOT)
     motions = {
@@ -46,15 +49,15 @@ def main() -> None:
     }
     figure, panels = plt.subplots(1, len(motions), figsize=(10, 2.8), sharey=True, layout="constrained")
     for axes, (name, (known, true, motion)) in zip(panels, motions.items(), strict=True):
-        for method, estimator in ESTIMATES.items():
+        for (method, estimator), colour in zip(ESTIMATES.items(), COLOURS, strict=False):
             errors = learn(known, true, motion, estimator)
             print(f"{name:15} {method:18} " + " ".join(f"{error:8.4f}" for error in errors), flush=True)
-            axes.semilogy(errors, marker=".", label=method)
+            axes.semilogy(errors, marker=".", color=colour, label=method)
         axes.set(title=name, xlabel="repeat", xticks=range(0, REPEATS + 1, 2))
-        axes.grid(alpha=0.3)
+        finish(axes, legend=False)
     panels[0].set_ylabel("tool error, rms [mm]")
     panels[-1].legend(fontsize="x-small")
-    figure.savefig(HERE / "learning.png", dpi=110)
+    save(figure, HERE / "learning.svg")
 
 
 def wrong(robot: Robot) -> Robot:
@@ -82,7 +85,3 @@ def told(run: Simulation, q: FloatArray) -> Estimate:
     """Positions as an estimate."""
     log = run.log
     return Estimate(log.t, q, run.truth["dq"], log.theta, log.dtheta, np.zeros(len(log), np.uint8), run.robot.names)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,7 @@
-"""Draws docs/particle_error.png and prints its table: the tool's error against the number of particles."""
+"""Prints the error of the tool against the number of particles, and draws particle_error.svg.
+
+The figure of the pages has fewer particles and seeds than the table, which takes ten minutes.
+"""
 
 import argparse
 from collections.abc import Iterator
@@ -8,9 +11,10 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
+from drawing import save, style
 
 from linkside import Estimate, ExtendedKalmanFilter, Log, MarginalizedParticleFilter, Noise, ParticleFilter, Robot
+from linkside.figures import COLOURS, finish
 from linkside.tuning import tune
 
 FloatArray = npt.NDArray[np.float64]
@@ -24,18 +28,27 @@ TUNED = ("transmission", "acceleration")
 
 
 def main() -> None:
-    """Estimate both recordings with every number of particles and seed, and draw the medians."""
+    """Estimate both recordings with every number of particles and seed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--particles", type=int, nargs="+", default=COUNTS, help="two at least")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--kernel", type=float, default=1.0)
-    options = parser.parse_args()
-    figure, all_axes = plt.subplots(2, 2, figsize=(8, 6), dpi=100, sharex=True, layout="constrained")
+    compare(parser.parse_args())
+
+
+@style()
+def draw_all() -> None:
+    """Draw the figure of the pages."""
+    compare(argparse.Namespace(particles=[100, 250, 500, 1000], seeds=3, kernel=1.0), HERE / "particle_error.svg")
+
+
+def compare(options: argparse.Namespace, path: Path | None = None) -> None:
+    """Estimate both recordings, and draw the medians where a path is given."""
+    figure, all_axes = plt.subplots(2, 2, figsize=(8, 6), sharex=True, layout="constrained")
     for name, axes in zip(RECORDINGS, all_axes.T, strict=True):
         draw(axes, name, options)
-    figure.canvas.draw()
-    pixels = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())).convert("RGB")  # type: ignore[attr-defined]
-    pixels.quantize(32).save(HERE / "particle_error.png", optimize=True)
+    if path is not None:
+        save(figure, path)
 
 
 def draw(axes: Any, name: str, options: argparse.Namespace) -> None:
@@ -47,19 +60,21 @@ def draw(axes: Any, name: str, options: argparse.Namespace) -> None:
     motors = apart(robot.tool_position(log.theta), truth)
     axes[0].axhline(motors, color="grey", linewidth=1, label="motor positions")
     print(f"{name}: motor positions {motors:.4f} mm, then medians over seeds (and the worst)")
-    for label, noise, style in noises(robot, log):
+    for tuned, noise, dash in noises(robot, log):
         kalman = ExtendedKalmanFilter(robot, noise).run(log)
         level = apart(kalman.tool_position, truth)
-        axes[0].axhline(level, color="black", linestyle=style, linewidth=1, label=f"Kalman filter{label}")
-        print(f"  Kalman filter{label} {level:.4f}, {noise.transmission=}, {noise.acceleration=}")
-        for color, method in enumerate(METHODS):
+        axes[0].axhline(level, color="black", linestyle=dash, linewidth=1, label=f"Kalman filter{tuned}")
+        print(f"  Kalman filter{tuned} {level:.4f}, {noise.transmission=}, {noise.acceleration=}")
+        for index, method in enumerate(METHODS):
             found = compared(method, robot, noise, log, options, truth, kalman)
             for what, values in zip(MEASURES, found, strict=True):
                 say(f"{method}, {what}", options.particles, values)
             for one, values in zip(axes, found, strict=False):
-                (curve,) = one.loglog(options.particles, np.median(values, axis=1), f"C{color}.", linestyle=style)
-                curve.set_label(f"{method}{label}")
-    finish(axes, name, options.particles)
+                (curve,) = one.loglog(
+                    options.particles, np.median(values, axis=1), ".", color=COLOURS[index], linestyle=dash
+                )
+                curve.set_label(f"{method}{tuned}")
+    label(axes, name, options.particles)
 
 
 def noises(robot: Robot, log: Log) -> Iterator[tuple[str, Noise, str]]:
@@ -89,7 +104,7 @@ def compared(
 
 
 def spread(estimate: Estimate, kalman: Estimate) -> float:
-    """How sure of the links' positions, beside the Kalman filter: ratio of standard deviations, median over time."""
+    """Ratio of the standard deviations of link positions to those of the Kalman filter, median over time."""
     assert estimate.q_std is not None
     assert kalman.q_std is not None
     return float(np.median(estimate.q_std / kalman.q_std))
@@ -112,7 +127,7 @@ def say(what: str, counts: list[int], found: FloatArray) -> None:
     print(f"  {what:36} {row}  N^{power:.2f}", flush=True)
 
 
-def finish(axes: Any, name: str, counts: list[int]) -> None:
+def label(axes: Any, name: str, counts: list[int]) -> None:
     """Labels, and the slope of chance."""
     axes[0].set(title=name, ylabel="tool error [mm]")
     end = axes[1].lines[0].get_ydata()[-1]
@@ -122,7 +137,7 @@ def finish(axes: Any, name: str, counts: list[int]) -> None:
         axes[0].legend(fontsize=7)
         axes[1].legend(fontsize=7)
     for one in axes:
-        one.grid(alpha=0.3)
+        finish(one, legend=False)
 
 
 if __name__ == "__main__":

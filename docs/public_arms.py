@@ -1,21 +1,21 @@
 """Public arms that are as their robot.yaml says, and the same with one faulty channel: what filters say of them.
 
-Arms of the package example-robot-data with springs, dampers, motors and two accelerometers or none go from one posture to
-another and back, at several rates. Without a fault every flag is false; with one the right channel is to be named. Prints
-what docs/trust.md has of these; `--arms` and `--rates` say how long it may take.
+Arms of the package example-robot-data with springs, dampers, motors and two accelerometers or none go from one posture
+to another and back, at several rates. Without a fault every flag is false; with one the right channel is to be named.
+Prints what docs/trust.md has of these; `--arms` and `--rates` say how long it may take.
 """
 
 import argparse
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from typing import Any
 
 import numpy as np
 from detection import spoiled
-from drawn_robots import Array, public_arm, public_files, dressed
+from drawn_robots import Array, dressed, public_arm, public_files
 
 from linkside import ElasticJointFilter, ExtendedKalmanFilter, Log, Robot
 from linkside.control.controllers import JointPD
@@ -82,7 +82,8 @@ def line(verdicts: list[Verdict]) -> str:
     """Means of shares, sums of findings."""
     flagged, off, silent = (np.mean([getattr(v, what) for v in verdicts]) for what in ("flagged", "off", "silent"))
     named, unnamed = (sum(getattr(v, what) for v in verdicts) for what in ("named", "unnamed"))
-    return f"flagged {flagged:.2%}, off {off:.2%}, and good {silent:.2%}, findings {named} with a channel, {unnamed} without"
+    findings = f"findings {named} with a channel, {unnamed} without"
+    return f"flagged {flagged:.2%}, off {off:.2%}, and good {silent:.2%}, {findings}"
 
 
 def shown(estimate: Any) -> str:
@@ -132,9 +133,8 @@ def faulty(specimen: Specimen, method: Any, clean: Any) -> Iterator[tuple[str, s
             else "named"
         )
         if moved >= 3 and outcome != "named":
-            print(
-                f"   {specimen.name}, {method}, {name} {fault}: moved {moved:.0f}, off and good {silent:.1%}, {outcome}; {shown(estimate)}"
-            )
+            what = f"moved {moved:.0f}, off and good {silent:.1%}, {outcome}; {shown(estimate)}"
+            print(f"   {specimen.name}, {method}, {name} {fault}: {what}")
         yield f"{signal} {fault}", outcome
         if moved >= 3:
             yield f"{signal} {fault}", "off and good" if silent > 0.02 else "honest"

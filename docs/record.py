@@ -1,4 +1,4 @@
-"""Draws docs/record.svg, what motions tell of springs, and prints the table of docs/record.md, in a minute or two."""
+"""Draws record.svg, how well motions determine springs, and prints the table of record.md; takes a minute or two."""
 
 import runpy
 import tempfile
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from drawing import save, style
 
 from linkside import Log, Robot, Sensor, simulate
 from linkside.calibration import calibrate
@@ -48,9 +49,9 @@ def draw_readings(axes: plt.Axes, robot: Robot) -> None:
     axes.legend(frameon=False, fontsize="small", loc="lower right")
 
 
-def main() -> None:
+@style()
+def draw_all() -> None:
     """Calibrate on recordings from fast to slow, of large motions and small ones."""
-    plt.rcParams["svg.hashsalt"] = "linkside"
     walk = runpy.run_path(str(HERE / "walk.py"))["walk"]
     with tempfile.TemporaryDirectory() as directory:
         walk(HERE / "tutorials/path.md", Path(directory))
@@ -77,8 +78,4 @@ def main() -> None:
     errors.legend(frameon=False, fontsize="x-small")
     for axes in (readings, errors):
         finish(axes, legend=False)
-    figure.savefig(HERE / "record.svg", metadata={"Date": None})
-
-
-if __name__ == "__main__":
-    main()
+    save(figure, HERE / "record.svg")

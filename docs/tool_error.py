@@ -1,10 +1,11 @@
-"""Draws docs/tool_error.svg for the README: a robot, and the path of its tool by its motors and by the observer."""
+"""Draws tool_error.svg for the README: a robot, and the path of its tool by its motors and by the observer."""
 
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pinocchio
+from drawing import save, style
 
 from linkside import AccelerationObserver, Estimate, Log, Robot
 from linkside.figures.style import COLOURS, finish
@@ -14,7 +15,8 @@ FOLDER = HERE.parent / "tests/data/arm2_square"
 MAGNIFIED = 10  # so that millimetres show on a square of 20 cm
 
 
-def main() -> None:
+@style()
+def draw_all() -> None:
     """Estimate a square path of a two-joint arm, and draw it."""
     robot = Robot.load(FOLDER / "robot.yaml")
     log = Log.read(FOLDER / "log.parquet", robot)
@@ -27,7 +29,6 @@ def main() -> None:
             "observer": AccelerationObserver(robot).run(log).tool_position,
         }.items()
     }
-    plt.rcParams["svg.hashsalt"] = "linkside"
     figure, (arm, square, time) = plt.subplots(1, 3, figsize=(10, 3), layout="constrained", width_ratios=(1, 1, 1.6))
     draw_arm(arm, robot, truth.q[0])
     arm.plot(path[::4, 0], path[::4, 2], color="black", linewidth=1)
@@ -42,7 +43,7 @@ def main() -> None:
     time.legend(loc="upper right", frameon=False, ncols=2)
     for axes in (arm, square, time):
         finish(axes, legend=False)
-    figure.savefig(HERE / "tool_error.svg", metadata={"Date": None})
+    save(figure, HERE / "tool_error.svg")
 
 
 def draw_arm(axes: plt.Axes, robot: Robot, q: np.ndarray) -> None:
@@ -54,7 +55,3 @@ def draw_arm(axes: plt.Axes, robot: Robot, q: np.ndarray) -> None:
     axes.plot(points[:, 0], points[:, 2], color="0.7", linewidth=7, solid_capstyle="round", solid_joinstyle="round")
     axes.plot(points[1:-1, 0], points[1:-1, 2], "o", color=COLOURS[0], markersize=8)
     axes.plot(points[0, 0], points[0, 2], "s", color="0.4", markersize=10)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,12 +1,14 @@
-"""Draws transmissions.png (torque over motor angle of each law, link held), friction.png and counterbalances.png."""
+"""Draws transmissions.svg (torque over motor angle of each law, link held), and the other pictures of its page."""
 
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from drawing import save, style
 
 from linkside import Robot, Sensor, simulate
+from linkside.figures import COLOURS, finish
 
 HERE = Path(__file__).parent
 HELD = """<robot name="held"><link name="base"/><link name="arm"><inertial><mass value="1"/>
@@ -34,6 +36,16 @@ COUNTERBALANCES: dict[str, dict[str, Any]] = {
     "spring": {"ends": ENDS, "spring": {"stiffness": 3e3, "length": 0.2}},
     "gas": {"ends": ENDS, "gas": {**GAS, "acts": "pull"}},
     "series": {"joints": ["axis"], "series": [{"order": 1, "sine": -200}, {"order": 3, "sine": 40}]},
+}
+ENCODERS: dict[str, dict[str, Any]] = {
+    "zero, scale": {"zero": 1e-3, "scale": 1.0005},
+    "beside the centre: order 1": {"harmonics": [{"order": 1, "amplitude": 1e-3, "phase": 0.5, "of": "output"}]},
+    "lines: orders n and n/2": {
+        "harmonics": [
+            {"order": 60, "amplitude": 2e-4, "phase": 0.0, "of": "output"},
+            {"order": 30, "amplitude": 1e-4, "phase": 1.0, "of": "output"},
+        ]
+    },
 }
 TIME, AMPLITUDE, RATE = 3.0, 2e-3, 1000.0
 
@@ -68,39 +80,46 @@ def lift(counterbalance: dict[str, Any]) -> tuple[Any, Any]:
     return angle[:, 0], -robot.gravity_torque(angle)[:, 0]
 
 
+def misread(error: dict[str, Any]) -> tuple[Any, Any]:
+    """Angle [rad] and how far a reading is from it [mrad]."""
+    joint = {"name": "axis", "motor_inertia": 1.5, "stiffness": 1e4, "encoder_error": error}
+    angle = np.linspace(-np.pi, np.pi, 1801)
+    encoder = Robot.from_urdf(HELD, [joint]).encoder_readings["theta"][0]
+    return angle, 1e3 * (encoder.of(angle) - angle)
+
+
 def row(curves: dict[str, tuple[Any, Any]], abscissa: str, ordinate: str, file: str) -> None:
     """Draw curves side by side."""
     figure, panels = plt.subplots(1, len(curves), figsize=(9, 2.7), layout="constrained")
     for axes, (name, curve) in zip(panels, curves.items(), strict=True):
-        axes.plot(*curve, linewidth=1)
+        axes.plot(*curve, color=COLOURS[0], linewidth=1)
         axes.set_title(name, fontsize=10)
         axes.set_xlabel(abscissa)
-        axes.grid(alpha=0.3)
+        finish(axes, legend=False)
     panels[0].set_ylabel(ordinate)
-    figure.savefig(HERE / file, dpi=110)
+    save(figure, HERE / file)
 
 
-def main() -> None:
+@style()
+def draw_all() -> None:
     """Draw them side by side."""
     frictions = {name: friction(*law) for name, law in FRICTION.items()}
-    row(frictions, "motor speed [rad/s]", "friction [N m]", "friction.png")
+    row(frictions, "motor speed [rad/s]", "friction [N m]", "friction.svg")
     row(
         {name: lift(law) for name, law in COUNTERBALANCES.items()},
         "joint angle [rad]",
         "torque [N m]",
-        "counterbalances.png",
+        "counterbalances.svg",
     )
+    encoders = {name: misread(error) for name, error in ENCODERS.items()}
+    row(encoders, "angle [rad]", "reading less angle [mrad]", "encoders.svg")
     figure, panels = plt.subplots(2, 3, figsize=(9, 5), layout="constrained", sharex=True)
     for axes, (name, drive) in zip(panels.flat, LAWS.items(), strict=True):
-        axes.plot(*measured(drive), linewidth=1)
+        axes.plot(*measured(drive), color=COLOURS[0], linewidth=1)
         axes.set_title(name, fontsize=10)
-        axes.grid(alpha=0.3)
+        finish(axes, legend=False)
     for axes in panels[-1]:
         axes.set_xlabel("motor angle, link held [mrad]")
     for axes in panels[:, 0]:
         axes.set_ylabel("torque [N m]")
-    figure.savefig(HERE / "transmissions.png", dpi=110)
-
-
-if __name__ == "__main__":
-    main()
+    save(figure, HERE / "transmissions.svg")

@@ -1,4 +1,4 @@
-"""Draws docs/trust.png, and prints how honest estimates are on recordings whose truth is known.
+"""Prints how honest estimates are on recordings whose truth is known; draws trust.svg.
 
 With folders that hold robot.yaml, log.parquet and truth.parquet, the table is of these; else of those in tests/data.
 """
@@ -11,18 +11,20 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
+from drawing import save, style
 
 from linkside import ElasticJointFilter, Estimate, ExtendedKalmanFilter, Log, RauchTungStriebelSmoother, Robot
+from linkside.figures import COLOURS, finish
 from linkside.recording.estimate import Status
 
 HERE = Path(__file__).parent
 DATA = HERE.parent / "tests/data"
+THIN = 5  # rows of the recording for one of the figure
 METHODS = {"ekf": ExtendedKalmanFilter, "smoother": RauchTungStriebelSmoother, "elastic": ElasticJointFilter}
 
 
 def main() -> None:
-    """Print the table, then draw."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folders", type=Path, nargs="*", default=sorted(DATA.iterdir()))
     parser.add_argument("--rows", type=int, default=3000)
@@ -32,8 +34,6 @@ def main() -> None:
     for folder in options.folders:
         for method in options.methods:
             say(folder, method, options.rows)
-    if options.folders == sorted(DATA.iterdir()):
-        draw()
 
 
 def say(folder: Path, method: str, rows: int) -> None:
@@ -63,25 +63,34 @@ def errors(estimate: Estimate, truth: Estimate) -> npt.NDArray[np.float64]:
     return ratio[:, ~np.isnan(ratio).all(axis=0)]
 
 
-def draw() -> None:
+@style()
+def draw_all() -> None:
     """A wrong model with and without tolerances; and a sensor whose sign turns."""
-    figure, (above, below) = plt.subplots(2, 1, figsize=(8, 6), dpi=100, layout="constrained")
+    figure, (above, below) = plt.subplots(2, 1, figsize=(8, 6), layout="constrained")
     model(above)
     fault(below)
-    figure.canvas.draw()
-    pixels = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())).convert("RGB")  # type: ignore[attr-defined]
-    pixels.quantize(32).save(HERE / "trust.png", optimize=True)
+    for axes in (above, below):
+        finish(axes, legend=False)
+    save(figure, HERE / "trust.svg")
 
 
 def model(axes: Any) -> None:
     """Error of a joint whose spring and load are not those of robot.yaml, inside what is said of it."""
     robot, log, truth = read(DATA / "arm2_square_mismatch", 3000)
-    for tolerances, color, label in ((True, "C0", "with tolerances"), (False, "C3", "noise alone")):
+    for tolerances, color, label in ((True, COLOURS[0], "with tolerances"), (False, COLOURS[1], "noise alone")):
         estimate = ExtendedKalmanFilter(robot, tolerances=tolerances).run(log)
         assert estimate.q_std is not None
         width = 3e6 * estimate.q_std[:, 0]
-        axes.fill_between(log.t, -width, width, color=color, alpha=0.3 if tolerances else 0.9, label=f"3 σ, {label}")
-    axes.plot(log.t, 1e6 * (estimate.q - truth.q[: len(log)])[:, 0], "k", linewidth=1, label="error")
+        axes.fill_between(
+            log.t[::THIN],
+            -width[::THIN],
+            width[::THIN],
+            color=color,
+            alpha=0.3 if tolerances else 0.9,
+            label=f"3 σ, {label}",
+        )
+    error = 1e6 * (estimate.q - truth.q[: len(log)])[:, 0]
+    axes.plot(log.t[::THIN], error[::THIN], "k", linewidth=1, label="error")
     axes.set(title="A spring 8 % softer than robot.yaml says, a payload that it lacks", ylabel="axis 2 [µrad]")
     axes.legend(loc="upper right", fontsize=8)
 
@@ -94,8 +103,8 @@ def fault(axes: Any) -> None:
     acceleration[900:, 0] *= -1
     estimate = ExtendedKalmanFilter(robot).run(replace(log, acceleration=acceleration))
     flagged = (estimate.status & Status.FAULTY) > 0
-    axes.semilogy(log.t, estimate.nis, "C0", linewidth=1, label="NIS of each row")
-    axes.fill_between(log.t, 1e-3, 1e6, where=flagged, color="C3", alpha=0.2, label="status: faulty")
+    axes.semilogy(log.t, estimate.nis, color=COLOURS[0], linewidth=1, label="NIS of each row")
+    axes.fill_between(log.t, 1e-3, 1e6, where=flagged, color=COLOURS[1], alpha=0.2, label="status: faulty")
     finding = estimate.findings[0]
     axes.set(
         title=f"'{finding.channel}' looks {finding.kind} from row {finding.since} on", xlabel="t [s]", ylabel="NIS"

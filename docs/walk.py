@@ -1,7 +1,8 @@
 """Does what a tutorial says: saves its files, runs its commands and its code, in the order of the page.
 
 A block of ``xml`` is saved as robot.urdf and one of ``yaml`` as robot.yaml. A command ends with ``# exit status N``
-where that is not 0. What ``print`` gives is what the comment behind it says, to its last digit.
+where that is not 0. What ``print`` gives is what the comment behind it, or a line ``# …`` below it, says, to its last
+digit.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ def run_code(block: str, names: dict[str, Any]) -> None:
     """Run a block of code, and hold what it prints to the comments behind."""
     with contextlib.redirect_stdout(io.StringIO()) as said:
         exec(compile(block, "tutorial", "exec"), names)
-    promises = re.findall(r"^print\(.*\)  # (.*)$", block, re.MULTILINE)
+    comments = re.findall(r"^print\(.*\)  # (.*)$|^# (.*)$", block, re.MULTILINE)
+    promises = [beside or below for beside, below in comments]
     for promise, line in zip(promises, said.getvalue().splitlines(), strict=True):
         for stated, found in zip(numbers(promise), numbers(line), strict=True):
             digits = len(stated.partition(".")[2].partition("e")[0])

@@ -1,6 +1,5 @@
 """The simulator, six elastic joints, beside the same step in NumPy and Pinocchio; and the space robot's closed loop."""
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from timing import Result, microseconds
 
 from linkside import Robot, simulate
 from linkside.control.controllers import JointPD
+from linkside.papers.ulrich2011 import estimator, run, space_robot
 
 ROOT = Path(__file__).parents[2]
 RATE = 4000.0
@@ -28,9 +28,6 @@ def bench() -> Iterator[Result]:
         raise SystemExit(f"linkside and NumPy are {apart:.1e} rad apart, this compares nothing")
     theirs = microseconds(lambda: plain(robot, goal), STEPS, repeats=3)
     yield Result("simulate, 6 joints", microseconds(lambda: ours(robot, goal), STEPS), "NumPy + Pinocchio", theirs)
-    sys.path.append(str(ROOT / "examples"))
-    from space_robot import estimator, run, space_robot
-
     space = space_robot("nonlinear")
     loop = microseconds(lambda: run(space, estimator(space), 100e3, SQUARE / 100e3), SQUARE, repeats=3)
     yield Result("space robot, EKF and adaptive control", loop, most=10.0)

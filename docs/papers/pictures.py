@@ -1,28 +1,22 @@
-"""Draws the pictures of the papers' pages: one of each example's figures. Takes a few minutes."""
+"""Draws the pictures of the papers' pages: one figure of each repeated experiment."""
 
-import shutil
-import subprocess
-import sys
-import tempfile
+from importlib import import_module
 from pathlib import Path
 
+from drawing import save, style
+
 HERE = Path(__file__).parent
-EXAMPLES = HERE.parents[1] / "examples"
 PICTURES = {
-    "elastic_control": "control_short",
-    "space_robot": "tool_path",
-    "square_path": "error",
-    "velocity_two_links": "bounded",
+    "deluca2007": "control_short",
+    "axelsson2012": "error",
+    "ulrich2011": "tool_path",
+    "cristofaro2023": "bounded",
 }
 
 
-def main() -> None:
-    """Run each example, and keep its picture."""
-    for example, picture in PICTURES.items():
-        with tempfile.TemporaryDirectory() as folder:
-            subprocess.run([sys.executable, EXAMPLES / f"{example}.py", "--out", folder], check=True)
-            shutil.copy(Path(folder) / f"{picture}.png", HERE / f"{example}.png")
-
-
-if __name__ == "__main__":
-    main()
+def draw_all() -> None:
+    """Repeat each experiment, and keep its picture."""
+    for paper, picture in PICTURES.items():
+        with style():
+            found = import_module(f"linkside.papers.{paper}").reproduce()
+            save(found.figures[picture], HERE / f"{paper}.svg")

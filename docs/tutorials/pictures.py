@@ -1,19 +1,18 @@
 """Draws the pictures of the tutorials, from what their pages do when they are followed."""
 
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from drawing import save, style
+from walk import walk
 
 from linkside import Estimate, ExtendedKalmanFilter, Log, Robot
 from linkside.figures.style import COLOURS, finish
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE.parent))
-from walk import walk  # noqa: E402
 
 
 def norm(error: np.ndarray) -> np.ndarray:
@@ -21,21 +20,16 @@ def norm(error: np.ndarray) -> np.ndarray:
     return 1e3 * np.linalg.norm(error - error.mean(axis=0), axis=1)
 
 
-def save(figure: plt.Figure, name: str) -> None:
-    """Write an SVG that is the same each time."""
-    figure.savefig(HERE / name, metadata={"Date": None})
-
-
 def draw_path(names: dict[str, Any], folder: Path) -> None:
     """Path and errors of the first tutorial."""
     log, estimate, motors = names["log"], names["estimate"], names["motors"]
     truth = Estimate.read(folder / "run/truth.parquet").tool_position
     figure, (path, error) = plt.subplots(1, 2, figsize=(9, 3.2), layout="constrained", width_ratios=(1, 1.7))
-    for tool, style in (
+    for tool, look in (
         (motors, {"color": COLOURS[1]}),
         (estimate.tool_position, {"color": COLOURS[0], "linewidth": 3}),
     ):
-        path.plot(tool[:, 0], tool[:, 2], **style)
+        path.plot(tool[:, 0], tool[:, 2], **look)
     path.plot(truth[:, 0], truth[:, 2], "k--", linewidth=1)
     path.set(title="path of the tool", xlabel="x [m]", ylabel="z [m]", aspect="equal")
     error.semilogy(log.t, 1e3 * np.linalg.norm(motors - truth, axis=1), color=COLOURS[1], label="motors alone")
@@ -48,7 +42,7 @@ def draw_path(names: dict[str, Any], folder: Path) -> None:
     error.legend(frameon=False, ncols=2, loc="upper right", fontsize="small")
     for axes in (path, error):
         finish(axes, legend=False)
-    save(figure, "path.svg")
+    save(figure, HERE / "path.svg")
 
 
 def draw_fault(names: dict[str, Any], folder: Path) -> None:
@@ -65,7 +59,7 @@ def draw_fault(names: dict[str, Any], folder: Path) -> None:
     for axes in (nis, error):
         axes.axvspan(0.6, log.t[-1], color=COLOURS[1], alpha=0.15, linewidth=0)
         finish(axes, legend=False)
-    save(figure, "fault.svg")
+    save(figure, HERE / "fault.svg")
 
 
 def draw_calibration(names: dict[str, Any], folder: Path) -> None:
@@ -93,20 +87,50 @@ def draw_calibration(names: dict[str, Any], folder: Path) -> None:
     for axes in (values, error):
         finish(axes, legend=False)
     values.margins(x=0.1)
-    save(figure, "calibrate.svg")
+    save(figure, HERE / "calibrate.svg")
 
 
-def main() -> None:
-    """Follow both tutorials, and draw what came out."""
-    plt.rcParams["svg.hashsalt"] = "linkside"
-    with tempfile.TemporaryDirectory() as directory:
-        for page, draw in (("path.md", (draw_path, draw_fault)), ("calibrate.md", (draw_calibration,))):
-            folder = Path(directory) / page
-            folder.mkdir()
-            names = walk(HERE / page, folder)
+def draw_loop(names: dict[str, Any], folder: Path) -> None:
+    """Deviation of the link in the closed loop of the third tutorial."""
+    figure, axes = plt.subplots(figsize=(8, 3), layout="constrained")
+    t = names["motion"].t
+    for (fed_back, error), colour in zip(names["deviation"].items(), (COLOURS[1], COLOURS[0]), strict=True):
+        axes.plot(t, error, color=colour, linewidth=1.2, label=f"feedback of {fed_back}")
+    axes.axvspan(0.05, 0.25, color="0.6", alpha=0.2, linewidth=0, label="motion")
+    axes.set(title="deviation of link 1 from its plan", xlabel="time [s]", ylabel="[mrad]")
+    axes.legend(frameon=False)
+    finish(axes, legend=False)
+    save(figure, HERE / "loop.svg")
+
+
+def draw_repeats(names: dict[str, Any], folder: Path) -> None:
+    """Errors over repeats of the fourth tutorial."""
+    figure, axes = plt.subplots(figsize=(8, 3), layout="constrained")
+    for label, errors, look in (
+        ("learning from motors: true error", names["true"], {"color": COLOURS[1], "marker": "o"}),
+        ("learning from motors: error seen by the motors", names["seen"], {"color": COLOURS[1], "linestyle": ":"}),
+        ("learning from the observer: true error", names["better"], {"color": COLOURS[0], "marker": "o"}),
+    ):
+        axes.semilogy(errors, label=label, **look)
+    axes.set(title="error of the tool, RMS of each repeat", xlabel="repeat", ylabel="[mm]")
+    axes.legend(frameon=False, fontsize="small")
+    finish(axes, legend=False)
+    save(figure, HERE / "repeats.svg")
+
+
+PICTURES = {
+    "path.md": (draw_path, draw_fault),
+    "calibrate.md": (draw_calibration,),
+    "loop.md": (draw_loop,),
+    "repeats.md": (draw_repeats,),
+}
+
+
+@style()
+def draw_all() -> None:
+    """Follow the tutorials, and draw what they found."""
+    for page, draw in PICTURES.items():
+        with tempfile.TemporaryDirectory() as directory:
+            names = walk(HERE / page, Path(directory))
             for picture in draw:
-                picture(names, folder)
-
-
-if __name__ == "__main__":
-    main()
+                picture(names, Path(directory))

@@ -23,10 +23,12 @@ from .errors import (
 )
 from .kalman import (
     ElasticJointFilter,
+    ElasticJointIteratedSmoother,
     ElasticJointSmoother,
     ElasticNoise,
     ExtendedKalmanFilter,
     FixedLagSmoother,
+    IteratedSmoother,
     KalmanEstimate,
     Noise,
     RauchTungStriebelSmoother,
@@ -44,6 +46,7 @@ __all__ = [
     "AccelerationObserver",
     "ConfigError",
     "ElasticJointFilter",
+    "ElasticJointIteratedSmoother",
     "ElasticJointSmoother",
     "ElasticNoise",
     "Estimate",
@@ -54,6 +57,7 @@ __all__ = [
     "FixedLagSmoother",
     "GainMap",
     "HybridGain",
+    "IteratedSmoother",
     "KalmanEstimate",
     "LinksideError",
     "LinksideWarning",

@@ -23,6 +23,7 @@ __all__ = [
     "StretchSmoother",
     "VelocityObserver",
     "acceleration_inverse",
+    "compiled",
     "derivative_order",
     "feedforward",
     "largest_nis",
@@ -41,18 +42,7 @@ _KalmanArrays = tuple[_Array, _Array, _Array, _Array]
 class Robot:
     """A robot flattened for the kernels. Methods take rows (T, n) and give one array a row."""
 
-    def __new__(
-        cls,
-        gravity: Sequence[float] | _Array,
-        bodies: Sequence[Mapping[str, Any]],
-        drives: Sequence[Mapping[str, Any]],
-        coupling: _Array,
-        accelerometers: Sequence[Mapping[str, Any]],
-        gyroscopes: Sequence[Mapping[str, Any]],
-        tool: Mapping[str, Any] | None,
-        rotors: Sequence[Mapping[str, Any]],
-        counterbalances: Sequence[Mapping[str, Any]],
-    ) -> Robot: ...
+    def __new__(cls, description: Mapping[str, Any]) -> Robot: ...
     @property
     def n(self) -> int: ...
     def inverse_dynamics(self, q: _Array, dq: _Array, ddq: _Array) -> _Array: ...
@@ -72,18 +62,7 @@ class Robot:
 class AccelerationObserver:
     """Observer of one robot, designed for one sampling period."""
 
-    def __new__(
-        cls,
-        robot: Robot,
-        *,
-        period: float,
-        poles: Sequence[Sequence[complex]],
-        bias: bool,
-        predictor: bool,
-        joint_accelerations: bool,
-        worst_acceleration_std: float,
-        rest: bool,
-    ) -> AccelerationObserver: ...
+    def __new__(cls, robot: Robot, settings: Mapping[str, Any]) -> AccelerationObserver: ...
     def copy(self) -> AccelerationObserver: ...
     def reset(self) -> None: ...
     def start(self, theta: _Signal, q: _Signal, dtheta: _Signal, dq: _Signal) -> None: ...
@@ -197,21 +176,7 @@ class Response:
 class ExtendedKalmanFilter:
     """Extended Kalman filter of one robot."""
 
-    def __new__(
-        cls,
-        robot: Robot,
-        *,
-        kinds: Sequence[str],
-        biased: Sequence[bool],
-        noise: Mapping[str, Any],
-        gate: float | None,
-        iterations: int,
-        damping: bool,
-        tolerances: Sequence[tuple[str, int, int, float]],
-        correlations: Sequence[tuple[int, int, float]] = ...,
-        late: Sequence[tuple[float, float, int] | None] | None = None,
-        link_disturbance: Mapping[str, Any] | None = None,
-    ) -> ExtendedKalmanFilter: ...
+    def __new__(cls, robot: Robot, settings: Mapping[str, Any]) -> ExtendedKalmanFilter: ...
     @property
     def states(self) -> int: ...
     @property
@@ -224,6 +189,7 @@ class ExtendedKalmanFilter:
     def covariance(self) -> _Array: ...
     def copy(self) -> ExtendedKalmanFilter: ...
     def reset(self) -> None: ...
+    def linearise_along(self, leading: _Array) -> None: ...
     def set_start(self, mean: _Signal, covariance: _Array) -> None: ...
     def step(
         self,
@@ -237,30 +203,14 @@ class ExtendedKalmanFilter:
     def run(self, arrays: _KalmanArrays, covariance: bool, innovations: bool) -> dict[str, npt.NDArray[Any]]: ...
     @staticmethod
     def run_all(
-        jobs: Sequence[tuple[ExtendedKalmanFilter, _KalmanArrays]], smooth: bool, covariance: bool, innovations: bool
+        jobs: Sequence[tuple[ExtendedKalmanFilter, _KalmanArrays]], way: str, covariance: bool, innovations: bool
     ) -> list[dict[str, npt.NDArray[Any]] | Exception]: ...
 
 @final
 class ElasticJointFilter:
     """Kalman filter on the elastic-joint model of one robot."""
 
-    def __new__(
-        cls,
-        robot: Robot,
-        *,
-        kinds: Sequence[str],
-        disturbances: bool,
-        biased: Sequence[bool],
-        first_order: bool,
-        held: bool,
-        noise: Mapping[str, Any],
-        gate: float | None,
-        iterations: int,
-        tolerances: Sequence[tuple[str, int, int, float]],
-        correlations: Sequence[tuple[int, int, float]] = ...,
-        late: Sequence[tuple[float, float, int] | None] | None = None,
-        link_disturbance: Mapping[str, Any] | None = None,
-    ) -> ElasticJointFilter: ...
+    def __new__(cls, robot: Robot, settings: Mapping[str, Any]) -> ElasticJointFilter: ...
     @property
     def states(self) -> int: ...
     @property
@@ -277,7 +227,7 @@ class ElasticJointFilter:
     @staticmethod
     def run_all(
         jobs: Sequence[tuple[ElasticJointFilter, tuple[_Array, _Array, _Array]]],
-        smooth: bool,
+        way: str,
         covariance: bool,
         innovations: bool,
     ) -> list[dict[str, npt.NDArray[Any]] | Exception]: ...
@@ -342,19 +292,7 @@ class ParticleFilter:
 class VelocityObserver:
     """Velocity observer of one robot, designed for one sampling period."""
 
-    def __new__(
-        cls,
-        robot: Robot,
-        *,
-        period: float,
-        gains: Sequence[float],
-        levels: Mapping[str, Any] | None,
-        map: Mapping[str, Any] | None,
-        spring: Sequence[float],
-        motors: bool,
-        wrap: Sequence[float],
-        rest: bool,
-    ) -> VelocityObserver: ...
+    def __new__(cls, robot: Robot, settings: Mapping[str, Any]) -> VelocityObserver: ...
     def copy(self) -> VelocityObserver: ...
     def reset(self) -> None: ...
     def start(self, dq: _Signal, lag: _Signal) -> None: ...
@@ -366,6 +304,7 @@ class VelocityObserver:
         jobs: Sequence[tuple[VelocityObserver, tuple[_Array, _Array]]],
     ) -> list[dict[str, npt.NDArray[Any]] | Exception]: ...
 
+def compiled(description: Mapping[str, Any]) -> tuple[bytes, dict[str, int]]: ...
 def observer_gains(robot: Robot, joint: int, poles: Sequence[complex]) -> _Array: ...
 def sampled_observer(robot: Robot, joint: int, poles: Sequence[complex], period: float) -> list[_Array]: ...
 def acceleration_inverse(robot: Robot, q: _Signal, worst_std: float) -> _Array: ...

@@ -13,7 +13,7 @@ from .errors import EstimatorError
 
 
 def one_of(name: str, value: object, allowed: Sequence[str]) -> None:
-    """Insist on one of a few words."""
+    """Check that an argument is one of a few words."""
     if value not in allowed:
         raise EstimatorError(f"{name} is {value!r}, expected {' or '.join(map(repr, allowed))}")
 
@@ -40,7 +40,7 @@ def whole(name: str, value: Any, least: int = 0) -> int:
 
 
 def numbers(name: str, value: npt.ArrayLike) -> FloatArray:
-    """Give an array of float64; complex numbers, text and dates would be cast at a loss, and are refused."""
+    """Return an array of float64; refuse complex numbers, text and dates, which a cast would change."""
     try:
         array = np.asarray(value)
         if array.dtype.kind not in "fiub":
@@ -75,7 +75,7 @@ def positive(name: str, value: Any) -> float:
 
 
 def time_step(dt: float) -> float:
-    """Give a step of time back, which must be one that a clock makes."""
+    """Return a time step, which must be positive and finite."""
     if not 0 < dt < np.inf:
         raise EstimatorError(f"dt is {dt}, expected a positive, finite time in seconds")
     return dt

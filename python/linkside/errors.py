@@ -1,4 +1,4 @@
-"""What linkside raises: one family, each member also the built-in error a caller would expect."""
+"""Exceptions and warnings of linkside; each error is also the built-in error that a caller would expect."""
 
 LONGEST = 500
 """Characters of a message."""
@@ -33,11 +33,11 @@ class OutputError(LinksideError, OSError):
 
 
 class LinksideWarning(UserWarning):
-    """Base of what linkside warns of: an estimate is possible, and may be wrong for the reason given."""
+    """Base of linkside's warnings: an estimate is possible, but may be wrong for the reason given."""
 
 
 class RecordingWarning(LinksideWarning):
-    """Something in a recording is suspicious, or was put right: names the column, the row and the remedy."""
+    """Something in a recording is suspicious, or was corrected: names the column, the row and the remedy."""
 
 
 class RobotWarning(LinksideWarning):

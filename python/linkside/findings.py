@@ -1,4 +1,4 @@
-"""What an estimator found wrong with a recording, and what is likely to be its cause."""
+"""Faults that an estimator found in a recording, and their likely causes."""
 
 from __future__ import annotations
 

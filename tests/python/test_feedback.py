@@ -1,6 +1,5 @@
 """State feedback: poles where they were asked for, closed loops on another robot than the known one, refusals."""
 
-import sys
 from itertools import product
 
 import numpy as np
@@ -13,12 +12,10 @@ from linkside.control.closed_loop import closed_loop_poles
 from linkside.control.feedback import StateFeedback, linearised, lqr, motor_only, pole_placement
 from linkside.control.trajectories import rest_to_rest
 from linkside.observers.poles import damped
+from linkside.papers import deluca2007
 from linkside.robot.joints import MotorFriction
 
-from .robots import ARM, DATA, spring
-
-sys.path.insert(0, str(DATA.parents[1] / "examples"))
-import elastic_control
+from .robots import ARM, spring
 
 ROBOT = Robot.load(linkside.demo.ROBOT)
 START = Log.read(linkside.demo.LOG, ROBOT).theta[0]
@@ -74,13 +71,13 @@ def test_the_regulator_is_stable_and_swifter_with_more_torque():
 
 
 @pytest.mark.parametrize(("rate", "poles"), [(1000, 150.0), (2000, 250.0), (4000, 500.0)])
-@pytest.mark.parametrize("motion", elastic_control.MOTIONS)
+@pytest.mark.parametrize("motion", deluca2007.MOTIONS)
 def test_full_state_halves_overshoot_and_vibration(motion, rate, poles):
-    angle, duration = elastic_control.MOTIONS[motion]
+    angle, duration = deluca2007.MOTIONS[motion]
     found = {}
     for name, gains in (("full", pole_placement(ROBOT, START)), ("motor", motor_only(ROBOT, START))):
-        t, q, true, _ = elastic_control.experiment(ROBOT, START, angle, duration, gains, poles, 1 / rate)
-        found[name] = np.array(elastic_control.vibration(t, q, true, duration))
+        motion = deluca2007.experiment(ROBOT, START, angle, duration, gains, poles, 1 / rate)
+        found[name] = np.array(motion.settling(duration))
     assert (found["full"] <= 0.5 * found["motor"]).all(), found
 
 

@@ -30,7 +30,7 @@ def recorded():
     return moved(arm(link_encoder={"resolution": 1e-7, "corner_frequency": CORNER}))
 
 
-def moved(true):
+def moved(true, substeps=4):
     """Two seconds of it, there and back."""
     start = np.array([0.3, 0.5])
     times = np.arange(0.0, 2.0, 0.01)
@@ -40,7 +40,7 @@ def moved(true):
     inertia = np.diag(true.mass_matrix(start)) + [d.motor_inertia for d in true.drives]
     hold = true.gravity_torque(start)
     control = JointPD(kp=900 * inertia, kd=42 * inertia, times=times, theta=theta + torsion, tau=hold)
-    return simulate(true, control, 2.0, 1000.0, substeps=4, q=start, seed=1).log
+    return simulate(true, control, 2.0, 1000.0, substeps=substeps, q=start, seed=1).log
 
 
 def test_their_filter_is_found_with_the_springs(recorded, tmp_path):
@@ -85,3 +85,24 @@ def test_a_filter_of_encoders_that_are_not_there_is_refused():
     robot, log = load(MISMATCH)
     with pytest.raises(EstimatorError, match="'link_time_constant' shows in link encoders only"):
         calibrate(robot, log[:100], ["stiffness", "link_time_constant"])
+
+
+@pytest.mark.parametrize(
+    ("kind", "law", "nominal", "truth"),
+    [
+        ("half_gap", {"backlash": {"half_gap": 3e-4, "rounding": 1e-4}}, {"backlash": {"half_gap": 2e-4}}, 3e-4),
+        ("link_coulomb", {"bearing_friction": {"coulomb": 3.0}}, {}, 3.0),
+        ("link_friction", {"link_friction": [0, 1, 1, 0, 1, 6]}, {"link_friction": [0, 1, 1, 0, 1, 3]}, 2.0),
+    ],
+)
+def test_play_and_friction_of_links_are_found(kind, law, nominal, truth):
+    def robot(**more):
+        more.setdefault("backlash", {})
+        if more["backlash"]:
+            more["backlash"] = {"rounding": 1e-4, **more["backlash"]}
+        joints = [spring("shoulder", stiffness=1e4), spring("elbow", stiffness=4e3, **more)]
+        return Robot.from_urdf(ARM, joints, **SETTINGS, link_encoder={"resolution": 1e-7})
+
+    found = calibrate(robot(**nominal), moved(robot(**law), 8), ["stiffness", "damping", kind], torque=False)
+    assert found[f"{kind}_elbow"].value == pytest.approx(truth, rel=0.05)
+    assert found["stiffness_elbow"].value == pytest.approx(4e3, rel=0.02)

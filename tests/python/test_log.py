@@ -44,6 +44,14 @@ class Robot:
         return np.zeros(len(self.names), bool)
 
     @property
+    def gearing(self) -> np.ndarray:
+        return np.eye(len(self.names))
+
+    @property
+    def encoder_readings(self) -> dict:
+        return {}
+
+    @property
     def acceleration_errors(self) -> tuple[np.ndarray, np.ndarray]:
         return np.zeros(len(self.acceleration_channels)), np.ones(len(self.acceleration_channels))
 

@@ -58,7 +58,7 @@ stamps = st.lists(st.integers(0, 200), min_size=2, max_size=40, unique=True).map
 @given(joints=stamps, imu=stamps, early=st.floats(-4e-6, 4e-6))
 def test_a_merged_table_is_that_of_pandas(joints, imu, early):
     """Stamps a hundredth of a period apart at most are the same."""
-    if joints[0] > imu[-1] or imu[0] > joints[-1]:
+    if joints[0] >= imu[-1] or imu[0] >= joints[-1]:
         return
     a = pd.DataFrame({"t": 0.001 * np.array(joints)} | {c: np.arange(len(joints)) + 0.5 for c in MOTORS[1:5]})
     b = pd.DataFrame({"t": 0.001 * np.array(imu)} | {c: -1.0 * np.arange(len(imu)) for c in SENSOR})

@@ -10,6 +10,7 @@ from linkside import (
     EstimatorError,
     ExtendedKalmanFilter,
     FixedLagSmoother,
+    IteratedSmoother,
     Log,
     MarginalizedParticleFilter,
     NicosiaTomeiObserver,
@@ -31,6 +32,11 @@ from linkside.velocity.residual import momentum_residual
 from .robots import ARM, spring
 
 ROWS, PERIOD = 60, 1e-3
+# With a joint that a linkage may move, at zero without one.
+HAND = '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/>'
+MASS = """<link name="hand"><inertial><origin xyz="0.1 0 0.1"/><mass value="0.4"/>
+    <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial></link>"""
+URDF = ARM.replace('"wrist" type="fixed">', '"wrist" type="revolute">' + HAND).replace('<link name="hand"/>', MASS)
 TIP = {"name": "tip", "link": "hand", "xyz": [0.1, 0, 0.3]}
 NOISE = Noise(jerk=100.0)
 
@@ -45,13 +51,16 @@ def robot(sensor=None, drive=None, elbow=None, **settings):
     joints = [spring("shoulder", **(drive or {})), spring("elbow", **(drive or {}), **(elbow or {}))]
     if elbow:
         joints[1] |= {"motor_inertia": None}
-    return Robot.from_urdf(ARM, joints, accelerometers=[TIP | (sensor or {})], **settings)
+    return Robot.from_urdf(URDF, joints, accelerometers=[TIP | (sensor or {})], **settings)
 
 
 # What robot.yaml can declare beyond the plain robot, by a word that a refusal has to say.
 DECLARED = {
     "coupling": {"coupling": {"shoulder": {"elbow": 0.1}}},
     "rotor": {"rotors": {"elbow": {"link": "upper", "axis": [0, 1, 0]}}},
+    "gearing": {"gearing": {"elbow": {"shoulder": 0.02}}},
+    "linkages": {"linkages": {"wrist": {"follows": "elbow", "ratio": 0.5}}},
+    "encoder_error": {"drive": {"encoder_error": {"scale": 1.01}}},
     "corner_frequency": {"sensor": {"corner_frequency": 50.0}},
     "delay": {"sensor": {"delay": 0.004}},
     "link_encoder.corner_frequency": {"link_encoder": {"corner_frequency": 50.0}},
@@ -130,6 +139,7 @@ METHODS = {
     "observer": lambda robot, log: AccelerationObserver(robot).run(log).q,
     "ekf": lambda robot, log: ExtendedKalmanFilter(robot, NOISE).run(log).q,
     "smoother": lambda robot, log: RauchTungStriebelSmoother(robot, NOISE).run(log).q,
+    "map": lambda robot, log: IteratedSmoother(robot, NOISE).run(log).q,
     "fixed-lag": fixed_lag,
     "particle": lambda robot, log: ParticleFilter(robot, NOISE, particles=20).run(log[:20]).q,
     "marginalized": lambda robot, log: MarginalizedParticleFilter(robot, NOISE, particles=20).run(log[:20]).q,
@@ -153,16 +163,17 @@ BEHIND_GEARS = {key for key in DECLARED if "." in key}
 UNCONCERNED = {
     **dict.fromkeys(("reduced-order", "nicosia-tomei", "residual"), SENSOR | SPRING | BEHIND_GEARS),
     **dict.fromkeys(
-        ("reduced-order on links", "residual on links"), SENSOR | SPRING | {"coupling", "motor_friction", "asymmetry"}
+        ("reduced-order on links", "residual on links"),
+        SENSOR | SPRING | {"coupling", "motor_friction", "asymmetry", "encoder_error"},
     ),
     **{
         method: {"motor_friction", "asymmetry", "efficiency"}
-        for method in ("ekf", "smoother", "fixed-lag", "particle", "marginalized")
+        for method in ("ekf", "smoother", "map", "fixed-lag", "particle", "marginalized")
     },
     "observer": {"link_friction", "bearing_friction"} | BEHIND_GEARS,
-    "feedforward": SENSOR | BEHIND_GEARS,
+    "feedforward": SENSOR | BEHIND_GEARS | {"encoder_error"},
     "feedback": BEHIND_GEARS,
-    "simulation": {"bias"},
+    "simulation": {"bias", "encoder_error"},
 }
 """What a method has nothing to do with.
 

@@ -19,7 +19,6 @@ from linkside.calibration.lag import Lag
 from linkside.calibration.motors import motors
 from linkside.calibration.parameters import choose
 from linkside.calibration.prepared import recordings
-from linkside.calibration.problem import Problem
 from linkside.calibration.products import products
 from linkside.calibration.response import ResponseProblem
 from linkside.calibration.search import GAIN, Search
@@ -31,11 +30,11 @@ PERIOD = 1e-3
 SENSORS = [{"name": "acc", "link": "link2", "xyz": [0.1, 0.2, -0.1], "rpy": [0.3, 0.1, 0.2], "noise_std": 0.05}]
 
 
-def tree(seed, rigid=()):
+def tree(seed, rigid=(), **more):
     """A random tree of three joints, the springs far below what would be stiff, and the same for Pinocchio."""
     model = build_model([0, 1, 1], [0, 3, 4], np.random.default_rng(seed))
     joints = [
-        spring(name, stiffness=3e3, damping=4.0, cubic_stiffness=2e5, elastic=name not in rigid)
+        spring(name, stiffness=3e3, damping=4.0, cubic_stiffness=2e5, elastic=name not in rigid, **more)
         for name in list(model.names)[1:]
     ]
     tool = {"link": "link2", "xyz": [0.0, 0.1, 0.0]}
@@ -86,16 +85,21 @@ FREE = [
     *(("stiffness", j, 0) for j in range(3)),
     *(("cubic_stiffness", 1, 0), ("damping", 2, 0), ("mass_scale", 1, 0), ("coupling", 0, 1)),
     *(("payload_mass", 0, 0), ("payload_xyz", 0, 1), ("translation", 0, 2), ("rotation", 0, 0), ("rotation", 0, 1)),
-    *(("bias", 0, 0), ("scale", 0, 1)),
+    *(("bias", 0, 0), ("scale", 0, 1), ("link_friction", 1, 0), ("link_coulomb", 2, 0), ("half_gap", 0, 0)),
 ]
 
 
 def test_derivatives_are_those_of_the_solution():
-    robot, model = tree(5)
+    law = {
+        "link_friction": (0.3, 5.0, 2.0, 0.2, 3.0, 0.5),
+        "ripple": [{"amplitude": 2e-3, "order": 3, "phase": 0.2, "of": "output"}],
+    }
+    play = {"half_gap": 2e-3, "slope": 0.1, "rounding": 2e-3}
+    robot, model = tree(5, **law, backlash=play)
     t, *_, theta = made_up(robot, model, rows=60)
     kinds = ["acceleration", "rate", "q", "torque", "dq"]
     response = Response(robot.core, smooth_motion(t, theta), kinds=kinds, fixed=[])
-    values = np.array([3e3, 2.5e3, 3.5e3, 3e5, 5.0, 1.1, 0.02, 0.4, 0.1, 0.02, 0.05, -0.04, 0.1, 1.02])
+    values = np.array([3e3, 2.5e3, 3.5e3, 3e5, 5.0, 1.1, 0.02, 0.4, 0.1, 0.02, 0.05, -0.04, 0.1, 1.02, 1.3, 0.4, 3e-3])
     at = np.concatenate([values, 1e-3 * np.arange(6)])
 
     def evaluate(x):
@@ -231,12 +235,12 @@ def test_information_is_the_curvature_at_the_truth():
 
 def test_a_filter_that_foretells_less_well_objects():
     robot, log = load(DATA / "arm2_square")
-    problem = Problem(robot, [log[:800]], Noise(), False, choose(robot, ["stiffness"], False, {}))
-    worse = filters_gain(problem, np.array([1.5, -1.5]))
+    free = choose(robot, ["stiffness"], False, {})
+    worse = filters_gain(robot, [log[:800]], Noise(), free, np.array([1.5, -1.5]))
     assert worse < 0
-    assert filters_gain(problem, np.zeros(2)) == 0
-    (reason,) = objections(problem.free, np.zeros(2), None, worse)
-    assert "a Kalman filter foretells less well" in reason
+    assert filters_gain(robot, [log[:800]], Noise(), free, np.zeros(2)) == 0
+    (reason,) = objections(free, np.zeros(2), np.zeros(2), None, worse)
+    assert "a Kalman filter predicts less well" in reason
 
 
 def wandering(seed, rows=2500):

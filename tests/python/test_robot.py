@@ -274,8 +274,8 @@ BROKEN_URDFS = [
     (
         '<axis xyz="0 1 0"/>',
         '<axis xyz="0 1 0"/><mimic joint="elbow"/>',
-        ": joint 'shoulder' is a mimic of 'elbow'; linkside moves every joint on its own, "
-        "list neither or fix it in the URDF",
+        ": joint 'shoulder' is a mimic of 'elbow'; list neither, fix it in the URDF, or write "
+        "`linkages: {shoulder: {follows: elbow, ratio: 1, offset: 0}}` into robot.yaml",
     ),
 ]
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from linkside import (
+    AccelerationObserver,
     ElasticJointFilter,
     ElasticJointSmoother,
     ExtendedKalmanFilter,
@@ -18,7 +19,7 @@ from linkside.control.controllers import JointPD
 from linkside.recording.estimate import Status
 from linkside.simulation import Sensor, simulate
 
-from .robots import EXAMPLES
+from .robots import DATA, EXAMPLES
 
 ARMS = {
     "ur10": (
@@ -111,3 +112,21 @@ def test_pieces_flag_the_same_rows(moved: Any) -> None:
     pieces = list(ElasticJointFilter(robot).run_pieces([bad[:300], bad[300:600], bad[600:]]))
     np.testing.assert_array_equal(np.concatenate([piece.status for piece in pieces]), whole.status)
     assert pieces[-1].findings == whole.findings
+
+
+@pytest.mark.parametrize("size", [SLIP, -5e-4])
+@pytest.mark.parametrize("joint", [0, 4])
+def test_the_observer_says_so_until_the_encoder_is_back(size: float, joint: int) -> None:
+    """It follows the encoder within milliseconds, with small innovations, and its link is off as long as that is."""
+    robot = Robot.load(DATA / "kr15_six_axes/robot.yaml")
+    log = Log.read(DATA / "kr15_six_axes/log.parquet", robot)
+    theta, row, back = log.theta.copy(), len(log) // 2, 3 * len(log) // 4
+    theta[row:back, joint] += size
+    clean, estimate = (AccelerationObserver(robot).run(x) for x in (log, replace(log, theta=theta)))
+    assert not (clean.status & Status.CONTRADICTED).any()
+    contradicted = estimate.status & Status.CONTRADICTED > 0
+    off = np.abs(estimate.q - clean.q).max(axis=1)
+    assert off[back - 1] > 0.9 * abs(size)
+    assert contradicted[off > 0.5 * abs(size)].all()
+    assert not contradicted[:row].any()
+    assert not contradicted[back + 200 :].any()

@@ -10,11 +10,34 @@ from linkside import Robot
 
 DOCS = Path(__file__).parents[2] / "docs"
 walk = runpy.run_path(str(DOCS / "walk.py"))["walk"]
+notebook = runpy.run_path(str(DOCS / "notebooks.py"))["notebook"]
+
+
+@pytest.mark.parametrize("page", sorted((DOCS / "tutorials").glob("*.md")), ids=lambda page: page.stem)
+def test_notebooks_have_all_of_the_page(page):
+    cells = notebook(page)["cells"]
+    code = [cell["source"] for cell in cells if cell["cell_type"] == "code"]
+    text = page.read_text()
+    assert [c for c in code if c[0] not in "%!"] == re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    assert sum(c.startswith("!") for c in code) == text.count("```sh\n")
+    for line in filter(None, text.splitlines()):
+        assert line.startswith("```") or any(line in cell["source"] for cell in cells), line
 
 
 def test_path(tmp_path):
     names = walk(DOCS / "tutorials/path.md", tmp_path)
     assert names["estimate"].status_summary()["good"] == 1052
+
+
+def test_loop(tmp_path):
+    names = walk(DOCS / "tutorials/loop.md", tmp_path)
+    assert names["bridged"] == 20
+
+
+def test_repeats(tmp_path):
+    names = walk(DOCS / "tutorials/repeats.md", tmp_path)
+    assert names["true"][-1] > 10 * names["better"][-1]
+    assert names["better"][2] < 1.1 * names["better"][-1]
 
 
 def test_calibrate(tmp_path):

@@ -252,7 +252,7 @@ def changed(log, robot, theta):
         ({"gain": HybridGain((9.0,), 1.5, 1.0, start=2)}, "the start level is 2"),
         ({"gain": HybridGain((9.0, 9.0), 1.0, 1.5, start=1)}, "the start level is 1, expected one whose bound"),
         ({"gain": HybridGain((9.0,), 1.5, 1.0, dwell=-1)}, "dwell -1"),
-        ({"gain": HybridGain((9.0,), 1.5, 1.0, logic="other")}, 'logic is "other"'),
+        ({"gain": HybridGain((9.0,), 1.5, 1.0, logic="other")}, '"other" is not a logic of levels'),
     ],
 )
 def test_refuses_settings(settings, words):

@@ -78,12 +78,14 @@ def move(
     rate: float = 1000.0,
     gains: tuple[float, float] = (3e3, 150.0),
     lift: Callable[[np.ndarray], np.ndarray] = np.zeros_like,
+    shares: np.ndarray | None = None,
 ) -> Motion:
     """The robot's links behind other gears, motors led along a reference by PD control without steps.
 
     It begins at rest where springs hold gravity and friction elements are relaxed. ``lift``: torques on links by
-    position.
+    position. ``shares``: how far each motor, in columns, turns each gear; θ and τ are then the motors'.
     """
+    shares = np.eye(len(gears)) if shares is None else shares
     model, n = robot.model, len(gears)
     data = model.createData()
     elements = [(j, *element) for j, gear in enumerate(gears) for element in gear.elements]
@@ -95,12 +97,12 @@ def move(
 
     def accelerations(t, x):
         q, dq, theta, dtheta = x[: 4 * n].reshape(4, n)
-        angle, ratio, _ = np.transpose([g.output(a) for g, a in zip(gears, theta, strict=True)])
-        slip = ratio * dtheta - dq
+        angle, ratio, _ = np.transpose([g.output(a) for g, a in zip(gears, shares @ theta, strict=True)])
+        slip = ratio * (shares @ dtheta) - dq
         load = constants[:, 0] * (angle - q) + constants[:, 1] * slip
         for (j, *_), force in zip(elements, x[4 * n :], strict=True):
             load[j] += force
-        ddtheta = (control(t, theta, dtheta) - ratio * load) / constants[:, 2]
+        ddtheta = (control(t, theta, dtheta) - shares.T @ (ratio * load)) / constants[:, 2]
         return pin.aba(model, data, q, dq, load + lift(q)), ddtheta, slip
 
     def slope(t, x):
@@ -109,11 +111,11 @@ def move(
         return np.concatenate([x[n : 2 * n], ddq, x[3 * n : 4 * n], ddtheta, rates])
 
     theta = reference(0.0)[0]
-    angle, ratio, _ = np.transpose([g.output(a) for g, a in zip(gears, theta, strict=True)])
+    angle, ratio, _ = np.transpose([g.output(a) for g, a in zip(gears, shares @ theta, strict=True)])
     q = angle.copy()
     for _ in range(60):
         q = angle - (pin.computeGeneralizedGravity(model, data, q) - lift(q)) / constants[:, 0]
-    hold = ratio * (pin.computeGeneralizedGravity(model, data, q) - lift(q))
+    hold = shares.T @ (ratio * (pin.computeGeneralizedGravity(model, data, q) - lift(q)))
     t = np.arange(round(duration * rate)) / rate
     start = np.concatenate([q, np.zeros(n), theta, np.zeros(n + len(elements))])
     x = solve_ivp(slope, (0, t[-1]), start, "DOP853", t, rtol=1e-8, atol=1e-10, max_step=2 / rate).y.T

@@ -9,7 +9,7 @@ use core::hint::black_box;
 use linkside_core::dynamics::{Kinematics, Loads};
 use linkside_core::estimate::kalman::{
     ExtendedKalmanFilter, FilterSettings, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanSample, Lateness,
-    LinkDisturbance,
+    LinkDisturbance, NoiseLoss,
 };
 use linkside_core::estimate::measurement::Kind;
 use linkside_core::estimate::observer::{
@@ -154,6 +154,7 @@ fn check_kalman_step(disturbed: bool) {
     };
     let settings = FilterSettings { gate: Some(50.0), iterations: 2 };
     let mut filter = ExtendedKalmanFilter::new(JerkDriven::new(model, noise, true).unwrap(), settings).unwrap();
+    filter.set_losses(&[NoiseLoss::StudentT; 30]).unwrap();
     let (readings, missing) = ([0.1; 30], [f64::NAN; 30]);
     let mut step = |readings: &[f64], dtheta: &[f64]| {
         let inputs = Inputs { dtheta, jerk: &[0.5; 6], tau: &[] };

@@ -1,4 +1,4 @@
-"""Whether a calibration is to be believed: it must foretell readings that it was not fitted to."""
+"""Whether a calibration can be trusted: it must predict readings that it was not fitted to."""
 
 from __future__ import annotations
 
@@ -9,28 +9,35 @@ from itertools import pairwise
 import numpy as np
 
 from linkside.arrays import FloatArray
+from linkside.kalman.noise import Noise
+from linkside.recording.log import Log
+from linkside.robot import Robot
 
-from .parameters import NOISE, Parameter
+from .links import with_links
+from .parameters import NOISE, WITHOUT_TORQUE, Parameter
 from .posterior import Posterior
 from .problem import OF_SENSORS, Problem
 from .search import ROUGH, Search
 
 FOLDS = 2
-"""Each stretch of a recording is held back once; as many fits."""
+"""Number of folds: each stretch of a recording is held back once."""
 
 STRETCHES = 12
-"""A recording is cut into so many, which the folds take in turn."""
+"""A recording is cut into this many stretches, which the folds take in turn."""
 
 LOSS = -3.0
-"""A sensor whose readings are foretold less well than this, in log-likelihood, speaks against an outcome."""
+"""An outcome is refused if some sensor's readings are predicted less well than this, in log-likelihood."""
 
 FAR = 3.0
 """An estimate further from robot.yaml than this, in tolerances, is not one that robot.yaml's tolerance allows for."""
 
+WIDE = 1.96
+"""So many standard errors an estimate may be nearer than it seems."""
+
 
 @dataclass(frozen=True)
 class Foretold:
-    """How much better readings are foretold by parameters that were fitted without them.
+    """How much better parameters predict readings that they were not fitted to.
 
     Attributes
     ----------
@@ -42,7 +49,7 @@ class Foretold:
     worst : float
         Gain of the worst stretch.
     sensors : dict of str to float
-        Gain of each sensor's readings, with what the other sensors alone tell; empty where there is one sensor.
+        Gain of each sensor's readings, predicted from the other sensors alone; empty if there is only one sensor.
     """
 
     gain: float
@@ -52,18 +59,18 @@ class Foretold:
 
     @property
     def better(self) -> bool:
-        """Whether there is a gain at all."""
+        """Whether the readings are predicted better than by robot.yaml."""
         return self.gain > 0
 
     def __str__(self) -> str:
-        """Say so in a line."""
+        """Summarise in one line."""
         each = ", ".join(f"{name} {gain:+.1f}" for name, gain in self.sensors.items())
         by_others = f"; each sensor by the others: {each}" if each else ""
         return f"readings held back: log-likelihood {self.gain:+.1f} ± {self.std:.1f}{by_others}"
 
 
 def foretell(problem: Posterior, nominal: Sequence[FloatArray], z: FloatArray) -> Foretold:
-    """Fit without a part of the readings in turn, and see how those are foretold.
+    """Leave out one part of the readings after the other, fit the rest, and predict the part left out.
 
     What is held back are the readings of all sensors but the motors' encoders, in every other stretch of time
     (cross-validation, M. Stone, J. R. Stat. Soc. B 36, 1974).
@@ -87,38 +94,45 @@ def foretell(problem: Posterior, nominal: Sequence[FloatArray], z: FloatArray) -
     return Foretold(sum(gains), float(np.std(gains) * np.sqrt(len(gains))), min(gains))
 
 
-def filters_gain(problem: Problem, z: FloatArray) -> float:
+def filters_gain(robot: Robot, logs: Sequence[Log], noise: Noise, free: Sequence[Parameter], z: FloatArray) -> float:
     """Log-likelihood that a Kalman filter's model of the links gains, with noise as filters assume it.
 
     That model shares nothing with the links' response but the robot: what explains the encoders' noise, and not the
     robot, is worse there. Sensors are as they were found in both cases.
     """
-    nominal = np.where([p.kind in OF_SENSORS for p in problem.free], z, 0.0)
-    return problem.log_likelihood(z) - problem.log_likelihood(nominal)
+    theirs = [p for p in free if p.kind not in WITHOUT_TORQUE]
+    at = np.array([x for p, x in zip(free, z, strict=True) if p.kind not in WITHOUT_TORQUE])
+    nominal = np.where([p.kind in OF_SENSORS for p in theirs], at, 0.0)
+    found = with_links(robot, {p.core[:2]: p.value(x) for p, x in zip(free, z.tolist(), strict=True)})
+    before, after = (Problem(one, logs, noise, False, theirs) for one in (robot, found))
+    return after.log_likelihood(at) - before.log_likelihood(nominal)
 
 
 def objections(
-    free: Sequence[Parameter], z: FloatArray, foretold: Foretold | None, gain: float | None
+    free: Sequence[Parameter], z: FloatArray, std: FloatArray, foretold: Foretold | None, gain: float | None
 ) -> tuple[str, ...]:
-    """Reasons not to believe an outcome, the weightiest first; ``gain`` is that of `filters_gain`."""
+    """Reasons not to trust an outcome, the most important first; ``gain`` is that of `filters_gain`.
+
+    Estimates ``z`` and their standard errors ``std`` are in tolerances.
+    """
     found = []
     if foretold is not None and not foretold.better:
-        found.append(f"it does not foretell better than robot.yaml as it is ({foretold})")
+        found.append(f"it does not predict better than robot.yaml as it is ({foretold})")
     if foretold is not None:
         found += [
-            f"{name} is foretold less well by what the other sensors tell (log-likelihood {worse:+.1f})"
+            f"{name} is predicted less well from the other sensors (log-likelihood {worse:+.1f})"
             for name, worse in foretold.sensors.items()
             if worse < LOSS
         ]
     if gain is not None and gain < 0:
-        found.append(f"a Kalman filter foretells less well with it than with robot.yaml (log-likelihood {gain:+.1f})")
-    for p, x in zip(free, z.tolist(), strict=True):
+        found.append(f"a Kalman filter predicts less well with it than with robot.yaml (log-likelihood {gain:+.1f})")
+    for p, x, wide in zip(free, z.tolist(), std.tolist(), strict=True):
         if p.kind in NOISE:
             continue
         value = f"{p.name} = {p.value(x):.4g} {p.unit}".rstrip()
-        if p.exceeds(x) and not p.exceeds(0.0):
+        if p.exceeds(x) and not p.exceeds(0.0) and (p.stated or x > 0):  # what is not stated may not be there
             found.append(f"{value} is at its bound")
-        elif abs(x) > FAR and p.stated:
+        elif abs(x) - WIDE * wide > FAR and p.stated:
             found.append(f"{value} is {abs(x):.1f} tolerances from {p.start:.4g}, its value in robot.yaml")
     return tuple(found)
 

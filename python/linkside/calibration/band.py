@@ -1,4 +1,4 @@
-"""Parts of a recording's band, from low to high: what makes a search for springs go the right way."""
+"""Frequency bands of a recording, from low to high: a search that starts in low bands finds the right springs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PER_PERIOD = 4
 """Samples that are kept in a period of the corner."""
 
 MISSING = 0.2
-"""Windows of which more was missing tell nothing."""
+"""A window with a larger share of missing samples counts as missing."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from linkside.robot import Robot
 from .acceptance import filters_gain, objections
 from .calibration import Calibration
 from .filter_run import FilterRun
-from .parameters import OF_LINK_ENCODERS, Bounds, Parameter, choose
+from .parameters import BY_LINK_ENCODERS, OF_LINK_ENCODERS, Bounds, Parameter, choose
 from .posterior import Posterior
 from .prepared import kinds, recordings
 from .problem import Problem
@@ -36,13 +36,13 @@ OF_FILTERS = ("motor_noise", "jerk_noise")
 
 @contextmanager
 def _in_our_words() -> Iterator[None]:
-    """Let nothing out that is not ours."""
+    """Turn errors of the libraries below into our own."""
     try:
         yield
     except LinksideError:
         raise
     except np.linalg.LinAlgError as error:
-        message = "calibration: the recordings do not tell the free parameters apart (a matrix is singular)"
+        message = "calibration: the recordings do not distinguish the free parameters (a matrix is singular)"
         raise NumericalError(f"{message}; leave some out of free, or check the tolerances") from error
     except (ValueError, ArithmeticError) as error:
         raise EstimatorError(f"calibration: {error}") from error
@@ -78,9 +78,10 @@ def calibrate(
         One recording or several of the same robot, with motion in them.
     free
         Kinds of parameters such as ``"stiffness"``, or names such as ``"stiffness_axis2"``; by default
-        `parameters.DEFAULT`. Those that the recordings cannot tell are left as they are, see `Calibration.refused`.
+        `parameters.DEFAULT`. Those that are not identifiable from the recordings stay as they are, see
+        `Calibration.refused`.
     noise
-        How uncertain everything is; motors, sensors and torques also have a free factor on it by default.
+        Noise levels; those of motors, sensors and torques are also multiplied by free factors by default.
     torque
         Whether motor torques are readings by the motor's equation of motion: needed for motor inertia, friction and
         coupling, and to tell stiffness from mass. By default only for a robot without accelerometers.
@@ -115,15 +116,15 @@ def calibrate(
     if not torque:
         _refuse_without_part(chosen, free or (), logs)
     _refuse_unknown(chosen, start or {})
+    if free is None and not torque and "q" not in kinds(robot, logs):
+        chosen = [p for p in chosen if p.kind not in BY_LINK_ENCODERS]
     run = _run(robot, logs, noise or Noise(), torque, chosen, start or {}, progress)
     run.solve()
     after, found = run.after()
     foretold = run.foretold() if len(run.problem.free) else None
     gain = None
     if foretold is not None and not torque and robot.acceleration_channels:
-        known = [p.kind not in OF_LINK_ENCODERS for p in run.problem.free]  # which that model reads as robot.yaml says
-        theirs = [p for p, is_known in zip(run.problem.free, known, strict=True) if is_known]
-        gain = filters_gain(Problem(robot, logs, noise or Noise(), False, theirs), run.z[known])
+        gain = filters_gain(robot, logs, noise or Noise(), run.problem.free, run.z)
     return Calibration(
         estimates=_estimates(run.problem.free, run.z, found),
         refused=run.refused,
@@ -133,7 +134,7 @@ def calibrate(
         contradictions=_contradictions(run.problem, run.z),
         notes=run.notes,
         foretold=foretold,
-        objections=objections(run.problem.free, run.z, foretold, gain),
+        objections=objections(run.problem.free, run.z, found.std, foretold, gain),
         evaluations=run.evaluations,
         seconds=time.perf_counter() - began,
         problem=run.problem,
@@ -151,18 +152,17 @@ def _run(
     start: Mapping[str, float],
     progress: Progress | None,
 ) -> FilterRun | ResponseRun:
-    """Choose how: by a filter where motor torques are readings, else by the links' response."""
+    """Choose the method: a Kalman filter if motor torques are measurements, else the response of the links."""
     moves = np.any([moving(log) for log in logs], axis=0)
     still = [name for name, does in zip(robot.names, moves, strict=True) if not does]
     if torque:
         return FilterRun(Problem(robot, logs, noise, torque, free), still, start, progress)
-    without = OF_FILTERS if "q" in kinds(robot, logs) else (*OF_FILTERS, *OF_LINK_ENCODERS)
-    seen = [p for p in free if p.kind not in without]
+    seen = [p for p in free if p.kind not in OF_FILTERS]
     return ResponseRun(ResponseProblem(robot, recordings(robot, logs), seen), still, start, progress)
 
 
 def _refuse_without_part(chosen: Sequence[Parameter], asked: Sequence[str], logs: Sequence[Log]) -> None:
-    """Refuse by name what nothing in the recordings, or in how they are looked at, can depend on."""
+    """Refuse, by name, parameters on which neither the recordings nor the method can depend."""
     for p in (p for p in chosen if p.kind in asked or p.name in asked):
         if p.kind in OF_FILTERS:
             raise EstimatorError(
@@ -190,7 +190,7 @@ def _estimates(free: Sequence[Parameter], z: FloatArray, found: Uncertainty) -> 
 
 
 def _contradictions(problem: Posterior, z: FloatArray) -> tuple[Contradiction, ...]:
-    """Estimate by each recording alone, from the joint estimate on."""
+    """Estimate from each recording alone, starting at the joint estimate."""
     if len(problem.logs) < 2:
         return ()
     fits = []

@@ -1,4 +1,4 @@
-"""What a calibration found, to be written, read and looked at."""
+"""The result of a calibration, with its robot.yaml, report and figures."""
 
 from __future__ import annotations
 

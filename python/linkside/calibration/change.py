@@ -1,4 +1,4 @@
-"""What a calibration changes where it matters: in the tool's path."""
+"""How much a calibration changes the path of the tool."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from linkside.robot import Robot
 from .response import ResponseProblem
 
 CERTAIN = 3.0
-"""A change must be so many times what stays uncertain."""
+"""A change must be at least this many times its remaining uncertainty."""
 
 NARROWED = 0.05
 """Unless that is no more than this share of what was uncertain by the tolerances of robot.yaml."""
@@ -38,7 +38,7 @@ class Change:
 
     @property
     def told(self) -> bool:
-        """Whether it is larger than chance, or next to nothing stays uncertain."""
+        """Whether the change is significant, or hardly any uncertainty remains."""
         return self.uncertain <= max(self.moved / CERTAIN, NARROWED * self.before)
 
 

@@ -18,11 +18,11 @@ from .search import GAIN, ROUGH, Progress, Search
 from .starts import other_springs
 
 ROUNDS = 3
-"""How often parameters that turn out not to be identifiable are left out and the rest is estimated anew."""
+"""How many rounds of leaving out unidentifiable parameters and estimating the others again."""
 
 
 class FilterRun(CalibrationRun[Problem]):
-    """Search, leave out what the recordings do not tell, search again.
+    """Search, leave out parameters that are not identifiable, search again.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class FilterRun(CalibrationRun[Problem]):
         self.before = Fit.of(problem.evidence(np.zeros(len(problem.free)), detail=True))
 
     def solve(self) -> None:
-        """Noise levels first, then springs, then all: what is misjudged, the next would wander to make up for."""
+        """Fit noise levels first, then springs, then all: a value that is held wrong distorts the others."""
         self._search(ROUGH, self._of(NOISE))
         self.at = other_springs(self.problem, self.at)
         self._search(ROUGH, self._of((*NOISE, "stiffness", "bias")))
@@ -54,7 +54,7 @@ class FilterRun(CalibrationRun[Problem]):
                 return
 
     def foretold(self) -> Foretold:
-        """How well the outcome foretells readings, against robot.yaml with noise levels fitted."""
+        """How well the outcome predicts readings, compared with robot.yaml with fitted noise levels."""
         noise = self._of(NOISE)
         levels = iter(Search(self.problem.holding({}, noise), gain=ROUGH).maximise(np.zeros(len(noise))))
         nominal = np.array([float(next(levels)) if p.kind in NOISE else 0.0 for p in self.problem.free])

@@ -12,7 +12,7 @@ from linkside.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Lag:
-    """A first-order filter, sampled, and a delay.
+    """A sampled first-order filter and a delay.
 
     Sampled with step h, a filter of time constant T that is fed what runs straight over a sample is
     y = α y₋ + (1 − α) f with α = exp(−h/T) and f the signal T − h α/(1 − α) earlier, to second order.
@@ -61,7 +61,7 @@ class Lag:
 
     def _shifted(self, values: FloatArray, order: int) -> FloatArray:
         """Interpolate by cubics through four samples (Lagrange); of order 1, the derivative in the shift."""
-        whole = int(np.floor(self.shift))
+        whole = max(0, int(np.floor(self.shift)))  # rounding may leave a shift of zero below it
         u = self.shift - whole
         if order == 0 and self.shift == 0.0:
             return values

@@ -13,18 +13,20 @@ from linkside.robot import Robot
 from .signals import filled, without_spikes
 
 CORNERS = (0.4, 2.0)
-"""Corner frequencies that are tried: a share of the sampling rate at most, and at least so many Hz."""
+"""Corner frequencies that are tried: from this many Hz up to this share of the sampling rate."""
 
 PER_OCTAVE = 6
 SHORTEST = 16
 """Fewer samples are not smoothed."""
 
 ALLOWED = 1.05
-"""What smoothing takes away may be so much larger than the encoder's noise."""
+"""What smoothing removes may be larger than the encoder's noise by this factor."""
 
 FOURTH = float(np.sqrt(70.0))
-"""Fourth differences of white noise are so much larger."""
+"""Factor by which fourth differences of white noise are larger than the noise."""
 
+SHARE_OF_ENDS = 20
+"""Of a recording, no more is left out at either end than one part in so many."""
 
 SHARE = 0.3
 """Of the accelerometers' noise, what the encoders' may make of what they should read."""
@@ -45,18 +47,33 @@ def motors(robot: Robot, log: Log, wider: float = 1.0) -> dict[str, FloatArray]:
     wider
         A factor on the corners.
     """
-    step = np.full(robot.n, robot.config.encoder.resolution)
-    theta = without_spikes(log.theta, step)
-    theta[0] = log.theta[0]
-    uniform = filled(theta)
-    told = min((sensor.noise_std for sensor in robot.accelerometers), default=0.0)
-    least = step / np.sqrt(12)
+    uniform = _uniform(robot, log)
     rate = 1 / log.period
-    corners = [_corner(x, float(n), SHARE * told, rate) for x, n in zip(uniform.T, least, strict=True)]
+    corners = _corners(robot, uniform, rate)
     columns = [_smooth(x, wider * corner, rate) for x, corner in zip(uniform.T, corners, strict=True)]
     spline = scipy.interpolate.CubicSpline(log.t, np.stack(columns, axis=1))
     arrays = {"t": log.t, "theta": spline(log.t), "dtheta": spline(log.t, 1), "ddtheta": spline(log.t, 2)}
     return {name: np.ascontiguousarray(array, dtype=np.float64) for name, array in arrays.items()}
+
+
+def unsettled(robot: Robot, log: Log) -> int:
+    """Samples at either end of a log where how motors moved is known less well: a period of the lowest corner."""
+    rate = 1 / log.period
+    return min(len(log) // SHARE_OF_ENDS, round(rate / min(_corners(robot, _uniform(robot, log), rate))))
+
+
+def _uniform(robot: Robot, log: Log) -> FloatArray:
+    """Motors' positions (T, n), what is missing or stands alone interpolated."""
+    theta = without_spikes(log.theta, np.full(robot.n, robot.config.encoder.resolution))
+    theta[0] = log.theta[0]
+    return filled(theta)
+
+
+def _corners(robot: Robot, uniform: FloatArray, rate: float) -> list[float]:
+    """By which motors' positions (T, n) are smoothed [Hz]."""
+    told = min((sensor.noise_std for sensor in robot.accelerometers), default=0.0)
+    least = robot.config.encoder.resolution / np.sqrt(12)
+    return [_corner(x, least, SHARE * told, rate) for x in uniform.T]
 
 
 def _corner(values: FloatArray, least: float, told: float, rate: float) -> float:
@@ -84,4 +101,20 @@ def _smooth(values: FloatArray, corner: float, rate: float) -> FloatArray:
         return values
     sections = scipy.signal.butter(3, corner, fs=rate, output="sos")
     padding = min(len(values) - 1, round(3 * rate / corner))
-    return np.asarray(scipy.signal.sosfiltfilt(sections, values, padtype="odd", padlen=padding))
+    # The filter goes on beyond the ends as if motion were turned round there: what moves is taken off before.
+    moving = _through_ends(values, max(SHORTEST, round(rate / corner)))
+    return np.asarray(moving + scipy.signal.sosfiltfilt(sections, values - moving, padtype="odd", padlen=padding))
+
+
+def _through_ends(values: FloatArray, window: int) -> FloatArray:
+    """Give a polynomial with both ends' position, velocity and acceleration, as cubics through windows show them."""
+    count = len(values)
+    window = min(window, count)
+    at = np.arange(window) / window
+    basis = np.polynomial.polynomial.polyvander(at, 3)
+    ends = [np.linalg.lstsq(basis, side, rcond=None)[0] for side in (values[:window], values[::-1][:window])]
+    length = (count - 1) / window
+    scale, mirror = np.array([1.0, length, 2 * length**2]), np.array([1.0, -1.0, 1.0])
+    first, last = (side[:3] * scale for side in ends)
+    quintic = scipy.interpolate.BPoly.from_derivatives([0.0, 1.0], [first, last * mirror])
+    return np.asarray(quintic(np.linspace(0.0, 1.0, count)))

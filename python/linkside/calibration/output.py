@@ -1,4 +1,4 @@
-"""A robot.yaml with calibrated values: the user's own, comments and order kept, standard errors beside the values."""
+"""A robot.yaml with calibrated values and their standard errors; the user's comments and order are kept."""
 
 from __future__ import annotations
 
@@ -16,11 +16,15 @@ from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from linkside.files.writing import write_text
 from linkside.files.yaml_source import Source
 
+from .links import OF_BEARINGS, STRENGTHS
 from .parameters import AXES, OF_LINK_ENCODERS, SHORTEST_FILTER
 from .result import Estimated, Result
 from .tolerances import errors, readable
 
 Writer = Callable[[Any, Estimated], None]
+
+SECTIONS = {"link_coulomb": ("bearing_friction", "coulomb"), "half_gap": ("backlash", "half_gap")}
+"""Where kinds are that a joint has in a section of its own."""
 
 
 def _folder(path: str | Path) -> str:
@@ -103,6 +107,27 @@ def _of_friction(tree: Any, e: Estimated) -> None:
     _put(joint, "motor_friction", joint.get("motor_friction", _flow_map()), "motor_inertia")
     joint["motor_friction"][e.parameter.kind] = rounded(e.value, e.std)
     _note(joint, "motor_friction", f"{e.parameter.kind} ± {e.std:.2g}")
+
+
+def _of_link_friction(tree: Any, e: Estimated) -> None:
+    """The parameter is a factor on all of it."""
+    joint = tree["joints"][e.parameter.core[1]]
+    if (law := joint.get("link_friction")) is not None:
+        for i in STRENGTHS:
+            law[i] = rounded(law[i] * e.value, law[i] * e.std)
+        _note(joint, "link_friction", f"± {e.std / e.value:.1%}")
+    bearing = joint.get("bearing_friction", {})
+    for key in (key for key in OF_BEARINGS if bearing.get(key)):
+        bearing[key] = rounded(bearing[key] * e.value, bearing[key] * e.std)
+
+
+def _of_section(tree: Any, e: Estimated) -> None:
+    """In a section of a joint of its own."""
+    joint = tree["joints"][e.parameter.core[1]]
+    section, key = SECTIONS[e.parameter.kind]
+    _put(joint, section, joint.get(section, _flow_map()), "stiffness")
+    joint[section][key] = rounded(e.value, e.std)
+    _note(joint, section, f"{key} ± {e.std:.2g}")
 
 
 def _of_coupling(tree: Any, e: Estimated) -> None:
@@ -202,5 +227,7 @@ _WRITERS: dict[str, Writer] = {
     **dict.fromkeys(("payload_mass", "payload_xyz"), _of_payload),
     **dict.fromkeys(("bias", "scale", "translation", "sensor_noise", "delay", "time_constant"), _of_sensor),
     **dict.fromkeys(OF_LINK_ENCODERS, _of_link_encoders),
+    "link_friction": _of_link_friction,
+    **dict.fromkeys(SECTIONS, _of_section),
     "coupling": _of_coupling,
 }

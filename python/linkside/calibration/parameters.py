@@ -1,4 +1,4 @@
-"""What can be freed: every parameter with its unit, its value in robot.yaml, how far off it may be, and its bounds."""
+"""Parameters that can be freed: unit, value in robot.yaml, tolerance and bounds of each."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from linkside.errors import EstimatorError
 from linkside.files.yaml_source import suggest
 from linkside.robot import Robot
 from linkside.robot.config import TolerancesConfig
+from linkside.robot.considered import brakes
 from linkside.robot.joints import JointConfig
 from linkside.robot.sensors import AccelerometerConfig, Lateness, LinkEncoderConfig
 
@@ -54,6 +55,9 @@ KINDS = {
     "viscous": Kind("joint", "N m s/rad", relative=True),
     "coulomb": Kind("joint", "N m", relative=True),
     "mass_scale": Kind("joint", "", relative=True),
+    "link_friction": Kind("joint", "", relative=True),
+    "link_coulomb": Kind("joint", "N m", least=0.0),
+    "half_gap": Kind("joint", "rad", least=0.0),
     "coupling": Kind("coupling", "kg m²"),
     "payload_mass": Kind("payload", "kg", least=0.0),
     "payload_xyz": Kind("payload axis", "m"),
@@ -78,20 +82,35 @@ UNKNOWN = float(np.log(3))
 NOISE = ("motor_noise", "torque_noise", "sensor_noise", "jerk_noise")
 """Kinds that say how uncertain readings are; factors on what `Noise` says."""
 
+TOLERANCES = {
+    **{"link_time_constant": "time_constant", "link_delay": "delay"},
+    **{"link_coulomb": "lost_motion", "half_gap": "lost_motion"},
+}
+"""Keys of robot.yaml's `tolerances`, of kinds that do not have one by their own name."""
+
 OF_LINK_ENCODERS = ("link_time_constant", "link_delay")
 """Kinds of the encoders behind the gears, all of them alike: their first-order filter."""
 
 NOISE_RANGE = (0.03, 1e3)
 """Factors on noise: below, an encoder would be better than its steps."""
 
+WITHOUT_TORQUE = (*OF_LINK_ENCODERS, "link_friction", "link_coulomb", "half_gap")
+"""Kinds that are found where motor torques are not readings."""
+
 TORQUE_ONLY = ("motor_inertia", "viscous", "coulomb", "coupling", "torque_noise")
-"""Kinds that nothing but motor torque tells of."""
+"""Kinds that are identifiable only from motor torques."""
+
+BESIDE = ("half_gap", "mass_scale", "link_friction", "translation", "rotation", "scale")
+"""Kinds of which little is sought, but robot.yaml is hardly right: held, they would make springs wrong."""
+
+BY_LINK_ENCODERS = (*OF_LINK_ENCODERS, "link_coulomb")
+"""Kinds that are freed only where encoders show what links do, unless they are asked for."""
 
 DEFAULT = (
     *("stiffness", "cubic_stiffness", "damping", "motor_inertia", "viscous", "coulomb"),
-    *("payload_mass", "bias", "time_constant", "delay", *OF_LINK_ENCODERS, *NOISE),
+    *("payload_mass", "bias", "time_constant", "delay", *BY_LINK_ENCODERS, *NOISE),
 )
-"""Kinds that are freed where nothing is said, as far as the recordings tell them apart."""
+"""Kinds that are freed by default, as far as the recordings distinguish them; without torques `BESIDE` too."""
 
 
 @dataclass(frozen=True)
@@ -162,9 +181,9 @@ class Parameter:
 
 
 def catalogue(robot: Robot, torque: bool) -> list[Parameter]:
-    """Every parameter that a robot has; those that only motor torque tells of where there is ``torque``."""
+    """All parameters of a robot; with ``torque``, also those that are identifiable only from motor torques."""
     tolerances = robot.config.tolerances
-    kinds = [kind for kind in KINDS if kind not in (OF_LINK_ENCODERS if torque else TORQUE_ONLY)]
+    kinds = [kind for kind in KINDS if kind not in (WITHOUT_TORQUE if torque else TORQUE_ONLY)]
     return [parameter for kind in kinds for parameter in _of_kind(robot, kind, tolerances)]
 
 
@@ -178,15 +197,25 @@ def choose(robot: Robot, free: Iterable[str] | None, torque: bool, bounds: Bound
     """
     everything = catalogue(robot, torque)
     names = [p.name for p in everything]
-    wanted = DEFAULT if free is None else tuple(free)
+    default = DEFAULT if torque else (*DEFAULT, *BESIDE)
+    wanted = default if free is None else tuple(free)
     for name in () if free is None else wanted:
         if name not in names and name not in {p.kind for p in everything}:
             _refuse_unknown(name, [*KINDS, *names], torque)
     chosen = [p for p in everything if p.kind in wanted or p.name in wanted]
+    if free is None:
+        chosen = [p for p in chosen if p.name != f"mass_scale_{_heaviest(robot)}"]
     for name in bounds:
         if name not in [p.name for p in chosen]:
             raise EstimatorError(f"bounds: {name!r} is not free; {suggest(name, [p.name for p in chosen])}")
     return [_bounded(p, bounds[p.name]) if p.name in bounds else p for p in chosen]
+
+
+def _heaviest(robot: Robot) -> str:
+    """The joint that moves the heaviest link: forces and masses that all grow alike show in no motion, so that its mass
+    is what others are measured by."""
+    masses = [robot.model.inertias[robot.model.getJointId(name)].mass for name in robot.names]
+    return robot.names[int(np.argmax(masses))]
 
 
 def _refuse_unknown(name: str, known: Sequence[str], torque: bool) -> None:
@@ -208,15 +237,11 @@ def _bounded(parameter: Parameter, bounds: tuple[float, float]) -> Parameter:
 
 
 def _of_kind(robot: Robot, kind: str, tolerances: TolerancesConfig) -> list[Parameter]:
-    owner, tolerance = KINDS[kind].owner, getattr(tolerances, kind.removeprefix("link_"))
+    owner, tolerance = KINDS[kind].owner, getattr(tolerances, TOLERANCES.get(kind, kind))
     sensors = list(enumerate(robot.accelerometers))
     if owner == "joint":
         inertia = robot.mass_matrix(np.zeros((1, robot.n)))[0].diagonal().tolist()
-        return [
-            _of_joint(kind, j, d, tolerance, inertia[j])
-            for j, d in enumerate(robot.drives)
-            if d.elastic or kind in ("mass_scale", "motor_noise")
-        ]
+        return [_of_joint(kind, j, d, tolerance, inertia[j]) for j, d in enumerate(robot.drives) if _has(d, kind)]
     if owner == "coupling":
         pairs = [(i, j) for i in range(robot.n) for j in range(i + 1, robot.n) if robot.elastic[[i, j]].all()]
         names = robot.names
@@ -231,6 +256,15 @@ def _of_kind(robot: Robot, kind: str, tolerances: TolerancesConfig) -> list[Para
         return [_made(kind, f"{kind}_{s.name}", (i, 0), _of_sensor(s, kind), tolerance) for i, s in sensors]
     axes = [(i, s, a) for i, s in sensors for a in range(3) if AXES[a] in s.axes or kind in ("translation", "rotation")]
     return [_made(kind, f"{kind}_{s.name}_{AXES[a]}", (i, a), _of_axis(s, kind, a), tolerance) for i, s, a in axes]
+
+
+def _has(drive: JointConfig, kind: str) -> bool:
+    """Whether a drive has a parameter of a kind."""
+    if kind in ("mass_scale", "motor_noise"):
+        return True
+    friction = {"link_friction": brakes(drive), "link_coulomb": not brakes(drive)}
+    springs = dict.fromkeys(("stiffness", "cubic_stiffness"), drive.stiffness_table is None)
+    return drive.elastic and {**friction, **springs, "half_gap": bool(drive.backlash.half_gap)}.get(kind, True)
 
 
 def _made(kind: str, name: str, index: tuple[int, int], start: float, tolerance: float) -> Parameter:
@@ -253,10 +287,12 @@ def _of_joint(kind: str, index: int, drive: JointConfig, tolerance: float, inert
         "viscous": drive.motor_friction.viscous or 1e-3 * (drive.motor_inertia or 0.0),
         "coulomb": drive.motor_friction.coulomb or 1e-5 * stiffness,
         "mass_scale": drive.mass_scale,
+        "link_coulomb": 0.0,
+        "half_gap": drive.backlash.half_gap,
     }
     if kind == "stiffness" and not drive.stiffness_known:
         tolerance = UNKNOWN
-    if kind == "cubic_stiffness":
+    if kind in ("cubic_stiffness", "link_coulomb"):  # a friction that twists the spring by so much
         tolerance *= stiffness
     made = _made(kind, f"{kind}_{drive.name}", (index, 0), values.get(kind, 1.0), tolerance)
     if kind == "damping" and not drive.damping:

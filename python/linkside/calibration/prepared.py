@@ -15,17 +15,17 @@ from linkside.recording.log import Log
 from linkside.robot import Robot
 
 from .band import MISSING
-from .motors import motors
+from .motors import motors, unsettled
 from .signals import filled, without_spikes
 
 KINDS = ("acceleration", "rate", "q", "torque", "dq")
-"""Signals that tell of the links, as the core calls them."""
+"""Signals of sensors on the links, by the core's names."""
 
 ZEROS = ("rate", "q", "torque")
-"""Signals with zeros that nobody knows, which are estimated in each recording."""
+"""Signals with unknown zeros, which are estimated for each recording."""
 
 LEAST_RATE, PER_PERIOD = 200.0, 16.0
-"""Samples are left out down to this rate [Hz], in which links' vibrations show, and so many a period of a corner."""
+"""Least rate of thinned-out samples [Hz], which shows the links' vibrations, and least number a period of a corner."""
 
 SHORTEST = 100
 """Fewer samples are not thinned out."""
@@ -68,7 +68,8 @@ class Prepared:
     def of(cls, robot: Robot, log: Log, kinds: Sequence[str]) -> Prepared:
         """Prepare ``log``."""
         readings = np.concatenate([_readings(robot, log, kind) for kind in kinds], axis=1)
-        missing = np.isnan(readings)
+        missing, ends = np.isnan(readings), unsettled(robot, log)
+        missing[:ends] = missing[len(missing) - ends :] = True
         readings[:, missing.all(axis=0)] = 0.0
         zeros = sum(width(robot, kind) for kind in kinds if kind in ZEROS)
         return cls(log, motors(robot, log), filled(readings), missing, np.zeros(2 * robot.n + zeros))
@@ -120,7 +121,7 @@ def _readings(robot: Robot, log: Log, kind: str) -> FloatArray:
 
 
 def kinds(robot: Robot, logs: Sequence[Log]) -> tuple[str, ...]:
-    """Give the signals that tell of the links in all of ``logs``."""
+    """Return the signals of sensors on the links that all of ``logs`` have."""
     return tuple(kind for kind in KINDS if all(_has(robot, log, kind) for log in logs))
 
 

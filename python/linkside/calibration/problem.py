@@ -21,7 +21,7 @@ from .parameters import OF_LINK_ENCODERS, TORQUE_ONLY, CoreName, Parameter, cata
 from .signals import noise_arrays, signals
 
 HUBER = 4.0
-"""Innovations beyond so many standard deviations count linearly."""
+"""Innovations beyond this many standard deviations count linearly."""
 
 OF_SENSORS = (
     *("translation", "rotation", "bias", "scale", "time_constant", "delay", "sensor_noise"),
@@ -72,8 +72,8 @@ class Problem:
 
     What is maximised is the density of what accelerometers (and motor torques) read, given what the motors' encoders
     read: ln p(θ, a) − ln p(θ). The encoders' own density must not count. With random jerk on the links, a soft spring
-    makes p(θ) roll off with ω⁻² where a stiff one has ω⁻⁶; commanded motion is smoother than either, so that p(θ) pays
-    thousands for "no spring" on a smooth motion, whatever the spring is.
+    makes p(θ) roll off with ω⁻² where a stiff one has ω⁻⁶; commanded motion is smoother than either, so that p(θ)
+    favours "no spring" by thousands in log-likelihood on a smooth motion, whatever the spring is.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ from linkside.robot.requirements import refuse_unsupported
 from .prepared import kinds
 
 SATURATED = 10
-"""So many samples in a row at an extreme value are a sensor at the end of its range."""
+"""A sensor that stays at its extreme value for this many samples is saturated."""
 
 
 def use_torque(robot: Robot, logs: Sequence[Log], torque: bool | None) -> bool:
@@ -32,11 +32,12 @@ def use_torque(robot: Robot, logs: Sequence[Log], torque: bool | None) -> bool:
     if torque is None:
         torque = not seen and all(log.tau is not None for log in logs)
     if torque:
+        refuse_unsupported(robot, "calibration with motor torques")
         for log in logs:
             log.require("tau", purpose="calibration with motor torques")
     elif not seen:
         raise EstimatorError(
-            "motor positions alone tell nothing of a spring: record accelerometers, link encoders, gyroscopes, joint "
+            "motor positions alone do not determine a spring: record accelerometers, link encoders, gyroscopes, joint "
             "torques or motor torques"
         )
     return torque

@@ -47,10 +47,10 @@ def page(calibration: Result, inputs: Sequence[Input] = ()) -> Page:
 def _verdict(calibration: Result) -> Verdict:
     doubts = tuple(str(c) for c in (*calibration.contradictions, *calibration.notes))
     if not calibration.accepted:
-        return Verdict("bad", "These values are not to be believed", (*calibration.objections, *doubts))
+        return Verdict("bad", "Do not use these values", (*calibration.objections, *doubts))
     if doubts:
-        return Verdict("doubtful", "These values can be used, with a doubt", doubts)
-    return Verdict("good", "These values foretell readings that they were not fitted to")
+        return Verdict("doubtful", "These values can be used, with reservations", doubts)
+    return Verdict("good", "These values predict readings that they were not fitted to")
 
 
 def _foretold(calibration: Result) -> list[tuple[str, str]]:

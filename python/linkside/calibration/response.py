@@ -1,7 +1,7 @@
 """The posterior of a robot's parameters by the links' response to their motors: output error, stage by stage.
 
 Motors are where they were measured; nothing else moves the links. What sensors on them should then read is compared
-with what they read, so that no density of the motors' positions is there to be improved by a wrong spring.
+with what they read, so that a wrong spring cannot improve a density of the motors' positions.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from .prepared import ZEROS, Prepared, kinds, width
 from .problem import HUBER, STATED, Evidence, bare
 from .products import products
 from .spread import spread
+from .whitening import Whitening
 
 LEAST_ZERO = 1e-3
 """Uncertainty of a zero, in the signal's unit, beside the largest reading."""
@@ -35,7 +36,7 @@ LEAST_ZERO = 1e-3
 OF_TIME = ("time_constant", "delay", *OF_LINK_ENCODERS)
 LEAST_NOISE = 1e-9
 FIRST = 0.05
-"""So long motors are looked at to see whether a recording starts in motion [s]."""
+"""Length of the beginning of a recording that decides whether it starts in motion [s]."""
 
 LEAST_START, LEAST_SPEED = 1e-4, 1e-3
 """Uncertainty of the links' first positions [rad] and velocities [rad/s], beside what gravity and motion make of it."""
@@ -69,6 +70,8 @@ class ResponseProblem:
         Standard deviations of residuals in that band, (m,); as small as can be where they are not known.
     base
         `robot` without what `bare` takes off, where it is known.
+    white
+        What makes residuals white where all frequencies are looked at, if they are not taken as they are.
     """
 
     def __init__(
@@ -80,13 +83,16 @@ class ResponseProblem:
         corner: float = np.inf,
         size: FloatArray | None = None,
         base: Robot | None = None,
+        white: Whitening | None = None,
     ) -> None:
-        self.robot, self.recordings = robot, list(recordings)
+        self.robot, self.recordings, self.white = robot, list(recordings), white
         self.logs = [recording.log for recording in recordings]
         self.free, self.held, self.corner = tuple(free), tuple(held), corner
         self.kinds = kinds(robot, self.logs)
         self._seen = [recording.coarser(corner) for recording in recordings]
-        self._bands = [Band.below(corner, seen.period, len(seen.readings)) for seen in self._seen]
+        bands = [Band.below(corner, seen.period, len(seen.readings)) for seen in self._seen]
+        self._bands: list[Band] | list[Whitening] = bands if white is None else [white] * len(bands)
+        self._narrowed = [float(np.linalg.norm(band.weights)) for band in bands]
         self.base, fixed = base or bare(robot), self._fixed()
         self._cores = [Response(self.base.core, seen.motors, kinds=self.kinds, fixed=fixed) for seen in self._seen]
         self.size = self._least() if size is None else size
@@ -95,8 +101,8 @@ class ResponseProblem:
         self._start = np.concatenate([_uncertain_start(robot, self.recordings), np.array(largest) + LEAST_ZERO])
 
     def _like(self, **changes: Any) -> ResponseProblem:
-        own = {name: getattr(self, name) for name in ("robot", "recordings", "free", "held", "corner", "size", "base")}
-        return ResponseProblem(**own | changes)
+        names = ("robot", "recordings", "free", "held", "corner", "size", "base", "white")
+        return ResponseProblem(**{name: getattr(self, name) for name in names} | changes)
 
     def restricted(self, free: Sequence[Parameter]) -> ResponseProblem:
         """Give the same problem with other parameters free."""
@@ -139,7 +145,7 @@ class ResponseProblem:
 
         ``corner`` is of another band.
         """
-        there = self._like(corner=self.corner if corner is None else corner, size=None)
+        there = self._like(corner=self.corner if corner is None else corner, size=None, white=None)
         seen = [there._residuals(i, z, sloped=False) for i in range(len(self.logs))]
         size = spread([residual * there.size for residual, _ in seen], there._least())
         started, left = [], []
@@ -148,7 +154,11 @@ class ResponseProblem:
             shift = _restart(e, by, self._start)
             started.append(replace(recording, offset=recording.offset + shift))
             left.append((e - by @ shift) * size)
-        return there._like(recordings=started, size=spread(left, there._least()))
+        if np.isfinite(there.corner):
+            return there._like(recordings=started, size=spread(left, there._least()))
+        white = Whitening.of(left)
+        told = [np.where(white.told(np.isnan(e)), white(np.nan_to_num(e)), np.nan) for e in left]
+        return there._like(recordings=started, size=spread(told, there._least()), white=white)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -199,7 +209,8 @@ class ResponseProblem:
         weighted = np.concatenate([by, np.where(given, left.clean, 0.0)[:, :, None]], axis=2)
         weighted *= np.sqrt(left.weight)[:, :, None]
         gram = products(weighted.reshape(given.size, total + 1))
-        # What another start of the links would explain is not told: it is projected out (Golub and Pereyra 1973).
+        # What another start of the links would explain carries no information: it is projected out (Golub and Pereyra
+        # 1973).
         start = slice(p, total)
         explained = np.linalg.solve(gram[start, start] + np.diag(1 / self._start**2), gram[start])
         told = gram[:p] - gram[:p, start] @ explained
@@ -321,8 +332,8 @@ class ResponseProblem:
         """A tenth of what the noise of sensors can be."""
         told = [0.1 * s.noise_std for s in self.robot.accelerometers for _ in s.axes]
         parts = [told if kind == "acceleration" else [LEAST_NOISE] * width(self.robot, kind) for kind in self.kinds]
-        pairs = zip(self._bands, self._seen, strict=True)
-        shrunk = min(float(np.linalg.norm(band.weights)) / np.sqrt(seen.every) for band, seen in pairs)
+        pairs = zip(self._narrowed, self._seen, strict=True)
+        shrunk = min(narrowed / np.sqrt(seen.every) for narrowed, seen in pairs)
         return np.array([x * shrunk for part in parts for x in part], dtype=np.float64)
 
 

@@ -23,10 +23,10 @@ from .search import GAIN, ROUGH, Progress, Search
 from .uncertainty import EXCITATION
 
 CORNERS = (5.0, 12.0, 50.0)
-"""Bands that are looked at in turn [Hz], before all of it: the lower, the farther a search finds its way."""
+"""Bands that are searched in turn [Hz], before the whole band: in lower bands a search converges from further away."""
 
 ROUNDS = 3
-"""How often, in each band, noise is taken from the residuals anew, and what is not told is left out."""
+"""How often, in each band, noise levels are updated from the residuals and unidentifiable parameters are left out."""
 
 SETTLED = 0.02
 """A round that changes no parameter by more than this, in tolerances, is a band's last."""
@@ -37,6 +37,9 @@ FACTORS = (1 / 3, 3.0)
 FIRST = ("stiffness", "damping", "bias")
 """Kinds that the way is found with; what makes up for these, such as a load, comes later."""
 
+OF_SPRINGS = ("stiffness", "cubic_stiffness", "damping")
+"""Kinds that one sensor alone must find as the others do."""
+
 WIDER = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8)
 """Factors that are tried on the corner frequencies by which motors' positions are smoothed."""
 
@@ -45,7 +48,7 @@ APART = 1.0
 
 
 class ResponseRun(CalibrationRun[ResponseProblem]):
-    """Search in one band after the other, leave out what the recordings do not tell, search again.
+    """Search in one band after the other, leave out parameters that are not identifiable, search again.
 
     Parameters
     ----------
@@ -67,7 +70,7 @@ class ResponseRun(CalibrationRun[ResponseProblem]):
         self.before = Fit.of(told.settled(nominal).evidence(nominal, detail=True))
 
     def solve(self) -> None:
-        """Find the way in low bands, from several starts; then take in all bands and leave out what is not told."""
+        """Search low bands from several starts, then all bands, and leave out unidentifiable parameters."""
         everything = self.problem.free
         if not self.resumed:
             self.problem = self.problem.restricted([p for p in everything if p.kind in FIRST])
@@ -102,7 +105,7 @@ class ResponseRun(CalibrationRun[ResponseProblem]):
         return True
 
     def foretold(self) -> Foretold:
-        """How well the outcome foretells readings, against robot.yaml with what is of the sensors alone fitted."""
+        """How well the outcome predicts readings, compared with robot.yaml with fitted sensor parameters."""
         free = [p for p in self.problem.free if p.kind in OF_SENSORS and p.kind not in NOISE]
         held = self.problem.holding({}, free).settled(np.zeros(len(free)))
         at = dict(zip([p.name for p in free], Search(held, gain=ROUGH).maximise(np.zeros(len(free))), strict=True))
@@ -112,11 +115,11 @@ class ResponseRun(CalibrationRun[ResponseProblem]):
         return replace(found, sensors=self._by_others(settled, nominal))
 
     def _by_others(self, settled: ResponseProblem, nominal: FloatArray) -> dict[str, float]:
-        """Log-likelihood that each sensor's readings gain by a fit to the others' only, sensors' own errors kept."""
+        """Log-likelihood that each sensor's readings gain by a fit of springs to the others' only, all else kept."""
         sensors = self.problem.sensors()
         if len(sensors) < 2:
             return {}
-        drives = [p for p in self.problem.free if p.kind not in OF_SENSORS]
+        drives = [p for p in self.problem.free if p.kind in OF_SPRINGS]
         gains = {}
         for name, columns in sensors.items():
             others = self.problem.reading([c for c in range(len(self.problem.channels)) if c not in columns])
@@ -148,7 +151,7 @@ class ResponseRun(CalibrationRun[ResponseProblem]):
                 continue
             found.append(self.at)
         if not found:
-            raise NumericalError("the links fly away at the values of robot.yaml: look for absurd ones there")
+            raise NumericalError("the simulated links diverge with the values of robot.yaml; one of them is far off")
         self.at = found[0]
         common = self.problem.settled(self.z, CORNERS[1])
         worth = [self._posterior(common, at) for at in found]

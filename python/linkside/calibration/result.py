@@ -74,14 +74,14 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Parameters under which recordings are most probable, and how far to believe them.
+    """Most probable parameters, and how far to trust them.
 
     Attributes
     ----------
     estimates : tuple of Estimated
         Those that were freed.
     refused : dict of str to str
-        Those that the recordings cannot tell, with the reason; they stay as in robot.yaml.
+        Those that are not identifiable from the recordings, with the reason; they stay as in robot.yaml.
     correlation : (p, p)
         Of the estimates.
     before, after : Fit
@@ -93,9 +93,9 @@ class Result:
     notes : tuple of str
         Other outcomes that a search ended at.
     foretold : Foretold, optional
-        How well readings are foretold by parameters that were fitted without them.
+        How well readings are predicted by parameters that were fitted without them.
     objections : tuple of str
-        Reasons not to believe the outcome.
+        Reasons not to trust the outcome.
     evaluations : int
         Of the likelihood with its gradient.
     seconds : float
@@ -125,7 +125,7 @@ class Result:
 
     @property
     def accepted(self) -> bool:
-        """Whether there is no reason not to believe the outcome."""
+        """Whether nothing speaks against the outcome."""
         return not self.objections
 
     @property
@@ -139,7 +139,7 @@ class Result:
 
     def to_text(self) -> str:
         """Report in words."""
-        lines = [f"not to be believed: {objection}" for objection in self.objections]
+        lines = [f"refused: {objection}" for objection in self.objections]
         lines.append(f"{'':28} {'before':>12} {'estimate':>12} {'std. error':>11}")
         for e in self.estimates:
             edge = "  at its bound" if e.at_bound else ""

@@ -1,4 +1,4 @@
-"""An interrupted calibration goes on where it was."""
+"""Resume an interrupted calibration."""
 
 from __future__ import annotations
 

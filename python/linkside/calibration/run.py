@@ -73,7 +73,7 @@ class CalibrationRun(Generic[Objective]):
         return self._seen[1]
 
     def _spread(self) -> Uncertainty:
-        """Likewise, how far to believe what is free, and then that."""
+        """The same, how far to trust what is free, and then that."""
         return uncertainty(self._with_considered(), min(log.period for log in self.problem.logs))
 
     def _at(self, free: Sequence[Parameter]) -> FloatArray:
@@ -131,6 +131,6 @@ class CalibrationRun(Generic[Objective]):
 
 
 def filters(problem: Problem | ResponseProblem) -> dict[str, float]:
-    """Half a sample for a filter that robot.yaml does not have: at zero it could not be told from a delay."""
+    """Half a sample for a filter that robot.yaml does not have: at zero it could not be distinguished from a delay."""
     half = 0.5 * min(log.period for log in problem.logs)
     return {p.name: p.z(half) for p in problem.free if p.kind.endswith("time_constant") and p.start < half}

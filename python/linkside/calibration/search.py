@@ -25,7 +25,7 @@ ROUGH = 2.0
 """Likewise, where it is only to be found out what the recordings tell."""
 
 LEAST_CURVATURE = 0.1
-"""A share of Fisher's information; less is not believed."""
+"""Smallest curvature that is used, as a share of Fisher's information."""
 
 BOX = 1.0
 """Longest first step of any parameter, in tolerances."""
@@ -72,7 +72,7 @@ class Search:
 
     Scoring: each step maximises the quadratic that has the posterior's gradient and Fisher's information (with that of
     the prior), within bounds and a box, by the active-set method of `scipy.optimize.lsq_linear` (Stark and Parker
-    1995). The box grows and shrinks with how well the quadratic foretells the gain: Newton's method without second
+    1995). The box grows and shrinks with how well the quadratic predicts the gain: Newton's method without second
     derivatives, in twenty or so evaluations.
     """
 
@@ -95,7 +95,7 @@ class Search:
             foretold = float(here.gradient @ step - 0.5 * step @ curvature @ step)
             if foretold < self.gain:
                 break
-            there = self._try(here.z + step)
+            there = self._try(np.clip(here.z + step, *self.bounds()))
             gained = -np.inf if there is None else there.value - here.value
             box = _resized(box, step, gained / foretold)
             if there is None:
@@ -149,7 +149,7 @@ class Search:
 
 
 def _resized(box: float, step: FloatArray, ratio: float) -> float:
-    """Grow or shrink the box by the share of a foretold gain that came."""
+    """Grow or shrink the box by the ratio of actual to predicted gain."""
     length = float(np.max(np.abs(step)))
     if ratio < 0.25:
         return 0.25 * length

@@ -15,7 +15,7 @@ from linkside.recording.log import Log
 from linkside.robot import Robot
 
 SMOOTHING = 0.01
-"""Over this time motor positions are taken for a cubic, to be differentiated [s]."""
+"""Length of the window in which motor positions are fitted by a cubic and differentiated [s]."""
 
 HALF = 3
 SPIKE = 10.0

@@ -11,7 +11,10 @@ from linkside.arrays import FloatArray
 
 from .result import Estimated, Result
 
-CONSIDERED = ("stiffness", "cubic_stiffness", "damping", "mass_scale", "translation", "rotation", "scale")
+CONSIDERED = (
+    *("stiffness", "cubic_stiffness", "damping", "mass_scale", "link_friction"),
+    *("translation", "rotation", "scale"),
+)
 """Kinds whose standard errors count in estimates."""
 
 DIGITS = range(2, 16)

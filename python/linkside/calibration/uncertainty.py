@@ -1,4 +1,4 @@
-"""How far to believe estimates: standard errors, what the data cannot tell, contradictions between recordings."""
+"""How far to trust estimates: standard errors, identifiability, contradictions between recordings."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ IDENTIFIABLE = 0.5
 HALF_TOLD = 0.9
 """Likewise of `NEVER_KNOWN`."""
 
-NEVER_KNOWN = ("damping", "bias")
-"""Kinds of which robot.yaml's value is a guess."""
+NEVER_KNOWN = ("damping", "link_friction", "link_coulomb", *("translation", "rotation", "bias", "scale"))
+"""Kinds of which robot.yaml's value is a guess, as of a sensor's mounting by hand."""
 
 STANDING_IN = (("time_constant", "delay"), OF_LINK_ENCODERS)
-"""Kinds of which one does what another of the same sensor would: without it the other is told."""
+"""Kinds that can replace each other in one sensor: without one of them the other is identifiable."""
 
 HIDING = 0.2
 """A parameter that is less correlated with a stiffness is not what hides it."""
@@ -39,6 +39,9 @@ ALIKE = 0.9
 SIGNIFICANT = 1e-4
 """Recordings contradict each other when estimates as far apart as theirs have a smaller probability than this."""
 
+UNFINISHED = 0.04
+"""What a search leaves of the way, squared, as a share of the variance."""
+
 EXCITATION = {
     "stiffness": "faster motion, or a heavier load",
     "cubic_stiffness": "larger torques, from fast or loaded motion",
@@ -48,6 +51,9 @@ EXCITATION = {
     "coulomb": "motor torques, and reversals at low speed",
     "coupling": "motor torques, and accelerations of both joints",
     "mass_scale": "motor torques",
+    "link_friction": "motion at different speeds, slow ones too",
+    "link_coulomb": "link encoders, and reversals",
+    "half_gap": "torques that change their sign",
     "payload_mass": "accelerations about several axes, in several postures",
     "payload_xyz": "the wrist in several postures, accelerated",
     "translation": "fast rotation of the link that carries the sensor",
@@ -84,6 +90,11 @@ class Uncertainty:
         """Covariance, (p, p)."""
         return self.correlation * np.outer(self.std, self.std)
 
+    @property
+    def plain(self) -> FloatArray:
+        """Covariance if innovations were independent, (p, p)."""
+        return self.covariance / np.outer(self.widening, self.widening)
+
     def of(self, count: int) -> Uncertainty:
         """Of the first ``count`` only."""
         return Uncertainty(self.std[:count], self.correlation[:count, :count], self.widening[:count])
@@ -95,7 +106,7 @@ class Uncertainty:
 
 @dataclass(frozen=True)
 class Untold:
-    """What recordings do not tell.
+    """Parameters that are not identifiable from recordings.
 
     Attributes
     ----------
@@ -143,7 +154,7 @@ def unidentifiable(
     still: Sequence[str],
     known: frozenset[str] = frozenset(),
 ) -> Untold:
-    """Parameters that the recordings cannot tell, each with the reason; the worst first, then anew.
+    """Find the parameters that are not identifiable, each with the reason: leave out the worst, then look again.
 
     Parameters
     ----------
@@ -179,18 +190,20 @@ def unidentifiable(
                 # It stays among what is uncertain: others are no better known for a value that nothing tells.
                 considered.add(name)
         else:
-            reasons[chosen[hidden_by].name] = f"with it {name} could not be told; free it by name to try"
+            reasons[chosen[hidden_by].name] = f"with it {name} would not be identifiable; free it by name to try"
             considered.discard(chosen[hidden_by].name)
             del kept[hidden_by]
     return Untold(reasons, frozenset(considered))
 
 
 def _enough(p: Parameter) -> float:
-    """The standard error, in tolerances, at which a parameter is told: of noise, none is too large.
+    """Largest standard error, in tolerances, of an identifiable parameter; for noise there is no limit.
 
-    A damping or a bias that is half known still keeps springs from making up for a wrong one.
+    A damping or a bias that is half known still keeps springs from making up for a wrong one; masses likewise.
     """
-    return {**dict.fromkeys(NEVER_KNOWN, HALF_TOLD), **dict.fromkeys(NOISE, np.inf)}.get(p.kind, IDENTIFIABLE)
+    return {**dict.fromkeys((*NEVER_KNOWN, "mass_scale"), HALF_TOLD), **dict.fromkeys(NOISE, np.inf)}.get(
+        p.kind, IDENTIFIABLE
+    )
 
 
 def _least_told(index: int, free: Sequence[Parameter], told: FloatArray) -> int:
@@ -206,9 +219,9 @@ def _least_told(index: int, free: Sequence[Parameter], told: FloatArray) -> int:
 
 
 def _hiding(index: int, covariance: FloatArray, free: Sequence[Parameter]) -> int | None:
-    """What to leave as robot.yaml has it so that a stiffness can be told: what is most like it, or nothing.
+    """Find the parameter to leave as in robot.yaml so that a stiffness becomes identifiable; None if there is none.
 
-    Never a damping or a bias: a spring that makes up for a wrong one is far off.
+    Never a damping, a bias or a mounting: a spring that makes up for a wrong one is far off.
     """
     if free[index].kind != "stiffness":
         return None
@@ -239,7 +252,8 @@ def _reason(parameter: Parameter, alone: float, covariance: FloatArray, index: i
     correlation = covariance[index] / (std * std[index])
     correlation[index] = 0.0
     partner = int(np.argmax(np.abs(correlation)))
-    return f"it cannot be told from {free[partner].name} (correlation {correlation[partner]:+.2f}); it takes {advice}"
+    other = f"{free[partner].name} (correlation {correlation[partner]:+.2f})"
+    return f"it cannot be distinguished from {other}; it takes {advice}"
 
 
 @dataclass(frozen=True)
@@ -304,18 +318,29 @@ def compare(problem: Posterior, fits: Sequence[Alone]) -> list[Contradiction]:
     return [contradiction for contradiction in found if contradiction is not None]
 
 
+def _apart(a: Uncertainty, b: Uncertainty) -> FloatArray:
+    """Covariance of the difference of two estimates of one robot, with the same prior, (p, p).
+
+    Estimates are drawn to the prior's mean, each by its own covariance C: with the true z they are off by -C z, and
+    around that by C - C². The search, besides, stops a little before its goal.
+    """
+    drawn = b.plain - a.plain
+    sampled = [np.outer(u.widening, u.widening) * (u.plain - u.plain @ u.plain) for u in (a, b)]
+    return np.asarray(sampled[0] + sampled[1] + drawn @ drawn + UNFINISHED * (a.plain + b.plain))
+
+
 def _between(problem: Posterior, logs: tuple[int, int], a: Alone, b: Alone) -> Contradiction | None:
     chosen = [
         i
         for i, p in enumerate(problem.free)
         if p.kind not in NOISE
         and p.name not in a.unidentifiable | b.unidentifiable
-        and not (p.exceeds(float(a.z[i])) or p.exceeds(float(b.z[i])))
+        and not any(p.exceeds(float(fit.z[i])) and not p.exceeds(0.0) for fit in (a, b))
     ]
     if not chosen:
         return None
     difference = (a.z - b.z)[chosen]
-    covariance = (a.uncertainty.covariance + b.uncertainty.covariance)[np.ix_(chosen, chosen)]
+    covariance = _apart(a.uncertainty, b.uncertainty)[np.ix_(chosen, chosen)]
     square = float(difference @ np.linalg.solve(covariance, difference))
     probability = float(stats.chi2.sf(square, len(chosen)))
     if probability >= SIGNIFICANT:

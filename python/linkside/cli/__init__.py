@@ -3,7 +3,7 @@
 Whatever a user can get wrong is one line on standard error and exit status 2, and leaves no file behind.
 """
 
-from . import estimating, fitting, learn, looking, recordings, viewing
+from . import compiling, estimating, fitting, learn, looking, paper, recordings, viewing
 from .group import main
 
-__all__ = ["estimating", "fitting", "learn", "looking", "main", "recordings", "viewing"]
+__all__ = ["compiling", "estimating", "fitting", "learn", "looking", "main", "paper", "recordings", "viewing"]

@@ -1,4 +1,4 @@
-"""The command line's calibration: files in, files out."""
+"""Calibration for the command line, from files to files."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def run(
     force: bool,
     no_check: bool = False,
 ) -> Calibration:
-    """Calibrate, and write what is to be believed, or all by ``force``; the best so far is kept beside ``out``."""
+    """Calibrate, and write an accepted result, or with ``force`` any; the best so far is kept beside ``out``."""
     partial = Path(f"{out}.partial")
     check_writable(partial, (".partial",))
     start = state.kept(partial) if resume else None

@@ -54,7 +54,7 @@ class EstimateJob:
 
 @dataclass
 class Outcome:
-    """What came of a log: its tally, tables for people, or an error.
+    """The outcome of a log: its tally and tables, or an error.
 
     ``kept`` where its estimate was there already; ``conversions`` of the log's units, in words, and
     ``suspicions`` of the checks of recordings.
@@ -70,12 +70,12 @@ class Outcome:
 
     @property
     def believable(self) -> bool:
-        """Whether nothing contradicts it."""
+        """Whether nothing contradicts the estimate."""
         return self.error is None and self.tally.believable
 
 
 class Stopped(Exception):
-    """The user wants no more of this."""
+    """The user interrupted the run."""
 
 
 class Interruption:
@@ -99,7 +99,7 @@ class Interruption:
 
     @contextmanager
     def estimating(self) -> Iterator[None]:
-        """Let what is done here be stopped."""
+        """Register this thread, so that it can be stopped."""
         thread = get_ident()
         with self._lock:
             if self._stopped:
@@ -130,10 +130,9 @@ def cores() -> int:
 def estimate_all(
     jobs: Sequence[EstimateJob], workers: int, tell: Callable[[Outcome], None], *, keep: bool
 ) -> list[Outcome]:
-    """Estimate each log, ``workers`` at a time, and tell of each when it is done.
-
-    Of several, one that cannot be used does not keep the others waiting; a single one raises its error. With ``keep``,
-    estimates that are there and were made from the same are left alone.
+    """Estimate each log, ``workers`` at a time, and report each when it is done. If one of several cannot be used, the
+    others go on; a single one raises its error. With ``keep``, existing estimates that were made from the same inputs
+    are skipped.
     """
     counts = [log_rows(job.log) for job in jobs]
     total = None if None in counts else sum(count for count in counts if count is not None)

@@ -21,16 +21,16 @@ from .reporting import all_logs
 from .tally import STATUS_WORDS
 
 REMEDIES = {
-    "damped": "Some accelerations are hardly seen: see linkside check robot.yaml log.parquet, and linkside place.",
-    "unseen": "Some accelerations are not seen at all: linkside check robot.yaml log.parquet says which.",
+    "damped": "Some accelerations are poorly observed: see linkside check robot.yaml log.parquet, and linkside place.",
+    "unseen": "Some accelerations are not observed at all: linkside check robot.yaml log.parquet names them.",
     "predicted": "Rows without any reading: look at the recorder, or at the clocks of merged files.",
-    "gated": "Outliers were left out: see which channel they are of, and whether its noise_std is honest.",
+    "gated": "Outliers were rejected: check which channel has them, and whether its noise_std is large enough.",
     "bridged": "Readings are missing when they are due: look at the recorder, if there are many.",
 }
-"""What to do about rows with a flag."""
+"""Advice for flagged rows."""
 
 ODD = 0.01
-"""From this share of flagged rows on it is said in the verdict."""
+"""Share of flagged rows from which on the verdict mentions them."""
 
 
 def estimate_page(outcome: Outcome, robot_file: str, settings: Sequence[tuple[str, str]]) -> Page:

@@ -75,6 +75,13 @@ class Poles(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
     show_default=True,
     help="Whether to estimate torques on the links that the model lacks.",
 )
+@click.option(
+    "--loss",
+    type=click.Choice(["squares", "huber", "student-t"]),
+    default="squares",
+    show_default=True,
+    help="What an error of a reading costs; less than its square where there are outliers.",
+)
 @click.option("--particles", type=int, default=1000, show_default=True, help="Number of particles.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random numbers of a particle filter.")
 @click.option("--gain", type=float, default=100, show_default=True, help="Gain of a velocity observer [1/s].")

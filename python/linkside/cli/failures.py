@@ -65,7 +65,7 @@ def complain(message: str) -> None:
 
 @contextmanager
 def _warnings_in_words() -> Iterator[None]:
-    """Let warnings of ours be lines on standard error, each once."""
+    """Print linkside's warnings on standard error, one line each, and each once."""
     said: set[str] = set()
 
     def show(

@@ -1,4 +1,4 @@
-"""What came of a log, in the metadata of its Parquet estimate, so that one that is left alone is judged as it was."""
+"""The outcome of a log in the metadata of its Parquet estimate, so that a skipped estimate is judged as before."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ METADATA = "linkside.outcome"
 
 
 def record(tally: Tally, conversions: tuple[str, ...], suspicions: tuple[Finding, ...]) -> dict[str, str]:
-    """Give it as metadata, the same for the same estimate: without the time it took, nor the rounding of sums."""
+    """Return it as metadata that is the same for the same estimate: without run times and rounding of sums."""
     kept = {name: value for name, value in vars(tally).items() if not name.startswith("_") and name != "seconds"}
     kept["nis"] = float(f"{tally.nis:.10g}")
     kept["findings"] = [asdict(fault) for fault in tally.findings]

@@ -1,4 +1,4 @@
-"""``linkside learn``: from repeat to repeat of a motion, the next command."""
+"""``linkside learn``: compute the next command from each repeat of a motion."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Gains(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
 
 @main.group(epilog=example("linkside learn start robot.yaml log.parquet --kp 4e5 --kd 1e4 --out learning.parquet"))
 def learn() -> None:
-    """Improve a motion from repeat to repeat, by estimates of where the links went (iterative learning control)."""
+    """Improve a motion from repeat to repeat, from estimates of the links (iterative learning control)."""
 
 
 @learn.command(
@@ -48,7 +48,7 @@ def learn() -> None:
 @click.option("--rate", type=float, default=0.5, show_default=True, help="1 learns at once; less averages noise.")
 @click.option("--out", required=True, type=click.Path(), help="State of the iteration, a Parquet file.")
 def start(robot: str, motion: str, out: str, **settings: Any) -> None:
-    """Begin to learn MOTION of ROBOT's links: columns t and qref_<joint>, or q_<joint>."""
+    """Start learning MOTION of ROBOT's links: columns t and qref_<joint>, or q_<joint>."""
     refuse_clashes([Path(out)], [robot, motion])
     check_writable(out, (".parquet",))
     loaded = Robot.load(robot)
@@ -68,11 +68,11 @@ def start(robot: str, motion: str, out: str, **settings: Any) -> None:
 @click.argument("robot", type=click.Path())
 @click.argument("state", type=click.Path())
 @click.argument("estimate", type=click.Path())
-@click.option("--out", required=True, type=click.Path(), help="The new state, STATE itself if that may be replaced.")
+@click.option("--out", required=True, type=click.Path(), help="The new state; may be STATE itself.")
 def next_(robot: str, state: str, estimate: str, out: str) -> None:
-    """Take the ESTIMATE of a repeat with the command in STATE; the next command is in ref_<joint> of --out.
+    """Learn from the ESTIMATE of a repeat of the command in STATE; the next command is in ref_<joint> of --out.
 
-    Exit status 3: the errors are below the estimate's own standard deviation, so that no more can be learnt.
+    Exit status 3: the errors are below the estimate's standard deviation, so no more can be learnt.
     """
     refuse_clashes([Path(out)], [robot, estimate])
     check_writable(out, (".parquet",))

@@ -1,4 +1,4 @@
-"""``linkside check``, ``compare``, ``place`` and ``demo``: what sensors see, and how far motions are apart."""
+"""``linkside check``, ``compare``, ``place`` and ``demo``: observability and comparison."""
 
 from __future__ import annotations
 
@@ -27,10 +27,17 @@ from .terminal import show
 @click.argument("log", type=click.Path(), required=False)
 @click.option("--figure", type=click.Path(), help="Draw a figure: a .png, .pdf or .svg file.")
 @click.option("--over", metavar="JOINT,JOINT", help="Joints of the figure's axes.  [default: those that matter most]")
-@click.option("--at", "held", metavar="JOINT=POSITION", multiple=True, help="Where other joints are [rad, m].")
+@click.option("--at", "held", metavar="JOINT=POSITION", multiple=True, help="Position of another joint [rad, m].")
+@click.option("--bound", is_flag=True, help="Also say how good a filter and a smoother can get along LOG.")
 @report
 def check(
-    robot: str, log: str | None, figure: str | None, over: str | None, held: tuple[str, ...], report: str | None
+    robot: str,
+    log: str | None,
+    figure: str | None,
+    over: str | None,
+    held: tuple[str, ...],
+    bound: bool,
+    report: str | None,
 ) -> None:
     """Report what the sensors of ROBOT observe, how well and where; with LOG, along it, and check LOG for mistakes."""
     from linkside.observability import analysis as module
@@ -40,6 +47,8 @@ def check(
     at = dict(named_number("--at", text) for text in held)
     if figure is None and (over or at):
         raise click.UsageError("--over and --at are for --figure")
+    if bound and log is None:
+        raise click.UsageError("--bound is for a LOG")
     check_figure(figure, [robot, log])
     check_report(report, [robot, log, figure])
     rows, refused = ([], None) if log is None else verdicts(Log.read(log, loaded, check=False), loaded)
@@ -54,6 +63,12 @@ def check(
         sound = log is not None and refused is None
         found = module.check(loaded, Log.stream(log, loaded) if log is not None and sound else None)
     show(check_tables(found))
+    if bound and log is not None and refused is None:
+        from linkside import kalman
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RecordingWarning)
+            show(kalman.bound(loaded, Log.read(log, loaded)).tables())
     if figure is not None:
         with naming(robot):
             drawn = found.figure(None if over is None else over.split(","), at)
@@ -70,7 +85,7 @@ def check(
 @main.command(epilog=example("linkside compare truth.parquet estimate.parquet --segments rests"))
 @click.argument("reference", type=click.Path())
 @click.argument("estimates", metavar="ESTIMATE...", type=click.Path(), nargs=-1, required=True)
-@click.option("--robot", type=click.Path(), help="A robot.yaml: tool paths where a file has none.")
+@click.option("--robot", type=click.Path(), help="A robot.yaml, to compute tool paths that a file lacks.")
 @click.option("--names", help="Names of estimates: a,b,c.  [default: their files]")
 @click.option(
     "--align",

@@ -8,8 +8,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
-from linkside.kalman.elastic_joint import ElasticJointFilter, ElasticJointSmoother, ElasticNoise
-from linkside.kalman.jerk_driven import ExtendedKalmanFilter, RauchTungStriebelSmoother
+from linkside.kalman.elastic_joint import (
+    ElasticJointFilter,
+    ElasticJointIteratedSmoother,
+    ElasticJointSmoother,
+    ElasticNoise,
+)
+from linkside.kalman.jerk_driven import ExtendedKalmanFilter, IteratedSmoother, RauchTungStriebelSmoother
+from linkside.kalman.losses import Loss
 from linkside.kalman.noise import Noise
 from linkside.kalman.stretches import smooth_pieces
 from linkside.observers.poles import PolePattern
@@ -34,6 +40,7 @@ class Options:
     tuning: Any
     gate: float | None
     link_disturbance: Literal["auto", "on", "off"]
+    loss: Loss
     particles: int
     seed: int
     gain: float
@@ -43,7 +50,7 @@ class Options:
     def of_filters(self) -> dict[str, Any]:
         """Settings of Kalman filters and smoothers."""
         disturbance = {"auto": "auto", "on": True, "off": False}[self.link_disturbance]
-        return {"gate": self.gate, "link_disturbance": disturbance}
+        return {"gate": self.gate, "link_disturbance": disturbance, "loss": self.loss}
 
 
 @dataclass(frozen=True)
@@ -89,12 +96,20 @@ def _smoother(robot: Robot, options: Options) -> Run:
     return partial(smooth_pieces, smoother, folder=options.spill)
 
 
+def _map(robot: Robot, options: Options) -> Run:
+    return partial(map, IteratedSmoother(robot, options.tuning, **options.of_filters).run)
+
+
 def _elastic_ekf(robot: Robot, options: Options) -> Run:
     return ElasticJointFilter(robot, options.tuning, **options.of_filters).run_pieces
 
 
 def _elastic_smoother(robot: Robot, options: Options) -> Run:
     return partial(map, ElasticJointSmoother(robot, options.tuning, **options.of_filters).run)
+
+
+def _elastic_map(robot: Robot, options: Options) -> Run:
+    return partial(map, ElasticJointIteratedSmoother(robot, options.tuning, **options.of_filters).run)
 
 
 def _particle(method: type[ParticleFilter], robot: Robot, options: Options) -> Run:
@@ -105,6 +120,9 @@ def _velocity(method: type[ReducedOrderObserver], robot: Robot, options: Options
     return method(robot, options.gain).run_pieces
 
 
+OF_FILTERS = ("tuning", "gate", "link_disturbance", "loss")
+"""Options of Kalman filters and smoothers."""
+
 METHODS = {
     "observer": Method(
         "driven by accelerometers; needs no link dynamics",
@@ -113,22 +131,31 @@ METHODS = {
         uneven=False,
         read_tuning=ObserverTuning.read,
     ),
-    "ekf": Method(
-        "Kalman filter with link dynamics and standard deviations", ("tuning", "gate", "link_disturbance"), _ekf
-    ),
-    "smoother": Method(
-        "the same, using all samples, later ones included", ("tuning", "gate", "link_disturbance"), _smoother
+    "ekf": Method("Kalman filter with link dynamics and standard deviations", OF_FILTERS, _ekf),
+    "smoother": Method("the same, using all samples, later ones included", OF_FILTERS, _smoother),
+    "map": Method(
+        "the most probable motion, linearised at itself; --loss huber or student-t for outliers",
+        OF_FILTERS,
+        _map,
+        whole=lambda _: True,
     ),
     "elastic-ekf": Method(
         "Kalman filter on the elastic-joint dynamics, driven by the motor torques; needs no accelerometer",
-        ("tuning", "gate", "link_disturbance"),
+        OF_FILTERS,
         _elastic_ekf,
         read_tuning=ElasticNoise.read,
     ),
     "elastic-smoother": Method(
         "the same, using all samples, later ones included",
-        ("tuning", "gate", "link_disturbance"),
+        OF_FILTERS,
         _elastic_smoother,
+        whole=lambda _: True,
+        read_tuning=ElasticNoise.read,
+    ),
+    "elastic-map": Method(
+        "the most probable motion on the elastic-joint dynamics",
+        OF_FILTERS,
+        _elastic_map,
         whole=lambda _: True,
         read_tuning=ElasticNoise.read,
     ),

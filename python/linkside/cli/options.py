@@ -1,4 +1,4 @@
-"""What commands have in common: options, kinds of values, checks of what is written where."""
+"""Common parts of the commands: options, types of values, checks of outputs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from linkside.report.page import SUFFIXES
 no_check = click.option("--no-check", is_flag=True, help="Skip the checks of the recordings.")
 
 
-report = click.option("--report", type=click.Path(), help="A report: one HTML file that needs no other.")
+report = click.option("--report", type=click.Path(), help="Write a report, a self-contained HTML file.")
 
 
 def example(command: str) -> str:

@@ -20,7 +20,7 @@ BLOCK = 1 << 20
 
 
 def digest(files: Iterable[str | Path], settings: object) -> str:
-    """Digest files, settings and the version of linkside; what cannot be read is for others to complain about."""
+    """Digest files, settings and the version of linkside; unreadable files are reported elsewhere."""
     whole = hashlib.blake2b(f"{version('linkside')} {settings!r}".encode(), digest_size=16)
     for path in files:
         whole.update(_of_file(path))

@@ -23,7 +23,7 @@ from .terminal import rate_lines, show
 @click.argument("urdf", type=click.Path())
 @click.option("--out", type=click.Path(), default="robot.yaml", show_default=True, help="The file to write.")
 @click.option(
-    "--drive", type=click.Choice(list(DRIVES)), default="strain-wave", show_default=True, help="Kind of its gears."
+    "--drive", type=click.Choice(list(DRIVES)), default="strain-wave", show_default=True, help="Kind of the gears."
 )
 @click.option(
     "--gear-ratio", "ratios", multiple=True, metavar="JOINT=N", help="Its gear ratio; logs then hold shaft values."
@@ -35,7 +35,7 @@ def init(urdf: str, out: str, drive: str, ratios: tuple[str, ...]) -> None:
     """
     check_writable(out, (".yaml", ".yml"))
     if Path(out).exists():
-        raise OutputError(f"{out}: this is there already; give another --out")
+        raise OutputError(f"{out}: this file exists already; give another --out")
     given = dict(named_number("--gear-ratio", text) for text in ratios)
     write_text(out, starter(urdf, out, drive=drive, gear_ratios=given))
     click.echo(f"written: {out}")

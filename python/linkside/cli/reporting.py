@@ -1,4 +1,4 @@
-"""What is said of logs that were estimated: in words, as lines of JSON, or not at all."""
+"""Reports of estimated logs: in words, as lines of JSON, or none."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Manner: TypeAlias = Literal["words", "json", "quiet"]
 
 
 def tell(outcome: Outcome, manner: Manner) -> None:
-    """Tell of one log; errors are on standard error in any manner."""
+    """Report one log; errors always go to standard error."""
     if manner == "json":
         click.echo(json.dumps(_record(outcome), ensure_ascii=False))
     if outcome.error is not None:

@@ -1,4 +1,4 @@
-"""What the terminal shows: a bar while work goes on, tables and a summary when it is done."""
+"""The summary line of an estimated log."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from .group import main
 from .options import example, refuse_clashes
 
 MOST = 3
-"""Names of files that are said."""
+"""Number of missing files that are named."""
 
 
 @main.command(epilog=example("linkside view robot.yaml log.parquet estimate.parquet --out motion.rrd"))
@@ -24,7 +24,7 @@ MOST = 3
 @click.option("--out", required=True, type=click.Path(), help="A file that ends in .rrd (Rerun) or .mcap.")
 @click.option("--rate", type=float, default=200, show_default=True, help="About how many rows a second to write [Hz].")
 def view(robot: str, log: str, estimate: str, out: str, rate: float) -> None:
-    """Write ROBOT in motion: links by ESTIMATE, their motors' ghost, the tool's path, and how LOG's readings differ.
+    """Write an animation of ROBOT: links by ESTIMATE, links by motors alone, the tool's path, and residuals of LOG.
 
     .rrd is for Rerun (pip install linkside[rerun]; `rerun FILE`), .mcap for PlotJuggler and Foxglove (linkside[mcap]).
     """
@@ -36,5 +36,5 @@ def view(robot: str, log: str, estimate: str, out: str, rate: float) -> None:
     found = write_scene(loaded, log, estimate, out, urdf=urdf_of(robot, loaded), rate=rate)
     if found.missing:
         names = ", ".join(found.missing[:MOST])
-        click.echo(f"{len(found.missing)} meshes are not there, and their links are shown without: {names}")
+        click.echo(f"{len(found.missing)} meshes are missing, and their links are drawn without them: {names}")
     click.echo(f"written: {out}")

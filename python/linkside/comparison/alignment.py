@@ -14,7 +14,7 @@ ALIGNMENTS = ("time", "start")
 """Rows belong together by their time, or by the time since their motion's first row."""
 
 SAME = 1e-4
-"""Rows that are apart by less than this share of a period are at the same time."""
+"""Rows that differ by less than this share of a period are taken as simultaneous."""
 
 GAP = 1.5
 """Rows that are apart by more periods than this have a gap between them."""

@@ -122,7 +122,7 @@ def compare(
     robot
         Tells which joints slide, so that they are in metres.
     shift
-        What the estimates' clocks are late by [s]; ``"auto"`` finds it for each, see `find_shift`.
+        Delay of the estimates' clocks [s]; ``"auto"`` finds it for each, see `find_shift`.
     align
         ``"time"``, or ``"start"`` for motions that were recorded at different times: each begins at its first row.
     segments

@@ -41,7 +41,7 @@ def tables(comparison: ComparisonResult) -> Iterator[RenderableType]:
             yield _table(title, joints, lambda m: (m.signal.removeprefix("q_"), m.segment))
     for difference in comparison.differences:
         if difference.shift:
-            yield f"{difference.name}: its clock is {1e3 * difference.shift:.4g} ms late, which is taken out."
+            yield f"{difference.name}: its clock is {1e3 * difference.shift:.4g} ms late, which is corrected."
     if comparison.spread:
         spread = Titled("standard deviation between repeats, RMS over time", ("signal", "spread", "unit"))
         units = {m.signal: m.unit for m in comparison.measures}

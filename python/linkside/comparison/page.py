@@ -28,7 +28,7 @@ def page(comparison: Comparison, inputs: Sequence[Input]) -> Page:
     nearest = (
         f"{order[0].estimate} is nearest to {comparison.reference}"
         if len(order) > 1
-        else (f"{order[0].estimate} beside {comparison.reference}" if order else "Nothing in common was found")
+        else (f"{order[0].estimate} beside {comparison.reference}" if order else "Nothing in common")
     )
     parts: list[Part] = paragraphs(tables(comparison))
     figure: list[Part] = [(f"Difference from {comparison.reference}", comparison.figure())]

@@ -1,4 +1,4 @@
-"""Whether an estimate's errors are as large as it says."""
+"""Whether an estimate's errors agree with its standard deviations."""
 
 from .compare import Consistency, consistency
 from .measures import Ratio

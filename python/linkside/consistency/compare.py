@@ -1,4 +1,4 @@
-"""Whether a filter's uncertainty is to be believed: its innovations and errors against what they should be."""
+"""Whether a filter's uncertainty is right: its innovations and errors compared with what they should be."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Controllers to put into a simulation's loop: `JointPD`, `SimpleAdaptive`, or any function ``(t, state) -> tau``.
+"""Controllers for simulations: `JointPD`, `SimpleAdaptive`, or any function ``(t, state) -> tau``.
 
 `feedback.StateFeedback` is another.
 """
@@ -21,7 +21,7 @@ AXES = "xyz"
 
 
 class State(NamedTuple):
-    """What a controller knows of the robot, (n,) each: true, measured or estimated.
+    """The state of the robot that a controller receives, (n,) each: true, measured or estimated.
 
     Attributes
     ----------

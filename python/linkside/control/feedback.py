@@ -1,4 +1,4 @@
-"""State feedback on the estimate: full state, or the motors' alone to compare with.
+"""State feedback on the estimate: full state, or motors alone for comparison.
 
 De Luca, Schröder and Thümmel (2007), eq. (13): τ = K_P (x_d − ξ) + τ_d with x = (θ, q, θ̇, q̇), ξ the observer's estimate
 and τ_d from inverse dynamics.
@@ -153,7 +153,7 @@ class StateFeedback:
     robot
         The robot as it is known.
     desired
-        What is to be done, from `control.inverse_dynamics`, with a row a sample.
+        The desired motion, from `control.inverse_dynamics`, with a row a sample.
     gains : (n, 4 n)
         From `pole_placement`, `lqr` or `motor_only`.
     observer
@@ -167,7 +167,7 @@ class StateFeedback:
     Attributes
     ----------
     estimate : State or None
-        What the observer said at the last sample.
+        The observer's estimate at the last sample.
     """
 
     estimate: State | None = None

@@ -1,4 +1,4 @@
-"""Torques that make a robot with elastic joints do what is wanted."""
+"""Feedforward torques for robots with elastic joints."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .trajectories import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Desired:
-    """A motion of the whole robot, and the motor torque that makes it; arrays in log order.
+    """A motion of the whole robot and the motor torques that produce it; arrays in log order.
 
     Attributes
     ----------

@@ -288,8 +288,8 @@ class _InverseKinematics:
         joint, pose = self.mount
         pin.computeJointJacobians(self.robot.model, self.data, self.robot.to_pinocchio(q))
         frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        jacobian = pin.getFrameJacobian(self.robot.model, self.data, joint, pose, frame).reshape(6, self.robot.n)
-        columns = jacobian[:, self.robot.velocity_index[self.moving]]
+        jacobian = pin.getFrameJacobian(self.robot.model, self.data, joint, pose, frame).reshape(6, -1)
+        columns = (jacobian @ self.robot.velocity_map)[:, self.moving]
         return np.vstack([columns[self.rows], columns[3:]]) if self.orientation else columns[self.rows]
 
 

@@ -1,4 +1,4 @@
-"""A robot and a recording to try things on: a six-axis arm, simulated, whose first joint moves five degrees."""
+"""An example robot and recording: a simulated six-axis arm whose first joint moves by five degrees."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The observer on the recording inside the package: how far motors alone are off, and how much closer it comes."""
+"""The observer on the recording inside the package, compared with motor positions alone."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ def line_style(index: int) -> dict[str, str]:
 
 
 def plain_log(axis: Any) -> None:
-    """Label a logarithmic axis with plain numbers; where it spans less than two decades, in between too."""
+    """Label a logarithmic axis with plain numbers; if it spans less than two decades, label minor ticks too."""
     low, high = sorted(axis.get_view_interval())
     short = low > 0 and np.log10(high / low) < 2
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -1,4 +1,4 @@
-"""ROS bags: MCAP files and rosbag2, of which columns of numbers are read by topic and path of a field."""
+"""ROS bags, MCAP files and rosbag2: columns of numbers are read by topic and path of a field."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ class Bag:
     source : str
         Its name, for messages.
     notes : list of str
-        What is to be said about what was read: a file that was cut off, chunks that are damaged.
+        Remarks about what was read: a file that was cut off, damaged chunks.
 
     Raises
     ------

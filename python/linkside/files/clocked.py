@@ -54,7 +54,7 @@ class ClockedTable:
     unit
         Of the column of time [s].
     lines
-        Columns that nobody measures: they are put on straight lines.
+        Columns of commanded signals, which are interpolated linearly.
 
     Raises
     ------

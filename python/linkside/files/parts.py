@@ -1,6 +1,6 @@
-"""Files and folders while they are being written: found and cleared by a later run if theirs was killed.
+"""Temporary files and folders of outputs; those of killed runs are found and removed by a later run.
 
-Whoever writes holds a lock, which the system releases when a process ends, however it ends.
+A writer holds a lock, which the system releases whenever the process ends.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def clear(folder: Path) -> None:
 
 
 def _remove(locked: Path, remove: Callable[[], None]) -> None:
-    """Remove what nobody writes, under its lock: who has just made it sees that it is gone."""
+    """Remove a file that no process writes, under its lock, so that a process that has just created it notices."""
     with suppress(OSError), locked.open("rb") as file:
         if _lock(file):
             remove()

@@ -1,4 +1,4 @@
-"""What can be read: files, not pipes, devices or folders, on which a reader would wait or never end."""
+"""Check that a path is a regular file: reading a pipe or a device could block or never end."""
 
 import os
 import stat

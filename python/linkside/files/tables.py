@@ -307,7 +307,7 @@ def reading(source: str) -> Iterator[None]:
 
 @contextmanager
 def parsing(source: str) -> Iterator[None]:
-    """Turn into one line whatever a library raises over broken data: it is of no kind in particular."""
+    """Turn whatever a library raises on broken data, of any type, into one line."""
     try:
         with reading(source):
             yield

@@ -17,15 +17,20 @@ from .regular import instead
 
 def write_text(path: str | Path, text: str) -> None:
     """Write a small file whole or not at all; `OutputError` when that cannot be."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
+    """Write a small file whole or not at all; `OutputError` when that cannot be."""
     path = Path(path)
     with writing(path):
         part, file = open_part(path)
         with file:
-            file.write(text.encode())
+            file.write(content)
             publish(part, file, path)
 
 
-def check_writable(path: str | Path, suffixes: tuple[str, ...] = (".parquet", ".csv")) -> None:
+def check_writable(path: str | os.PathLike[str], suffixes: tuple[str, ...] = (".parquet", ".csv")) -> None:
     """Raise `OutputError` when a file could not be written to ``path``; nothing there is changed."""
     path = Path(path)
     if path.suffix.lower() not in suffixes:

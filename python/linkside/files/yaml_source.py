@@ -1,4 +1,4 @@
-"""Where settings come from: a YAML file that knows its lines, or Python values that have none.
+"""The source of settings: a YAML file with line numbers, or Python values without.
 
 Pydantic says what is wrong with a value; a `Source` says where it stands, in one line a user can act on.
 """

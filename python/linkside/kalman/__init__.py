@@ -1,21 +1,26 @@
 """Kalman filters and smoothers: on the jerk-driven model, and on the elastic-joint dynamics."""
 
-from .elastic_joint import ElasticJointFilter, ElasticJointSmoother, ElasticNoise
+from .cramer_rao import Bound, bound
+from .elastic_joint import ElasticJointFilter, ElasticJointIteratedSmoother, ElasticJointSmoother, ElasticNoise
 from .filtering import KalmanEstimate
 from .fixed_lag import FixedLagSmoother
-from .jerk_driven import ExtendedKalmanFilter, RauchTungStriebelSmoother
+from .jerk_driven import ExtendedKalmanFilter, IteratedSmoother, RauchTungStriebelSmoother
 from .noise import Noise
 from .stretches import smooth_file, smooth_pieces
 
 __all__ = [
+    "Bound",
     "ElasticJointFilter",
+    "ElasticJointIteratedSmoother",
     "ElasticJointSmoother",
     "ElasticNoise",
     "ExtendedKalmanFilter",
     "FixedLagSmoother",
+    "IteratedSmoother",
     "KalmanEstimate",
     "Noise",
     "RauchTungStriebelSmoother",
+    "bound",
     "smooth_file",
     "smooth_pieces",
 ]

@@ -21,10 +21,10 @@ MOST_NIS = 2.0
 """Normalised innovation squared a reading above which a disturbance torque does not explain what contradicts."""
 
 BROKEN = ("stuck", "saturated", "dead", "wrap")
-"""What readings look like that no disturbance torque explains."""
+"""Kinds of faults that no disturbance torque explains."""
 
 STEP = 4.0
-"""A torsion, or torque, that changes by so many times the most that it does around is a fault of its sensor."""
+"""A torsion or torque that jumps by more than this many times its largest change nearby is a fault of its sensor."""
 
 SPAN, AROUND = 4, 16
 """Readings on each side of a step, and of what is around."""
@@ -36,7 +36,7 @@ SCALED = 0.05
 """A link encoder's scale that is off by more is a fault: its readings ask for a disturbance torque like a spring's."""
 
 LARGEST = 10.0
-"""A disturbance torque is no larger than so many times what was expected of it."""
+"""A disturbance torque is at most this many times its expected size."""
 
 
 def is_seen(kinds: tuple[str, ...]) -> bool:
@@ -79,7 +79,7 @@ def explains(found: Any, plain: Any) -> bool:
 
 
 def looks_broken(robot: Robot, log: Log, kinds: tuple[str, ...], plain: Estimate, found: Estimate) -> bool:
-    """Whether it is rather a sensor that is at fault than a link that is pushed: a torque explains both as well.
+    """Whether a sensor is at fault rather than a link pushed; a torque would explain both.
 
     By its own looks; by a torsion or torque that changes from one reading to the next, as nothing behind a spring does;
     by a joint torque sensor that reads the model's torque with the wrong sign; by a link encoder that is off in

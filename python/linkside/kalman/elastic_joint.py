@@ -14,13 +14,15 @@ from linkside.arrays import FloatArray, Signal
 from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.compiled import Compiles
 from linkside.robot.considered import considered, core_settings
 from linkside.robot.requirements import refuse_unsupported
 
 from .filtering import KalmanEstimate, KalmanMethod
 from .late_sensors import inside
 from .link_disturbance import LinkDisturbance, Wanted
-from .noise import PositiveStd, ReadingNoise, Std, channel_arrays, jerk_scale, motor_noise
+from .losses import Losses
+from .noise import PositiveStd, ReadingNoise, Std, channel_arrays, jerk_scale, motor_noise, torque_noise
 from .start import Moving, Readings, Start
 from .starting import DecidingFilter, first_readings, in_pieces
 
@@ -62,7 +64,7 @@ class ElasticNoise(ReadingNoise):
         """Fill in what is to be read off the log: how far torques wander where they are missing."""
         if self.torque_walk is not None or log.tau is None or not np.isnan(log.tau).any():
             return self
-        walk = torque_walk(log, self.torque * robot.config.torque.noise_std)
+        walk = torque_walk(log, self.torque * torque_noise(robot))
         return self.updated(torque_walk=tuple(walk.tolist()))
 
     def arrays(self, robot: Robot, kinds: tuple[str, ...]) -> dict[str, list[float]]:
@@ -74,7 +76,7 @@ class ElasticNoise(ReadingNoise):
         arrays = channels | {
             "link": per_joint("link_acceleration", self.link_acceleration, n),
             "motor": per_joint("motor_acceleration", self.motor_acceleration, n),
-            "torque": np.full(n, self.torque * robot.config.torque.noise_std),
+            "torque": self.torque * torque_noise(robot),
             "torque_walk": per_joint("torque_walk", self.torque_walk or 0.0, n),
             "disturbance_walk": self.disturbance_walk * drag,
             "initial": np.concatenate(initial),
@@ -105,10 +107,11 @@ class ElasticJoint(KalmanMethod):
         tolerances: bool = True,
         start: Start = "auto",
         link_disturbance: Wanted = "auto",
+        loss: Losses = "squares",
     ) -> None:
         wanted = {"acceleration": accelerations, "dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
         refuse_unsupported(robot, "a filter on the elastic-joint model")
-        super().__init__(robot, wanted, biases, gate, iterations, start, link_disturbance)
+        super().__init__(robot, wanted, biases, gate, iterations, start, link_disturbance, loss)
         one_of("transition", transition, ("exact", "first-order"))
         one_of("motor_torque", motor_torque, ("sampled", "held"))
         self.noise = noise or ElasticNoise()
@@ -175,19 +178,25 @@ class ElasticJoint(KalmanMethod):
         law: LinkDisturbance | None = None,
     ) -> _core.ElasticJointFilter:
         """Build a filter of the core, without a sample yet, for channels of these kinds every ``period`` [s]."""
-        return _core.ElasticJointFilter(
-            self.robot.core,
+        return _core.ElasticJointFilter(self.robot.core, self.described(kinds, period, noise, held, law))
+
+    def described(
+        self, kinds: tuple[str, ...], period: float, noise: ElasticNoise, held: bool, law: LinkDisturbance | None
+    ) -> dict[str, Any]:
+        """Describe such a filter in plain numbers, as the core takes it."""
+        return {
             **self._channels(kinds),
-            disturbances=self._disturbances,
-            first_order=self._transition == "first-order",
-            held=held,
-            noise=noise.arrays(self.robot, kinds),
-            gate=self._gate,
-            iterations=self._iterations,
-            late=inside(self.robot, kinds, period),
+            "disturbances": self._disturbances,
+            "first_order": self._transition == "first-order",
+            "held": held,
+            "noise": noise.arrays(self.robot, kinds),
+            "gate": self._gate,
+            "iterations": self._iterations,
+            "late": inside(self.robot, kinds, period),
             **core_settings(self.robot, self._uncertain),
-            link_disturbance=None if law is None else law.arrays,
-        )
+            "losses": self._loss_names(kinds),
+            "link_disturbance": None if law is None else law.arrays,
+        }
 
     def arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:
         """Steps of time, readings and motor torques, one row a sample; ``before`` ends with the last sample before.
@@ -206,7 +215,7 @@ class ElasticJoint(KalmanMethod):
         return dt, np.ascontiguousarray(readings), tau
 
 
-class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter]):
+class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter], Compiles):
     """EKF on the full elastic-joint dynamics, driven by the motor torques of the log.
 
     Ulrich and Sasiadek, "Extended Kalman filtering for flexible joint space robot control", ACC 2011, who measure motor
@@ -219,7 +228,7 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter])
     robot
         The robot.
     noise
-        How uncertain everything is.
+        Noise levels.
     accelerations
         Whether accelerometers are used; by default where the log has them, in `step` where the robot has them.
     dtheta, rate, q, torque, dq
@@ -233,7 +242,7 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter])
     transition
         How the covariance is carried over a step: ``"exact"``, by the exponential of the derivatives, or
         ``"first-order"``, 1 + A h, as in the paper.
-    gate, iterations, tolerances, start, link_disturbance
+    gate, iterations, tolerances, start, link_disturbance, loss
         As of `ExtendedKalmanFilter`. With ``link_disturbance=True`` the motors' torques tell a disturbance even without
         further sensors, as far as the motors' friction is known.
 
@@ -285,7 +294,7 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter])
             ``dt`` is not a positive, finite time, a reading is infinite, or a signal has a wrong shape. The filter
             is as it was before, and takes the next sample.
         NumericalError
-            Readings so absurd that the estimate is no longer finite: the next sample starts anew.
+            Readings so extreme that the estimate is no longer finite; the filter restarts at the next sample.
         """
         if self._deciding():
             sample: dict[str, Any] = {"dt": dt, "theta": theta, "tau": tau, "dtheta": dtheta}
@@ -316,6 +325,13 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter])
         state = live.step(dt, np.concatenate(parts), tau)
         self.status = state.status
         return state
+
+    def _controller(self, period: float | None) -> dict[str, dict[str, Any]]:
+        kinds, law = self.live_kinds, self.live_law
+        period = self._compiled_period(period, kinds)
+        own_states = self.core(kinds, period, self.noise, held=self._held, law=law).own_states
+        start = self._compiled_start(own_states, kinds, self.noise, law)
+        return {"elastic-ekf": self.described(kinds, period, self.noise, self._held, law) | {"start": start}}
 
     @property
     def live_kinds(self) -> tuple[str, ...]:
@@ -361,13 +377,19 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter])
 class ElasticJointSmoother(ElasticJoint):
     """Smoother on the elastic-joint model: each sample by all of the recording. Parameters as of the filter."""
 
-    _smooth = True
+    _way = "smooth"
 
 
-def torque_walk(log: Log, noise: float) -> FloatArray:
+class ElasticJointIteratedSmoother(ElasticJoint):
+    """The most probable motion on the elastic-joint model; parameters as of the filter. See `IteratedSmoother`."""
+
+    _way = "iterate"
+
+
+def torque_walk(log: Log, noise: FloatArray) -> FloatArray:
     """Density of a random walk (n,) that wanders at least as far as the log's torques over any time [N m/√s].
 
-    For each lag, a power of two of samples, the mean square of the change beyond ``noise`` [N m], over the lag.
+    For each lag, a power of two of samples, the mean square of the change beyond ``noise`` (n,) [N m], over the lag.
     """
     assert log.tau is not None
     longest = min(TORQUE_TIME, float(log.t[-1] - log.t[0]) / 2)

@@ -1,11 +1,11 @@
-"""What filters share, whatever their model: readings by kind, one recording or many, the live state."""
+"""What the filters of all models share: readings by kind, one recording or many, the live state."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar, overload
+from typing import Any, Generic, Literal, Protocol, TypeVar, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -19,16 +19,20 @@ from linkside.recording.batch import Copies, Described, Job, run_each
 from linkside.recording.estimate import Estimate, without_waits
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.compiled import period_of
 
+from .cleaning import cleaned
 from .disturbance_evidence import explains, is_seen, is_suspicious, looks_broken, of_estimate, of_load
+from .late_sensors import sensors
 from .link_disturbance import LinkDisturbance, Wanted, check, given_law, stiffness, widened
+from .losses import Losses, by_kind
 from .scale import blame_settings
 from .start import Moving, Readings, Spread, Start, find_start, given
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class KalmanEstimate(Estimate):
-    """An estimate with what tells whether to believe it.
+    """An estimate with the quantities that show whether to trust it.
 
     Attributes
     ----------
@@ -65,7 +69,7 @@ class CoreFilter(Protocol):
 
 
 class Startable(CoreFilter, Protocol):
-    """A filter of the core that can be told where it starts."""
+    """A filter of the core whose start can be set."""
 
     def reset(self) -> None:
         """Forget the state."""
@@ -97,7 +101,7 @@ class LiveFilter(Copies, ABC, Generic[Core]):
         return self._live.covariance
 
     def reset(self) -> None:
-        """Forget the state: the next `step` starts anew."""
+        """Reset: the next `step` starts from the beginning."""
         self._started, self.status = None, 0
 
     @property
@@ -112,9 +116,9 @@ class LiveFilter(Copies, ABC, Generic[Core]):
 
 
 class KalmanMethod(Described, ABC):
-    """A Kalman filter, or with ``_smooth`` a smoother, of any model, over recordings."""
+    """A Kalman filter, or by ``_way`` a smoother, of any model, over recordings."""
 
-    _smooth = False
+    _way: Literal["filter", "smooth", "iterate"] = "filter"
     noise: Any
     left_out: tuple[str, ...] = ()
     """Fields of its estimates that are no columns."""
@@ -128,8 +132,10 @@ class KalmanMethod(Described, ABC):
         iterations: int,
         start: Start = "auto",
         link_disturbance: Wanted = False,
+        loss: Losses = "squares",
     ) -> None:
         super().__init__()
+        self._losses = by_kind(loss)
         self._link_disturbance = check(link_disturbance)
         if isinstance(start, str) and start not in ("auto", "rest"):
             raise EstimatorError(f"start is {start!r}, expected 'auto', 'rest', or a mean and a covariance")
@@ -149,7 +155,14 @@ class KalmanMethod(Described, ABC):
             "gate": self._gate,
             "start": start,
             "link_disturbance": self._link_disturbance,
+            "loss": self._described_losses(),
         }
+
+    def _described_losses(self) -> Any:
+        """The loss of all kinds, or of each that has another than squares."""
+        if len(set(self._losses.values())) == 1:
+            return self._losses["motor"]
+        return {kind: loss for kind, loss in self._losses.items() if loss != "squares"}
 
     @overload
     def run(self, log: Log, *, covariance: bool = False, innovations: bool = False) -> KalmanEstimate: ...
@@ -190,11 +203,11 @@ class KalmanMethod(Described, ABC):
     def _run_each(
         self, log: Any, job: Callable[[Log], Job[KalmanEstimate]], covariance: bool, innovations: bool
     ) -> Any:
-        return run_each(log, job, lambda jobs: self._run_all(jobs, self._smooth, covariance, innovations))
+        return run_each(log, job, lambda jobs: self._run_all(jobs, self._way, covariance, innovations))
 
     def _filtered(self, log: Log, law: LinkDisturbance | None) -> KalmanEstimate:
         """The filter's estimate of a recording, also of a smoother."""
-        return run_each(log, lambda one: self._job(one, law), lambda jobs: self._run_all(jobs, False, False, False))
+        return run_each(log, lambda one: self._job(one, law), lambda jobs: self._run_all(jobs, "filter", False, False))
 
     def _disturbed(self, log: Log, plain: KalmanEstimate, covariance: bool, innovations: bool) -> KalmanEstimate:
         """The estimate with disturbance torques of the links where there are some, else ``plain``."""
@@ -232,6 +245,12 @@ class KalmanMethod(Described, ABC):
         """The same for `step`, which has no recording to look at."""
         return given_law(self.noise, self.robot) if self._link_disturbance is True else None
 
+    def _loss_names(self, kinds: tuple[str, ...]) -> list[str]:
+        """What errors of each channel cost; none where all of them cost squares."""
+        if all(self._losses[kind] == "squares" for kind in kinds):
+            return []
+        return [self._losses[kind] for kind in kinds for _ in range(self.width(kind))]
+
     def _begin(
         self,
         core: Startable,
@@ -241,35 +260,64 @@ class KalmanMethod(Described, ABC):
         jerk: FloatArray,
         law: LinkDisturbance | None = None,
     ) -> None:
-        """Tell a filter of the core where it starts: what the user says, or its first samples, if there are any."""
+        """Set where a filter of the core starts: as the user says, or from its first samples, if there are any."""
+        start = self._found(core.own_states, first, kinds, noise, jerk, law)
+        if start is not None:
+            core.set_start(*start)
+
+    def _found(
+        self,
+        own_states: int,
+        first: Readings | None,
+        kinds: tuple[str, ...],
+        noise: Any,
+        jerk: FloatArray,
+        law: LinkDisturbance | None,
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """Mean and covariance of the state at the first sample; None: at rest."""
         if self._at == "rest":
-            return
+            return None
         arrays = noise.arrays(self.robot, kinds)
         biased = self._channels(kinds)["biased"]
         bias = np.array(arrays["initial_bias"])[biased]
         if not isinstance(self._at, str):
-            dense = core.own_states - len(bias) - (0 if law is None else self.robot.n)
+            dense = own_states - len(bias) - (0 if law is None else self.robot.n)
             start = given(self._at, np.concatenate([np.zeros(dense), bias]), dense)
-            core.set_start(*(start if law is None else widened(start, dense, law, np.zeros(self.robot.n))))
-            return
+            return start if law is None else widened(start, dense, law, np.zeros(self.robot.n))
         if first is None:
-            return
+            return None
         n = self.robot.n
         sensors = np.array(arrays["reading"])[n:][: self.width("acceleration") if "acceleration" in kinds else 0]
         spread = Spread(np.array(arrays["reading"])[:n], max(noise.motor_velocity, 1e-9), sensors, jerk)
         if "acceleration" not in kinds:
             first = Readings(first.t, first.theta, first.dtheta, None)
+        motors, acceleration = (self._losses[kind] != "squares" for kind in ("motor", "acceleration"))
+        first = cleaned(first, spread, motors=motors, acceleration=acceleration)
         moving = find_start(self.robot, first, spread)
-        if moving is not None:
-            mean, std = self._state(moving, arrays)
-            dense, std = len(std), np.concatenate([std, bias])
-            start = np.concatenate([mean, np.zeros(len(bias))]), self._tied(np.diag(std**2))
-            if law is not None:
-                start = widened(start, dense, law, 1 / stiffness(self.robot))
-            core.set_start(*start)
+        if moving is None:
+            return None
+        mean, std = self._state(moving, arrays)
+        dense, std = len(std), np.concatenate([std, bias])
+        start = np.concatenate([mean, np.zeros(len(bias))]), self._tied(np.diag(std**2))
+        return start if law is None else widened(start, dense, law, 1 / stiffness(self.robot))
+
+    def _compiled_start(
+        self, own_states: int, kinds: tuple[str, ...], noise: Any, law: LinkDisturbance | None
+    ) -> dict[str, Any] | None:
+        """Describe where a filter in a controller starts; None: from rest."""
+        if self._at == "auto":
+            raise EstimatorError("a controller has no recording to see where a filter starts: start='rest', or a state")
+        start = self._found(own_states, None, kinds, noise, np.zeros(self.robot.n), law)
+        return None if start is None else {"mean": start[0].tolist(), "covariance": start[1].tolist()}
+
+    def _compiled_period(self, period: float | None, kinds: tuple[str, ...]) -> float:
+        """The period that the delays of sensors are counted in."""
+        if not any(sensor is not None and sensor.delay for kind in kinds for sensor in sensors(self.robot, kind)):
+            return np.inf
+        return period_of(self.robot, period, "as sensors have delays")
 
     def _tied(self, covariance: FloatArray) -> FloatArray:
-        """Correlate what depends on each other at the start."""
+        """Set the correlations of states that depend on each other at the start."""
         return covariance
 
     @abstractmethod

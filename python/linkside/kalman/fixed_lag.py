@@ -24,8 +24,7 @@ from .start import WINDOW, Readings
 class FixedLagSmoother(Copies):
     """Smoother for a stream: the estimate of ``lag`` samples ago by all samples since.
 
-    Each step costs the way back over ``lag`` samples. Little is gained by a lag much longer than it takes the filter to
-    forget a reading.
+    Each step runs backwards over ``lag`` samples. A lag much longer than the filter's memory gains little.
 
     Parameters
     ----------
@@ -52,7 +51,7 @@ class FixedLagSmoother(Copies):
         return {"lag": self.lag}
 
     def reset(self) -> None:
-        """Forget everything: the next `step` starts anew."""
+        """Reset: the next `step` starts from the beginning."""
         law = self._filter.live_law
         self._before = self._filter.core(self._kinds, self._filter.noise_for(None, law), np.inf, law)
         self._window: deque[tuple[float, FloatArray, FloatArray, FloatArray]] = deque()
@@ -98,7 +97,7 @@ class FixedLagSmoother(Copies):
             raise
 
     def _advanced(self) -> _core.State | None:
-        """The state ``lag`` samples ago, if there are so many; nothing older is kept than is needed."""
+        """The state ``lag`` samples ago, if there is one; older samples are dropped."""
         if self._count <= WINDOW:
             self._begin()
         row = len(self._window) - 1 - self.lag
@@ -113,7 +112,7 @@ class FixedLagSmoother(Copies):
         return state
 
     def flush(self) -> KalmanEstimate | None:
-        """At the end of a stream, the estimate of the last ``lag`` samples; then start anew."""
+        """Return the estimate of the last ``lag`` samples at the end of a stream, and reset."""
         done = max(len(self._window) - self.lag, 0)
         estimate = self._back(slice(done, None)) if self._window else None
         self.reset()
@@ -126,7 +125,7 @@ class FixedLagSmoother(Copies):
         return other
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Start anew."""
+        """Restart."""
         vars(self).update(state)
         self.reset()
 

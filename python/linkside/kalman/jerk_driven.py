@@ -14,12 +14,14 @@ from linkside.arrays import FloatArray, Signal
 from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.compiled import Compiles
 from linkside.robot.considered import considered, core_settings
 from linkside.robot.requirements import refuse_unsupported
 
 from .filtering import CoreFilter, KalmanEstimate, KalmanMethod, LiveFilter, Startable
 from .late_sensors import inside
 from .link_disturbance import LinkDisturbance, Wanted
+from .losses import Losses
 from .noise import LEAST_JERK, Noise
 from .start import Moving, Readings, Start
 from .starting import DecidingFilter, first_readings, in_pieces
@@ -85,8 +87,8 @@ class JerkDrivenFilter(LiveFilter[Core]):
             ``dt`` is not a positive, finite time, a reading is infinite, or a signal has a wrong shape. The filter
             is as it was before, and takes the next sample.
         NumericalError
-            Readings so absurd that the estimate is no longer finite: the next sample starts anew. Of a particle filter,
-            also: no particle explains the sample, which counts as one without readings.
+            Readings so extreme that the estimate is no longer finite; the filter restarts at the next sample. Of a
+            particle filter, also: no particle explains the sample, which counts as one without readings.
         """
         if self._started is None:
             self._period = time_step(dt)
@@ -119,10 +121,11 @@ class JerkDriven(KalmanMethod):
         tolerances: bool = True,
         start: Start = "auto",
         link_disturbance: Wanted = "auto",
+        loss: Losses = "squares",
     ) -> None:
         refuse_unsupported(robot, "a filter on the jerk-driven model")
         wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
-        super().__init__(robot, wanted, biases, gate, iterations, start, link_disturbance)
+        super().__init__(robot, wanted, biases, gate, iterations, start, link_disturbance, loss)
         self.noise = noise or Noise()
         self._damping = damping
         self._uncertain = considered(robot) if tolerances else []
@@ -154,13 +157,18 @@ class JerkDriven(KalmanMethod):
         self, kinds: tuple[str, ...], noise: Noise, period: float, law: LinkDisturbance | None = None
     ) -> _core.ExtendedKalmanFilter:
         """Build a filter of the core, without a sample yet, for channels of these kinds every ``period`` [s]."""
-        return _core.ExtendedKalmanFilter(
-            self.robot.core,
-            **self.settings(kinds, noise, period),
-            gate=self._gate,
-            iterations=self._iterations,
-            link_disturbance=None if law is None else law.arrays,
-        )
+        return _core.ExtendedKalmanFilter(self.robot.core, self.described(kinds, noise, period, law))
+
+    def described(
+        self, kinds: tuple[str, ...], noise: Noise, period: float, law: LinkDisturbance | None
+    ) -> dict[str, Any]:
+        """Describe such a filter in plain numbers, as the core takes it."""
+        return self.settings(kinds, noise, period) | {
+            "gate": self._gate,
+            "iterations": self._iterations,
+            "losses": self._loss_names(kinds),
+            "link_disturbance": None if law is None else law.arrays,
+        }
 
     def started_core(
         self,
@@ -212,21 +220,21 @@ class JerkDriven(KalmanMethod):
 
 
 class ExtendedKalmanFilter(
-    JerkDriven, DecidingFilter[_core.ExtendedKalmanFilter], JerkDrivenFilter[_core.ExtendedKalmanFilter]
+    JerkDriven, DecidingFilter[_core.ExtendedKalmanFilter], JerkDrivenFilter[_core.ExtendedKalmanFilter], Compiles
 ):
     """EKF on the jerk-driven model: jerk moves the links, motor and sensors measure.
 
     Axelsson, Karlsson and Norrlöf, "Tool position estimation of a flexible industrial robot using recursive Bayesian
     methods", ICRA 2012. State: link position, velocity and acceleration of every joint, and a bias of each motor and
-    sensor channel. The links' dynamics are in the measurement: a motor stands where the torque that the links need
-    twists its spring to.
+    sensor channel. The links' dynamics are in the measurement: a motor is displaced from its link by the torsion under
+    the torque that the links need.
 
     Parameters
     ----------
     robot
         The robot, with its accelerometers and gyroscopes.
     noise
-        How uncertain everything is; defaults come from robot.yaml, and the scale of jerk from the log.
+        Noise levels; defaults come from robot.yaml, and the scale of jerk from the log.
     biases
         Kinds of channels with a bias state: any of ``"motor"``, ``"acceleration"``, ``"rate"``.
     damping
@@ -253,6 +261,10 @@ class ExtendedKalmanFilter(
         or a counterbalance; it adds to what the transmission gives the link, and is in the estimate as ``disturbance``.
         ``"auto"``, where joint torque sensors or link encoders are read and a recording's innovations show such torques
         and no broken sensor; in `step` not. The size is read off the recording unless ``noise`` says it.
+    loss
+        What an error of a sensor's readings costs: ``"squares"``, for Gaussian noise, or where there are outliers
+        ``"huber"`` or ``"student-t"``; for all sensors, or by kind as in ``{"acceleration": "student-t"}``. The more
+        an error is beyond what is expected, the less its sensor counts at that sample.
 
     Raises
     ------
@@ -280,6 +292,13 @@ class ExtendedKalmanFilter(
                 self._live, first, self.live_kinds, self.noise_for(None, self.live_law), self.live_law
             ),
         )
+
+    def _controller(self, period: float | None) -> dict[str, dict[str, Any]]:
+        kinds, law = self.live_kinds, self.live_law
+        noise, period = self.noise_for(None, law), self._compiled_period(period, kinds)
+        own_states = self.core(kinds, noise, period, law).own_states
+        start = self._compiled_start(own_states, kinds, noise, law)
+        return {"ekf": self.described(kinds, noise, period, law) | {"start": start}}
 
     @property
     def live_kinds(self) -> tuple[str, ...]:
@@ -316,7 +335,22 @@ class RauchTungStriebelSmoother(JerkDriven):
     covariance. Memory is bounded whatever the recording's length.
     """
 
-    _smooth = True
+    _way = "smooth"
+
+
+class IteratedSmoother(JerkDriven):
+    """Smoother that finds the most probable motion: linearised at its own estimate, and robust by its ``loss``.
+
+    Parameters as of the filter; ``iterations`` does not matter here. Each pass of Gauss and Newton is a linear smoother
+    of the model at the trajectory of the pass before (Bell 1994), so that time and memory grow as the recording does.
+    With a ``loss`` for outliers, a reading is judged by how far it is from the smoothed trajectory, later samples
+    included. Student's t begins at the trajectory that Huber's loss leads to.
+
+    A row that one more pass would move by more than a fifth of ``q_std`` has the status ``CONTRADICTED``, one at which
+    a sensor counts less than a tenth ``GATED``.
+    """
+
+    _way = "iterate"
 
 
 def commanded_jerk(log: Log, dt: FloatArray, before: Log | None) -> FloatArray:

@@ -1,4 +1,4 @@
-"""How uncertain everything is: the settings of a Kalman filter, in physical units, read from and written to files."""
+"""Noise levels of a Kalman filter, in physical units, read from and written to files."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ Time = Annotated[float, Field(gt=0)]
 Settings = TypeVar("Settings", bound="ReadingNoise")
 
 JERK_TIME = 0.02
-"""Over this time jerk is taken to stay the same, where its size is read off a log [s]."""
+"""Window over which jerk is taken as constant when its size is estimated from a log [s]."""
 
 SHORTEST = 5
-"""Readings that a cubic is put through at least."""
+"""Fewest readings that a cubic is fitted to."""
 
 JUMP = 9
 """Windows that a reading is in."""
 
 LINK_WALKS = ("position_walk", "velocity_walk")
-"""What lets links wander, in the order of the core."""
+"""Process noise of the links, in the order of the core."""
 
 LEAST_JERK = 10.0
 """A log in which nothing moves still leaves this density of jerk [rad/s³/√Hz]."""
 
 
 class ReadingNoise(BaseModel):
-    """How uncertain readings are, whatever the model: what `Noise` and `ElasticNoise` have in common.
+    """Noise of the readings, which is the same for all models: the common part of `Noise` and `ElasticNoise`.
 
-    The defaults belong to industrial arms in SI units, and are meant to work untuned. Biases are kept on a short
-    lead on purpose: at rest a motor's bias cannot be told from link position, nor an accelerometer's from the
-    direction of gravity, so what is known of them beforehand decides.
+    The defaults belong to industrial arms in SI units, and are meant to work untuned. The priors on biases are tight on
+    purpose: at rest a motor's bias cannot be distinguished from the link's position, nor an accelerometer's from the
+    direction of gravity, so the prior decides.
 
     Attributes
     ----------
@@ -196,6 +196,8 @@ def _reading_noise(noise: ReadingNoise, channel: Channel, robot: Robot) -> Float
         value = np.hypot(robot.config.link_encoder.resolution / np.sqrt(12), value)
     if channel.kind == "torque" and robot.config.joint_torque is not None:
         value = robot.config.joint_torque.noise_std * value
+    if channel.kind == "q":
+        return np.asarray(np.hypot(value, link_lines(robot)))
     if channel.carrier == "joint":
         return np.full(robot.n, value)
     sensors = robot.accelerometers if channel.carrier == "accelerometer" else robot.gyroscopes
@@ -204,8 +206,19 @@ def _reading_noise(noise: ReadingNoise, channel: Channel, robot: Robot) -> Float
 
 def motor_noise(robot: Robot, transmission: float | tuple[float, ...]) -> FloatArray:
     """Noise of motor positions (n,) [rad]: encoder steps, and the transmission's error."""
-    step = robot.config.encoder.resolution / np.sqrt(12)
+    step = robot.config.encoder.resolution / np.sqrt(12) * np.linalg.norm(robot.gearing, axis=1)
     return np.asarray(np.hypot(step, per_joint("transmission", transmission, robot.n)))
+
+
+def link_lines(robot: Robot) -> FloatArray:
+    """Noise of link encoders (n,) by lines of their disks, whose phase no run tells [rad]."""
+    lines = [drive.link_encoder_error.unknown(1.0) for drive in robot.drives]
+    return np.array([np.sqrt(sum(0.5 * amplitude**2 for amplitude, _ in own)) for own in lines])
+
+
+def torque_noise(robot: Robot) -> FloatArray:
+    """Noise of motor torques (n,), of motors that turn several joints as those have it [N m]."""
+    return np.asarray(robot.config.torque.noise_std * np.linalg.norm(np.linalg.inv(robot.gearing), axis=0))
 
 
 def jerk_scale(log: Log | Readings) -> FloatArray:

@@ -35,7 +35,7 @@ def out_of_scale(robot: Robot, noise: BaseModel) -> Iterator[str]:
 
 
 def blame_settings(error: NumericalError, robot: Robot, noise: BaseModel) -> NumericalError:
-    """Blame settings that are out of scale, if any are, instead of readings."""
+    """Name settings that are out of scale, if there are any, as the cause instead of readings."""
     named = list(out_of_scale(robot, noise))
     if not named:
         return error

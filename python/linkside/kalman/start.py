@@ -1,4 +1,4 @@
-"""Where and how fast a robot is at the first sample: what the first readings say, be it at rest or in motion."""
+"""Position and velocity of a robot at the first sample, from the first readings, at rest or in motion."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ Start = Literal["auto", "rest"] | tuple[npt.ArrayLike, npt.ArrayLike]
 """The first samples decide; at rest; or a mean and a covariance of the state at the first sample."""
 
 WINDOW = 32
-"""Samples that decide."""
+"""Samples from which the initial state is determined."""
 
 LEAST = 8
-"""Fewer do not show that a robot is at rest."""
+"""Fewest samples that can show that a robot is at rest."""
 
 WIDENING = 5.0
 """A start's standard deviations over those of the fit, whose readings the filter is going to use again."""
@@ -37,7 +37,7 @@ ROUNDS = 3
 """How often torsion and what it depends on are found in turn."""
 
 QUIET = 4.0
-"""A robot is at rest while its readings stay within so many standard deviations of their mean."""
+"""A robot is at rest while its readings stay within this many standard deviations of their mean."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def find_start(robot: Robot, readings: Readings, spread: Spread) -> Moving | Non
     Raises
     ------
     NumericalError
-        Readings so absurd that no number comes of them.
+        Readings so extreme that the fit is not finite.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         if is_resting(readings, spread) or np.isnan(readings.theta[0]).any():

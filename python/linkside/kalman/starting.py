@@ -22,10 +22,10 @@ Found = TypeVar("Found")
 
 
 class DecidingFilter(LiveFilter[Core]):
-    """A live filter whose first samples decide where it starts.
+    """A live filter that determines its initial state from its first samples.
 
-    It starts anew from where they say whenever they have become twice as many, and when all are there: then it is where
-    it would be had it waited for them.
+    Whenever their number has doubled, and when all are there, the initial state is computed again and the samples are
+    processed again. The filter is then where it would be if it had waited for them.
     """
 
     robot: Robot
@@ -36,7 +36,7 @@ class DecidingFilter(LiveFilter[Core]):
         self._early: list[dict[str, Any]] = []
 
     def reset(self) -> None:
-        """Forget the state: the next `step` starts anew."""
+        """Reset: the next `step` starts from the beginning."""
         super().reset()
         self._early = []
 
@@ -47,14 +47,14 @@ class DecidingFilter(LiveFilter[Core]):
         return other
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Start anew."""
+        """Restart."""
         vars(self).update(state)
         self.reset()
 
     def _decide(
         self, sample: dict[str, Any], step: Callable[..., _core.State], begin: Callable[[Readings], None]
     ) -> _core.State:
-        """Take one of the first samples, and where it is time, all of them anew, from where they say."""
+        """Take one of the first samples; when their number has doubled, restart and take all of them again."""
         sample = {name: _copied(name, value) for name, value in sample.items()}
         if not self._early:
             self._period = sample["dt"]
@@ -77,7 +77,7 @@ class DecidingFilter(LiveFilter[Core]):
         return state
 
     def _start_anew(self) -> None:
-        """Let the live filter forget its samples, but not that it lives."""
+        """Drop the samples of the live filter; it goes on."""
         self._started = self._start()
 
     def _deciding(self) -> bool:
@@ -94,7 +94,7 @@ class DecidingFilter(LiveFilter[Core]):
 
 
 def _decides(samples: int) -> bool:
-    """Whether so many samples are twice as many as had decided before, or all that decide."""
+    """Whether the initial state is computed again at this number of samples."""
     return samples.bit_count() == 1 or samples == WINDOW
 
 

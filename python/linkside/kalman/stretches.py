@@ -1,7 +1,7 @@
 """Smoothing of recordings larger than memory, from file to file.
 
-The smoother's way back takes stretches of a recording from the last to the first, each from the filter as it was when
-the stretch began. What waits for the way back, and what waits for its turn to be written, is on disk.
+The backward pass takes stretches of a recording from the last to the first; each is filtered again from the filter's
+state at its beginning. Readings that wait for the backward pass, and estimates that wait to be written, are on disk.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ READ = ("dt", "readings", "dtheta", "jerk")
 """What the filter reads."""
 
 KEPT = (*READ, "t", "waiting")
-"""What is kept of a recording for the way back."""
+"""Signals that are kept for the backward pass."""
 
 
 def smooth_file(
@@ -74,7 +74,7 @@ def smooth_file(
     rows
         Rows in memory at a time.
     check
-        Look at the recording before it is believed, as `Log.read` does.
+        Check the recording first, as `Log.read` does.
 
     Raises
     ------
@@ -220,7 +220,7 @@ def _array(column: pa.Array) -> npt.NDArray[Any]:
 
 @contextmanager
 def _in_rows(first: int, count: int) -> Iterator[None]:
-    """Let the kernels, which count from the beginning of a piece, say which."""
+    """Add the piece to row numbers in messages of the kernels, which count from the beginning of a piece."""
     try:
         yield
     except (EstimatorError, NumericalError) as error:

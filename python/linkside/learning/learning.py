@@ -1,4 +1,4 @@
-"""Iterative learning control on an estimated path: after each repeat of a motion, the next command."""
+"""Iterative learning control on an estimated path: computes the next command after each repeat of a motion."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ALLOWED = 0.95
 
 @dataclass(frozen=True)
 class Trial:
-    """What a repeat of the motion was like, and what is expected of the next.
+    """Errors of one repeat of the motion, and those expected of the next.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Trial:
 
     @property
     def reached(self) -> bool:
-        """Whether no link's error is larger than the estimate's own standard deviation: more cannot be learnt."""
+        """Whether every link's error is below the estimate's own standard deviation, so that no more can be learnt."""
         return all(error <= std for error, std in zip(self.rms, self.std, strict=True))
 
 
@@ -159,7 +159,7 @@ class PathLearning:
 
     @property
     def correction(self) -> FloatArray:
-        """What the motors' reference of the next repeat has beside that of the first, (T, n) [rad]."""
+        """Correction that is added to the motors' reference in the next repeat, (T, n) [rad]."""
         return self._loop.correction(self.curvature)
 
     def answer(self, curvature: FloatArray) -> FloatArray:
@@ -192,7 +192,7 @@ class PathLearning:
         return trial
 
     def resumed(self, curvature: FloatArray, trials: tuple[Trial, ...]) -> PathLearning:
-        """Go on from where an iteration was."""
+        """Resume an iteration."""
         if curvature.shape != self.motion.q.shape or not np.isfinite(curvature).all():
             raise EstimatorError(
                 f"curvature has shape {curvature.shape}, expected finite numbers {self.motion.q.shape}"

@@ -1,4 +1,4 @@
-"""How links answer a change of what their motors are told to follow: the closed loop, linear along a motion."""
+"""Response of the links to a change of their motors' reference: the closed loop, linearised along a motion."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Motion:
 
 
 class Loop:
-    """How links deviate by the second derivative v of what motors are told beside the motion: δq = G v.
+    """Deviation of the links due to the second derivative v of a correction of the motors' reference: δq = G v.
 
     Motors follow a reference r by τ = k_p (r − θ) + k_d (ṙ − θ̇), held between samples. With r = motion + u and the
     state (free positions, their velocities, u, u̇) a correction u is smooth whatever v is.
@@ -108,7 +108,7 @@ class Loop:
         self.core = _core.LearningLoop(a, (np.arange(len(motion.t)) // every).tolist(), entry, links)
 
     def correction(self, v: FloatArray) -> FloatArray:
-        """What motors are told beside the motion, u (T, n), by v (T, n)."""
+        """Correction of the motors' reference, u (T, n), by v (T, n)."""
         zero = np.zeros((1, v.shape[1]))
         velocity = np.vstack([zero, np.cumsum(self.period * v, axis=0)[:-1]])
         return np.vstack([zero, np.cumsum(self.period * velocity + self.period**2 / 2 * v, axis=0)[:-1]])

@@ -75,7 +75,7 @@ def write(learning: PathLearning, path: str | PathLike[str]) -> None:
 
 
 def read(path: str | PathLike[str], robot: Robot) -> PathLearning:
-    """Go on from a file that `write` has written.
+    """Resume from a file that `write` has written.
 
     Raises
     ------

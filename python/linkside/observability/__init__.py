@@ -1,4 +1,4 @@
-"""What a robot's accelerometers see of its links, and where to place them."""
+"""Observability of link accelerations by accelerometers, and where to place these."""
 
 from .analysis import check
 from .placement import Placement, candidates, place, read_candidates

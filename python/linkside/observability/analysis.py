@@ -1,4 +1,4 @@
-"""Which link accelerations the sensors see, how well, and in which postures they lose sight of them.
+"""Which link accelerations the sensors observe, how well, and in which postures they do not.
 
 An accelerometer reads T_A(q) q̈ + W_A (De Luca, Schröder, Thümmel 2007, eq. (10)). Each row of T_A over its noise,
 the smallest singular value σ of what is left says how well the worst combination of link accelerations is known:
@@ -24,11 +24,11 @@ from .report import CheckReport
 from .result import Observability, Path, Posture, describe, involved
 
 LOG_ROWS = 500_000
-"""A log with more rows than this is looked at every so many rows."""
+"""A log with more rows than this is thinned out."""
 
 
 def check(robot: Robot, log: Log | LogStream | None = None) -> CheckReport:
-    """Find out which link accelerations the sensors see, how well, and where they are lost.
+    """Analyse which link accelerations the sensors observe, how well, and where they are not observable.
 
     Postures are drawn within the URDF's limits, over a whole turn where there are none, by a Sobol sequence: the
     same on every call.

@@ -1,7 +1,7 @@
-"""Which of many possible accelerometers to mount: the set that sees link accelerations best where the robot works.
+"""Choice of accelerometers: the set that observes link accelerations best in the postures of the robot's work.
 
-Accelerometers read T_A(q) q̈ + W_A (De Luca, Schröder, Thümmel 2007, eq. (10)). A set is as good as its T_A, each row
-over its noise, can be turned round in the postures that matter.
+Accelerometers read T_A(q) q̈ + W_A (De Luca, Schröder, Thümmel 2007, eq. (10)). A set is good if its T_A, with rows
+divided by their noise, is well conditioned in the postures that matter.
 
 >>> import linkside
 >>> from linkside.observability import candidates, place
@@ -48,7 +48,7 @@ POSTURES = 256
 """Postures that sets are compared in."""
 
 EVERY_SET = 2000
-"""Up to so many sets are all looked at; of more, one is improved sensor by sensor."""
+"""Up to this many sets are searched exhaustively; beyond that, one set is improved sensor by sensor."""
 
 WORKSPACE_SHARE = 0.9
 """Share of the workspace's postures that the worst is taken of: some are singular for every set."""

@@ -16,7 +16,7 @@ from .figure import draw_map, leading_pair, legend_under, regular_cut, scale, sp
 from .result import LIMIT, CheckResult, Observability
 
 HOPELESS = 1e3
-"""A candidate whose score is so many times the chosen set's sees too little alone."""
+"""A candidate whose score alone is this many times that of the chosen set observes too little."""
 
 
 class Scores(NamedTuple):

@@ -1,4 +1,4 @@
-"""What `check` found, to be read and looked at."""
+"""The result of `check`, with a report and a figure."""
 
 from __future__ import annotations
 

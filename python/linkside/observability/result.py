@@ -164,7 +164,7 @@ class CheckResult:
     influence : (n,)
         How much each joint's position matters: its total-effect index on log10 of σ (Jansen 1999).
     postures : tuple of Posture
-        The worst of each kind, the kind with fewest joints first; none where nothing can be told apart.
+        The worst of each kind, the kind with fewest joints first; none if the joints cannot be distinguished anywhere.
     path : Path or None
         Along the log.
     """

@@ -1,4 +1,4 @@
-"""Which accelerometers, where, are enough: the map from link accelerations to what they read, at design time.
+"""The map from link accelerations to accelerometer readings, for the design of sensor sets.
 
 Computed by Pinocchio, independently of the core. A reading is
 
@@ -120,7 +120,7 @@ def acceleration_map(robot: Robot, q: ArrayLike, dq: ArrayLike | None = None) ->
 def _kinematics(robot: Robot, q: FloatArray, dq: FloatArray) -> Any:
     data = robot.model.createData()
     position, velocity = robot.to_pinocchio(q), robot.velocity_to_pinocchio(dq)
-    pin.forwardKinematics(robot.model, data, position, velocity, np.zeros(robot.n))
+    pin.forwardKinematics(robot.model, data, position, velocity, np.zeros(robot.model.nv))
     pin.computeJointJacobians(robot.model, data, position)
     return data
 
@@ -132,7 +132,7 @@ def _rows(robot: Robot, data: Any, sensor: AccelerometerConfig) -> tuple[FloatAr
     centripetal = pin.getFrameClassicalAcceleration(*local).linear
     gravity = (data.oMi[joint] * pose).rotation.T @ robot.model.gravity.linear
     axes = ["xyz".index(axis) for axis in sensor.axes]
-    jacobian = pin.getFrameJacobian(*local).reshape(6, robot.n)[:3, robot.velocity_index]  # flat for a single joint
+    jacobian = pin.getFrameJacobian(*local).reshape(6, -1)[:3] @ robot.velocity_map  # flat for a single joint
     return jacobian[axes], (centripetal - gravity)[axes]
 
 

@@ -8,10 +8,10 @@ import numpy as np
 from rich.console import RenderableType
 
 from linkside.arrays import FloatArray
-from linkside.robot import Robot
 from linkside.robot.workspace import prismatic
 from linkside.text import Titled
 
+from .elements import element_words
 from .result import LIMIT, NEVER, CheckResult
 
 
@@ -33,7 +33,7 @@ def check_words(report: CheckResult) -> Iterator[str]:
     yield f"{robot.model.name}: {_named(joints, 'elastic joint', 'elastic joints')}; " + (
         f"{_named([f'{s.name} {s.axes}' for s in robot.accelerometers], 'accelerometer', 'accelerometers')}."
     )
-    yield from _plays(robot)
+    yield from element_words(robot)
     if not joints:
         yield "No joint is elastic: links follow their motors, and no accelerometer is needed."
     elif not axes:
@@ -44,13 +44,6 @@ def check_words(report: CheckResult) -> Iterator[str]:
         yield "The axes are enough in number, yet in no posture do they tell all link accelerations apart."
     else:
         yield from _seen(report)
-
-
-def _plays(robot: Robot) -> Iterator[str]:
-    for drive in robot.drives:
-        if drive.elastic and drive.backlash.half_gap:
-            gap = f"within {1e3 * drive.backlash.half_gap:.3g} mrad to either side"
-            yield f"{drive.name} has play: {gap} accelerometers tell where its link is, its motor hardly does."
 
 
 def _seen(report: CheckResult) -> Iterator[str]:

@@ -19,6 +19,7 @@ from linkside.recording.estimate import Estimate, without_waits
 from linkside.recording.log import Log
 from linkside.recording.periodic import PeriodicObserver
 from linkside.robot import Robot
+from linkside.robot.compiled import Compiles, period_of
 from linkside.robot.requirements import refuse_unsupported
 
 from .poles import PolePattern, damped
@@ -26,8 +27,8 @@ from .poles import PolePattern, damped
 Poles = float | PolePattern | Mapping[str, "PolePattern | Sequence[complex]"]
 
 
-class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate]):
-    """Observer driven by measured accelerations; it needs nothing of the links' dynamics.
+class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate], Compiles):
+    """Observer driven by measured accelerations; it needs no model of the links' dynamics.
 
     De Luca, Schröder and Thümmel, "An acceleration-based state observer for robot manipulators with elastic joints",
     ICRA 2007: Theorem 1, Theorem 2 (inertial coupling, where robot.yaml gives it) and equation (12).
@@ -52,8 +53,9 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         Combinations of link accelerations that the sensors determine worse than this [rad/s²] are damped, as near a
         singular posture, and flagged in ``status``.
     start
-        ``"auto"``: the first samples tell how fast the robot moves. ``"rest"``: it does not at the first one. Or a
-        state one period before the first sample, a mapping of ``theta``, ``q``, ``dtheta`` and ``dq``, each (n,).
+        ``"auto"``: the first samples determine how fast the robot moves. ``"rest"``: the robot is at rest at the first
+        sample. Or a state one period before the first sample, a mapping of ``theta``, ``q``, ``dtheta`` and ``dq``,
+        each (n,).
 
     Raises
     ------
@@ -92,7 +94,7 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         self.worst_acceleration_std = worst_acceleration_std
         self.poles = {name: _joint_poles(poles, name, order) for name, order in _orders(robot, bias).items()}
         self._settings: dict[str, Any] = {
-            "poles": list(self.poles.values()),
+            "poles": [[[pole.real, pole.imag] for pole in poles] for poles in self.poles.values()],
             "bias": bias,
             "predictor": form == "predictor",
             "joint_accelerations": accelerations == "joints",
@@ -131,7 +133,7 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
             A reading is infinite, a signal has a wrong shape, or a motor position has been missing for more than
             0.05 s. The observer is as it was before, and takes the next sample.
         NumericalError
-            Readings so absurd that the estimate is no longer finite: the next sample starts anew.
+            Readings so extreme that the estimate is no longer finite; the observer restarts at the next sample.
         """
         return self._live().step(theta, tau, acceleration)
 
@@ -175,12 +177,18 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
 
     def _design(self, period: float) -> _core.AccelerationObserver:
         try:
-            core = _core.AccelerationObserver(self.robot.core, period=period, **self._settings)
+            core = _core.AccelerationObserver(self.robot.core, {"period": period, **self._settings})
         except EstimatorError as error:
             raise EstimatorError(_named(str(error), self.robot.names)) from None
         if self._given is not None:
             core.begin(**self._given)
         return core
+
+    def _controller(self, period: float | None) -> dict[str, dict[str, Any]]:
+        period = period_of(self.robot, self._period if period is None else period, "for which an observer is designed")
+        self._designed(period)  # what is wrong is said with names of joints
+        start = None if self._given is None else {name: values.tolist() for name, values in self._given.items()}
+        return {"observer": {"period": period, **self._settings, "start": start}}
 
     def _arrays(self, log: Log, before: Log | None, first: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         log.require("theta", "tau", self._signal, purpose="the acceleration-driven observer")

@@ -73,7 +73,7 @@ def butterworth(frequency: float) -> PolePattern:
 
 
 def _signal() -> Any:
-    """SciPy's filters, loaded when somebody asks: they take longer than everything else here."""
+    """Load SciPy's filters on demand, because importing them is slow."""
     import scipy.signal
 
     return scipy.signal

@@ -1,4 +1,4 @@
-"""The tuning file of an observer: its poles, and what its drives are taken for."""
+"""The tuning file of an observer: its poles, and parameters of its drives."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ START = 250.0
 
 
 class ObserverTuning(BaseModel):
-    """An observer's poles and what its drives are taken for, by joint; what is not named is as robot.yaml has it.
+    """An observer's poles and parameters of its drives, by joint; those not named are as in robot.yaml.
 
     Attributes
     ----------

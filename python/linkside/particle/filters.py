@@ -1,4 +1,4 @@
-"""Particle filters: beliefs that are not normal, joints with limits, readings with outliers."""
+"""Particle filters: distributions that are not normal, joints with limits, readings with outliers."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ class Mixture:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ParticleEstimate(Estimate):
-    """Means over the particles, with what tells how they fared.
+    """Means over the particles, with the quantities that show how well they represent the state.
 
     Attributes
     ----------
     effective : (T,)
         Effective number of particles 1/Σw², before resampling.
     reseeded : (T,)
-        Whether the cloud was spread anew from the Kalman filter beside it.
+        Whether the cloud was drawn again from the Kalman filter that runs beside it.
     log_likelihood : (T,)
         Logarithm of the probability density of the sample's readings, given those before, as the particles have it.
     used : (T,)
@@ -81,15 +81,15 @@ class ParticleFilter(DecidingFilter[_core.ParticleFilter], JerkDrivenFilter[_cor
     """Particle filter on the jerk-driven model, with the same noise as `ExtendedKalmanFilter`.
 
     Axelsson, Karlsson and Norrlöf, "Tool position estimation of a flexible industrial robot using recursive Bayesian
-    methods", ICRA 2012. N weighted samples of the state (link positions, velocities, accelerations, biases) stand for
-    the belief; nothing is linearised but where a particle looks for its next place.
+    methods", ICRA 2012. N weighted samples of the state (link positions, velocities, accelerations, biases) represent
+    its distribution; only the proposal is linearised.
 
     Parameters
     ----------
     robot
         The robot, with its accelerometers and gyroscopes.
     noise
-        How uncertain everything is; the scale of jerk is read off the log unless given.
+        Noise levels; the scale of jerk is estimated from the log unless given.
     particles
         N.
     seed
@@ -121,11 +121,11 @@ class ParticleFilter(DecidingFilter[_core.ParticleFilter], JerkDrivenFilter[_cor
         of the first samples of `step` redoes those before it.
     collapse
         What to do with a cloud that does not explain the readings, as a Kalman filter that runs beside it does.
-        ``"reseed"`` flags the row `Status.CONTRADICTED` and spreads the cloud anew from the Kalman filter's belief; a
-        cloud that has only lost spread is renewed before it comes to that, and leans on that belief at each
-        resampling, as far as chance makes the difference. ``"flag"`` flags the row and leaves the
-        cloud as it is. ``"raise"`` stops with the sample's number. A sample that is impossible to all particles
-        counts as missing, and its row is flagged, unless it stops the run.
+        ``"reseed"`` flags the row `Status.CONTRADICTED` and draws the cloud again from the Kalman filter's estimate; a
+        cloud that has only lost its spread is renewed earlier, and each resampling moves it towards that estimate as
+        far as their difference is explained by chance. ``"flag"`` flags the row and leaves the cloud as it is.
+        ``"raise"`` stops with the sample's number. A sample that is impossible to all particles counts as missing, and
+        its row is flagged, unless it stops the run.
     quantiles
         Shares of probability, such as ``(0.05, 0.95)``, whose quantiles of position are kept.
     biases, damping, rate, q, torque, tolerances

@@ -1,4 +1,4 @@
-"""One recording or several: how any estimator runs them."""
+"""Running any estimator on one recording or on several."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def run_each(
 ) -> Found | list[Found]:
     """Estimate a recording, or several on all cores, with the same bits as one by one.
 
-    Every recording is looked at before any is run. The first that fails raises, with its name.
+    All recordings are checked before any is run. The first that fails raises an error with its name.
     """
     logs = [log] if isinstance(log, Log) else list(log)
     for one in logs:
@@ -64,7 +64,7 @@ def run_each(
 
 
 class Described:
-    """Estimators say in one line what they are."""
+    """Estimators have a one-line repr."""
 
     robot: Any
 
@@ -74,14 +74,14 @@ class Described:
         return f"{type(self).__name__}({self.robot!r}{settings})"
 
     def _described(self) -> dict[str, Any]:
-        """The settings that tell one from another."""
+        """The settings that distinguish one from another."""
         return {}
 
 
 class Copies(Described):
     """Copies of an estimator are estimators of their own: `copy.copy` keeps the state of `step`.
 
-    A pickled one has the settings alone: where it is read back, `step` starts anew.
+    A pickled one holds the settings only; after unpickling, `step` starts from the beginning.
     """
 
     _cores: tuple[str, ...] = ()
@@ -103,5 +103,5 @@ class Copies(Described):
         return other
 
     def __getstate__(self) -> dict[str, Any]:
-        """Everything but the core's part, which is made anew."""
+        """Everything but the core's part, which is rebuilt."""
         return {name: None if name in self._cores else value for name, value in vars(self).items()}

@@ -1,4 +1,4 @@
-"""Recordings that an observer can follow: an even rate, and no reading missing for long."""
+"""Checks that an observer can follow a recording: an even rate, and no reading missing for long."""
 
 from __future__ import annotations
 

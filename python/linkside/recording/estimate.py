@@ -1,4 +1,4 @@
-"""Estimates: what an estimator found, their files, and their error against a truth."""
+"""Estimates, their files, and their error against a truth."""
 
 from __future__ import annotations
 
@@ -33,24 +33,24 @@ if TYPE_CHECKING:
 
 
 class Status(IntFlag):
-    """What to know about a row of an estimate; several can hold at once."""
+    """Status of a row of an estimate; several flags can be set at once."""
 
     GOOD = 0
     """Nothing to report."""
     DAMPED = 1
-    """The accelerometers' map is near a singular posture: acceleration is damped in what they hardly see."""
+    """The posture is nearly singular for the accelerometers; poorly observed accelerations are damped."""
     BRIDGED = 2
     """A reading was missing when it was due, and was bridged by the model; a slow sensor's are due at its own rate."""
     UNSEEN = 4
     """A direction of joint acceleration is not seen by the sensors at all."""
     GATED = 8
-    """A reading was left out as an outlier."""
+    """A reading was left out as an outlier, or counted less than a tenth."""
     PREDICTED = 16
     """Not one reading was used: the row is a prediction."""
     UNWRAPPED = 32
-    """An encoder wrapped, and its jump was taken out."""
+    """An encoder wrapped, and its jump was removed."""
     CONTRADICTED = 64
-    """Readings contradict the model: the row and its standard deviations are not to be believed; see ``findings``."""
+    """Readings contradict the model: do not use the row and its standard deviations; see ``findings``."""
     FAULTY = 128
     """One channel contradicts the model and all other channels; see ``findings``."""
 
@@ -279,7 +279,7 @@ def where_due(status: Statuses, waiting: npt.NDArray[np.bool_]) -> Statuses:
 
 
 def result_of(source: str, outcome: dict[str, Any] | Exception) -> dict[str, Any]:
-    """Give the arrays that a log came to, or raise the error that it came to, with the log's name."""
+    """Return the arrays of a log's result, or raise its error with the log's name."""
     if isinstance(outcome, Exception):
         raise type(outcome)(f"{source}: {outcome}")
     return outcome

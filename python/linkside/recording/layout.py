@@ -14,10 +14,13 @@ from linkside.arrays import FloatArray
 from linkside.channels import CHANNELS, joint_columns
 from linkside.errors import EstimatorError, LogError
 from linkside.files.tables import failure
+from linkside.robot.encoders import EncoderReading
 from linkside.robot.units import Unit
 
+from .motors import encoder_angles, encoder_readings, of_joints, of_motors
+
 COMMANDS = ("qref", "dqref", "ddqref")
-"""Signals that nobody measures: they are known at any time, on straight lines."""
+"""Commanded signals, which are interpolated linearly."""
 
 UNMEASURED = ("tau", "ddq", *COMMANDS)
 """Signals with one column a joint, ``<signal>_<joint>``, beside the channels that filters correct with."""
@@ -28,7 +31,7 @@ OF_MOTORS = ("theta", "dtheta", "tau")
 
 
 class ColumnNames(Protocol):
-    """How a log's columns differ from ours: on the motor shaft, or by name."""
+    """How a log's columns differ from linkside's: by the side of the gear, or by name."""
 
     @property
     def motor_side(self) -> bool:
@@ -40,7 +43,7 @@ class ColumnNames(Protocol):
 
 
 class RobotColumns(Protocol):
-    """What a log needs to know of a robot."""
+    """The properties of a robot that reading a log requires."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -79,6 +82,14 @@ class RobotColumns(Protocol):
         """Units of columns that are not in SI units, by our names."""
 
     @property
+    def gearing(self) -> FloatArray:
+        """How far each motor turns each joint, (n, n)."""
+
+    @property
+    def encoder_readings(self) -> Mapping[str, Mapping[int, EncoderReading]]:
+        """By signal, theta or q, and by joint: how encoders read that read wrong."""
+
+    @property
     def torque_constant(self) -> tuple[float | None, ...]:
         """Torque of a motor's current, where it is known [N m/A]."""
 
@@ -105,6 +116,8 @@ class Layout:
     passive: tuple[bool, ...]
     shaft_ratio: FloatArray | None
     acceleration_errors: tuple[FloatArray, FloatArray] | None
+    encoders: Mapping[str, Mapping[int, EncoderReading]]
+    gearing: FloatArray | None
     sizes: dict[str, FloatArray]
     conversions: tuple[str, ...]
 
@@ -116,7 +129,9 @@ class Layout:
         bias, scale = robot.acceleration_errors
         errors = (bias, scale) if np.any(bias) or np.any(scale != 1) else None
         elastic, passive = (tuple(map(bool, joints)) for joints in (robot.elastic, robot.passive))
-        layout = cls(wanted, tuple(found), elastic, passive, ratio, errors, sizes, conversions)
+        gearing = None if np.array_equal(robot.gearing, np.eye(len(elastic))) else robot.gearing
+        encoders = robot.encoder_readings
+        layout = cls(wanted, tuple(found), elastic, passive, ratio, errors, encoders, gearing, sizes, conversions)
         layout._check(source)
         return layout
 
@@ -148,7 +163,7 @@ class Layout:
         return arrays
 
     def missing(self, column: str, source: str, why: str = "") -> LogError:
-        """Say that a column is missing, and what it might be called instead."""
+        """Describe a missing column, with a similar name if there is one."""
         close = difflib.get_close_matches(column, set(self.found) - set(self.present), n=1, cutoff=0.75)
         hint = f"; did you mean {close[0]!r}?" if close else "; if another file has it, see `linkside merge`"
         if column.startswith("tau_") and (current := f"current_{column[4:]}") in self.found:
@@ -165,10 +180,14 @@ class Layout:
         if self.acceleration_errors is not None:
             bias, scale = self.acceleration_errors
             changes |= {signal: (arrays[signal] - bias) / scale for signal in _there(arrays, "acceleration")}
-        return arrays | changes
+        arrays = arrays | changes
+        arrays = arrays | encoder_angles(arrays, self.encoders)
+        return arrays if self.gearing is None else arrays | of_joints(arrays, self.gearing)
 
     def as_recorded(self, arrays: dict[str, Any]) -> dict[str, Any]:
         """The inverse of `on_link_side`, to rounding."""
+        arrays = arrays if self.gearing is None else arrays | of_motors(arrays, self.gearing)
+        arrays = arrays | encoder_readings(arrays, self.encoders)
         changes: dict[str, Any] = {}
         if self.shaft_ratio is not None:
             changes = {signal: arrays[signal] * self.shaft_ratio for signal in _there(arrays, "theta", "dtheta")}

@@ -1,8 +1,8 @@
-"""Recordings: reading them from files and tables, and refusing those that cannot be trusted.
+"""Recordings: reading them from files and tables, with all checks.
 
-A `Log` holds what a controller recorded, as arrays of time × channel. Every check happens while reading, so
-that no estimator meets a wrong unit of time, an infinity or a text in place of a number halfway through its
-work. A NaN is a sample that is missing, and is legal everywhere but in ``t``.
+A `Log` holds what a controller recorded, as arrays of time × channel. Every check happens while reading, so that no
+estimator fails halfway through on a wrong unit of time, an infinity or text in place of a number. NaN marks a missing
+sample and is allowed everywhere except in ``t``.
 """
 
 from __future__ import annotations
@@ -63,13 +63,13 @@ class Log:
     qref, dqref, ddqref : (T, n)
         Commanded motion [rad, rad/s, rad/s²].
     source : str
-        Where it came from, for messages.
+        Its origin, for messages.
     period : float
         Median step of ``t`` at the beginning of the recording [s].
     pace : Pace
         How often each channel is read, by the beginning of the recording.
     findings : tuple of Finding
-        What the checks found suspicious, or put right, while it was read.
+        What the checks found suspicious, or corrected, while it was read.
     """
 
     t: FloatArray
@@ -105,9 +105,9 @@ class Log:
             Keep steps of time longer than 1.5 times the spacing of the fastest channel's readings, or of rows if that
             is more, instead of refusing them.
         check
-            Look at the readings before they are believed: units, signs, jumps, stuck channels and more, as
-            `linkside.recording.checks.CHECKS` lists them. What is impossible is refused, what is certain put right, and
-            what is suspicious warned of with a `RecordingWarning`.
+            Check the readings first: units, signs, jumps, stuck channels and more, as
+            `linkside.recording.checks.CHECKS` lists them. Impossible readings are refused, certain mistakes are
+            corrected, and suspicious ones raise a `RecordingWarning`.
 
         Raises
         ------
@@ -187,8 +187,8 @@ class Log:
     def resample(self, rate: float) -> Log:
         """The recording at an even rate [Hz]: each channel on straight lines between its readings.
 
-        Readings further apart than 0.05 s have NaN in between. Nothing is filtered: a rate below that of the fastest
-        sensor folds faster vibrations down.
+        Readings further apart than 0.05 s have NaN in between. Nothing is filtered, so a rate below that of the fastest
+        sensor aliases faster vibrations.
 
         Raises
         ------
@@ -229,7 +229,7 @@ class Log:
             writer.write(self)
 
     def require(self, *signals: str, purpose: str = "this estimator") -> tuple[FloatArray, ...]:
-        """Insist on the columns of some signals, and give the signals: ``theta, tau = log.require("theta", "tau")``.
+        """Require the columns of some signals, and return the signals: ``theta, tau = log.require("theta", "tau")``.
 
         Torques and link accelerations are needed of elastic joints only, every other signal of all joints. A signal of
         which nothing is needed, nor there, is NaN.
@@ -250,7 +250,7 @@ class Log:
         return np.full((len(self), len(self._layout.wanted[signal])), np.nan) if array is None else array
 
     def require_start(self, purpose: str, signals: Sequence[str] = ("theta",)) -> None:
-        """Insist on every value of ``signals`` in the first row: an estimate cannot start from rest without.
+        """Require every value of ``signals`` in the first row, without which an estimate cannot start from rest.
 
         Raises
         ------
@@ -384,7 +384,7 @@ def _clock(head: FloatArray, layout: Layout, source: str, inspector: Inspector |
 
 
 def _inspector(robot: RobotColumns, source: str, check: bool) -> Inspector | None:
-    """What looks at a recording before it is believed; None where that is not wanted, or the robot is but names."""
+    """The inspector of a recording; None if no check is wanted, or if only the names of the robot are known."""
     return Inspector(robot, source) if check and able(robot) else None
 
 

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from .log import Log
 
 LEAST_MOTION = 1e-3
-"""A joint whose motor stays within this tells nothing of its transmission [rad]."""
+"""A joint whose motor moves by less contains no information about its transmission [rad]."""
 
 
 def moving(log: Log) -> npt.NDArray[np.bool_]:

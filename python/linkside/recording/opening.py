@@ -1,4 +1,4 @@
-"""Opening of recordings: files of columns, and bags, of which a robot says what to take."""
+"""Opening of recordings: files of columns, and bags by the `sources` of a robot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An estimate beside its recording over time, however long: what a report shows of it."""
+"""An estimate and its recording over time, condensed for a report."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ WIDTH = 6.4
 
 
 def tool_figures(overview: Overview) -> Iterator[tuple[str, Figure]]:
-    """The tool's path over time, what the springs do to it, and how sure that is; with captions."""
+    """The tool's path over time, its displacement by the springs, and its standard deviation; with captions."""
     if overview.tool:
         figure, axes = _panel()
         middle = np.nanmean(overview.tool.mean, axis=0)
@@ -35,7 +35,7 @@ def tool_figures(overview: Overview) -> Iterator[tuple[str, Figure]]:
             size = np.linalg.norm(overview.tool_std.high, axis=1)
             axes.plot(overview.tool_std.t, 2e3 * size, color=COLOURS[1], ls="--", lw=1.2, label="2σ of the tool")
         axes.set(ylabel="distance [mm]", ylim=(0, None))
-        yield "What the springs do to the tool, and how sure its place is", _done(figure, axes)
+        yield "Displacement of the tool by the springs, and its standard deviation", _done(figure, axes)
 
 
 def torsion_figures(overview: Overview) -> Iterator[tuple[str, Figure]]:

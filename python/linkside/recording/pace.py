@@ -1,4 +1,4 @@
-"""How often each channel of a recording is read, which tells a slow sensor from a missing one."""
+"""How often each channel of a recording is read, which distinguishes slow sensors from missing readings."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MISSING = (np.inf, np.inf)
 
 @dataclass(frozen=True)
 class Pace:
-    """How often channels are read, and when they last were, before the rows at hand.
+    """How often channels are read, and when each was last read before the present rows.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Observers that are designed for one sampling period: what they share, live and over recordings."""
+"""The common part of observers that are designed for one sampling period, live and over recordings."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class PeriodicObserver(Copies, ABC, Generic[Core, Found]):
         """Make an estimate of what the core gave."""
 
     def reset(self) -> None:
-        """Forget the state: the next sample starts anew."""
+        """Reset: the next sample starts from the beginning."""
         self._live().reset()
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[Found]:

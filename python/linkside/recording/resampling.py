@@ -14,7 +14,7 @@ from .pace import LONGEST_DROPOUT
 def even_times(t: FloatArray, signals: Iterable[FloatArray], rate: float) -> FloatArray:
     """Times at ``rate`` [Hz] over those of a recording (T,), from when all channels of ``signals`` (T, k) are read.
 
-    A channel that comes later than a dropout may last is not waited for.
+    Channels whose first reading comes later than the longest dropout are ignored.
     """
     first = t[0]
     for array in signals:

@@ -48,7 +48,7 @@ def bag_table(
     columns
         The columns that are wanted; all by default.
     commands
-        Columns that nobody measures: they are put on straight lines.
+        Columns of commanded signals, which are interpolated linearly.
 
     Raises
     ------

@@ -7,11 +7,11 @@ import numpy as np
 from linkside.arrays import FloatArray
 
 STRETCHES = 400
-"""So many, to twice as many, are kept of a long recording."""
+"""Between this many and twice as many points are kept of a long recording."""
 
 
 class Trace:
-    """Channels over time, as what they reach in each stretch of rows.
+    """Channels over time, as least, largest and mean value of each stretch of rows.
 
     While there are few rows a stretch is a row; when stretches become too many, neighbours are joined.
     """

@@ -30,8 +30,8 @@ class Rows(Protocol):
 class EstimateWriter:
     """Writes estimates, piece by piece, into one Parquet or CSV file in bounded memory.
 
-    The file is whole or not there: it appears under its name, in place of an older one, when the ``with``
-    block ends without an exception. What is in it does not depend on how it was cut into pieces.
+    The file is written completely or not at all: it appears under its name, replacing an older one, when the ``with``
+    block ends without an exception. Its content does not depend on the sizes of the pieces.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class EstimateWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Make the file visible, or remove every trace of it."""
+        """Publish the file, or remove it."""
         try:
             if kind is None:
                 self._publish()

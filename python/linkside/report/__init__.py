@@ -1,4 +1,4 @@
-"""Reports as one HTML page: what came out first, then tables and figures, then what it was made from."""
+"""Reports as one HTML page: the verdict, tables and figures, and the inputs."""
 
 from .inputs import Input, inputs
 from .page import Page, Verdict, write_page

@@ -1,4 +1,4 @@
-"""What a report was made from: files with their hashes, versions, the date."""
+"""Inputs of a report: files with their hashes, versions, the date."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A page: a verdict, tables, figures and what they were made from, in one file that needs no other."""
+"""A page with a verdict, tables, figures and their inputs, in one self-contained file."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ class Verdict:
     Attributes
     ----------
     level : {"good", "doubtful", "bad", "open"}
-        ``"open"`` where nothing judges it.
+        ``"open"`` if the method does not judge itself.
     headline : str
         In a few words.
     reasons : tuple of str
-        Why, the gravest first.
+        Reasons, the most serious first.
     """
 
     level: Level

@@ -17,7 +17,7 @@ TRIANGLE = 1e-3
 """A principal moment that exceeds the sum of the others by this share is no rounding."""
 
 NEGLIGIBLE = 1e-6
-"""Moments of inertia below this are not worth a word [kg m²]."""
+"""Moments of inertia below this are not mentioned [kg m²]."""
 
 
 def massless(model: Any) -> dict[str, str]:

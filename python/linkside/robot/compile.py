@@ -1,4 +1,4 @@
-"""From a Pinocchio model to the core's kinematic tree."""
+"""Compilation of a Pinocchio model into the core's kinematic tree."""
 
 import math
 import re
@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from linkside import _core
 from linkside.errors import ConfigError
 from linkside.files.yaml_source import Source, suggest
 
-from . import units
+from . import gearing, units
 from .config import RobotConfig
 from .counterbalances import Anchor, Counterbalance
 from .joints import JointConfig, RotorConfig
@@ -32,7 +31,7 @@ def reduce(model: Any, config: RobotConfig, source: Source) -> Any:
     """Lock the joints that are not listed at neutral, and refuse what cannot be compiled."""
     _refuse_joint_types(model)
     _refuse_unknown_joints(model, config, source)
-    listed = {joint.name for joint in config.joints}
+    listed = {joint.name for joint in config.joints} | set(config.linkages)
     locked = [index for index, name in enumerate(model.names) if index > 0 and name not in listed]
     reduced = _lock(model, locked)
     reduced.gravity.linear = np.array(config.gravity)
@@ -101,20 +100,22 @@ def mount(model: Any, frame: FrameConfig) -> tuple[int, Any]:
     return link.parentJoint, link.placement * pose
 
 
-def compile_robot(config: RobotConfig, model: Any) -> _core.Robot:
-    """Flatten a reduced model and the drives and sensors on it into the core's arrays."""
+def describe(config: RobotConfig, model: Any) -> dict[str, Any]:
+    """Flatten a reduced model and the drives and sensors on it into plain numbers, as the core takes them."""
     names = [joint.name for joint in config.joints]
-    return _core.Robot(
-        config.gravity,
-        _bodies(model, names),
-        [_drive(joint) for joint in config.joints],
-        coupling_matrix(config),
-        [_sensor(model, sensor) for sensor in config.accelerometers],
-        [_sensor(model, sensor) for sensor in config.gyroscopes],
-        None if config.tool is None else _frame(model, config.tool),
-        [_rotor(model, config, motor, rotor) for motor, rotor in config.rotors.items()],
-        [_counterbalance(model, names, balance) for balance in config.counterbalances],
-    )
+    return {
+        "gravity": config.gravity,
+        "bodies": _bodies(model, [*names, *config.linkages]),
+        "drives": [_drive(joint) for joint in config.joints],
+        "coupling": coupling_matrix(config).tolist(),
+        "accelerometers": [_sensor(model, sensor) for sensor in config.accelerometers],
+        "gyroscopes": [_sensor(model, sensor) for sensor in config.gyroscopes],
+        "tool": None if config.tool is None else _frame(model, config.tool),
+        "rotors": [_rotor(model, config, motor, rotor) for motor, rotor in config.rotors.items()],
+        "counterbalances": [_counterbalance(model, names, balance) for balance in config.counterbalances],
+        "gearing": _gearing(config, names),
+        "followers": [(names.index(one.follows), one.ratio, one.offset) for one in config.linkages.values()],
+    }
 
 
 def coupling_matrix(config: RobotConfig) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -125,6 +126,12 @@ def coupling_matrix(config: RobotConfig) -> np.ndarray[Any, np.dtype[np.float64]
         for column, value in entries.items():
             matrix[order[row], order[column]] = value
     return matrix
+
+
+def _gearing(config: RobotConfig, names: list[str]) -> tuple[list[int], list[float]]:
+    """Joints that share motors, and their part of Γ, row by row."""
+    joints = gearing.shared(config.gearing, names)
+    return joints, gearing.matrix(config.gearing, names)[np.ix_(joints, joints)].ravel().tolist()
 
 
 def _refuse_joint_types(model: Any) -> None:
@@ -153,6 +160,9 @@ def _refuse_unknown_joints(model: Any, config: RobotConfig, source: Source) -> N
         if joint.name not in known:
             why = "it is fixed" if joint.name in fixed else suggest(joint.name, known)
             raise ConfigError(f"{source.where('joints', index, 'name')}no moving joint '{joint.name}'; {why}")
+    for name in config.linkages:
+        if name not in known:
+            raise ConfigError(f"{source.where('linkages', name)}no moving joint '{name}'; {suggest(name, known)}")
 
 
 def _refuse_unknown_links(model: Any, config: RobotConfig, source: Source) -> None:
@@ -220,12 +230,12 @@ def _body(model: Any, data: Any, index: int, names: list[str]) -> dict[str, Any]
         "parent": model.parents[index] - 1,
         "joint": names.index(model.names[index]),
         "prismatic": bool(linear.any()),
-        "rotation": placement.rotation,
-        "translation": placement.translation,
-        "axis": linear + angular,  # one of them is zero
+        "rotation": placement.rotation.tolist(),
+        "translation": placement.translation.tolist(),
+        "axis": (linear + angular).tolist(),  # one of them is zero
         "mass": inertia.mass,
-        "com": inertia.lever,
-        "inertia": inertia.inertia,
+        "com": inertia.lever.tolist(),
+        "inertia": inertia.inertia.tolist(),
     }
 
 
@@ -248,6 +258,7 @@ def _drive(joint: JointConfig) -> dict[str, Any]:
         ],
         "hysteresis": [element.numbers for element in joint.hysteresis],
         "ripple": joint.harmonics,
+        "encoder_lines": [cycles for _, cycles in joint.encoder_error.unknown(joint.gear_ratio)],
         "friction_viscous": joint.motor_friction.viscous,
         "friction_coulomb": joint.motor_friction.coulomb,
         "friction_stribeck": joint.motor_friction.stribeck,
@@ -262,20 +273,25 @@ def _drive(joint: JointConfig) -> dict[str, Any]:
 
 def _frame(model: Any, frame: FrameConfig) -> dict[str, Any]:
     joint, pose = mount(model, frame)
-    return {"body": joint - 1, "rotation": pose.rotation, "translation": pose.translation}
+    return {"body": joint - 1, "rotation": pose.rotation.tolist(), "translation": pose.translation.tolist()}
 
 
 def _rotor(model: Any, config: RobotConfig, motor: str, rotor: RotorConfig) -> dict[str, Any]:
     link = model.frames[_links(model)[rotor.link]]
     index = [joint.name for joint in config.joints].index(motor)
     axis = link.placement.rotation @ (np.array(rotor.axis) / np.linalg.norm(rotor.axis))
-    return {"motor": index, "body": link.parentJoint - 1, "axis": axis, "ratio": config.joints[index].gear_ratio}
+    return {
+        "motor": index,
+        "body": link.parentJoint - 1,
+        "axis": axis.tolist(),
+        "ratio": config.joints[index].gear_ratio,
+    }
 
 
-def _anchor(model: Any, end: Anchor) -> tuple[int, Any]:
+def _anchor(model: Any, end: Anchor) -> tuple[int, list[float]]:
     """The body that carries a point, −1 for the base, and where in that body's frame."""
     link = model.frames[_links(model)[end.link]]
-    return link.parentJoint - 1, link.placement.act(np.array(end.xyz))
+    return link.parentJoint - 1, link.placement.act(np.array(end.xyz)).tolist()
 
 
 def _counterbalance(model: Any, names: list[str], balance: Counterbalance) -> dict[str, Any]:

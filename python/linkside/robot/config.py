@@ -1,4 +1,4 @@
-"""The schema of robot.yaml: what a URDF cannot say about an elastic-joint robot.
+"""The schema of robot.yaml: the properties of an elastic-joint robot that a URDF lacks.
 
 SI units, everything reflected through the gear to the link side. Each model is frozen; an unknown key, a
 missing one or a value out of range is a `ConfigError`: file, line, key, what was expected and what was found.
@@ -11,9 +11,9 @@ from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from linkside.files.yaml_source import Source, refusal, suggest
 
-from . import correlations
+from . import correlations, gearing
 from .counterbalances import Counterbalance
-from .joints import JointConfig, RotorConfig
+from .joints import JointConfig, LinkageConfig, RotorConfig
 from .section import Name, Section
 from .sensors import (
     AccelerometerConfig,
@@ -86,13 +86,15 @@ class ColumnsConfig(Section):
 
 
 class RobotConfig(Section):
-    """All that a URDF cannot say about a robot; joints in the order of the log."""
+    """The settings of a robot that a URDF lacks; joints in the order of the log."""
 
     rate_hz: Positive | None = None  # of the log; for the reader of the file, nothing depends on it
     gravity: Vector3 = (0.0, 0.0, -9.81)  # m/s², of free fall in the base frame
     joints: Annotated[tuple[JointConfig, ...], AfterValidator(some)]
     coupling: dict[str, dict[str, Number]] = {}  # S, kg m²: {link's joint: {motor's joint: value}}
     rotors: dict[str, RotorConfig] = {}  # motors carried by links, by the joint that they drive
+    gearing: dict[str, dict[str, Number]] = {}  # Γ: {joint: {joint whose motor turns it, too: how far}}; 1 by its own
+    linkages: dict[Name, LinkageConfig] = {}  # joints of the URDF that others move, by their names
     counterbalances: tuple[Counterbalance, ...] = ()  # what carries part of the weight
     accelerometers: tuple[AccelerometerConfig, ...] = ()
     gyroscopes: tuple[GyroscopeConfig, ...] = ()
@@ -172,6 +174,22 @@ class RobotConfig(Section):
                 raise refusal(f"expected a joint; {suggest(motor, joints)}", "rotors", motor)
             if any(entries.get(motor) for entries in self.coupling.values()):
                 raise refusal("expected no coupling of this motor: a rotor brings its own", "rotors", motor)
+        return self
+
+    @model_validator(mode="after")
+    def _gearing_possible(self) -> "RobotConfig":
+        coupled = [motor for entries in self.coupling.values() for motor, inertia in entries.items() if inertia]
+        gearing.refuse_impossible(self.gearing, self.joints, [*coupled, *self.rotors])
+        return self
+
+    @model_validator(mode="after")
+    def _linkages_known(self) -> "RobotConfig":
+        names = [joint.name for joint in self.joints]
+        for joint, linkage in self.linkages.items():
+            if joint in names:
+                raise refusal("expected a joint that is not listed: its leader moves it", "linkages", joint)
+            if linkage.follows not in names:
+                raise refusal(f"expected a joint; {suggest(linkage.follows, names)}", "linkages", joint, "follows")
         return self
 
     @model_validator(mode="after")

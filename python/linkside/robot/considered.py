@@ -1,4 +1,4 @@
-"""Numbers of robot.yaml that are known to a tolerance only: they count in standard deviations, unestimated."""
+"""Parameters that are known to a tolerance only: they widen standard deviations and are not estimated."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CoreTolerance = tuple[str, int, int, float]
 
 @dataclass(frozen=True)
 class Uncertain:
-    """A number that is not known exactly.
+    """A parameter that is not known exactly.
 
     Attributes
     ----------
@@ -79,17 +79,27 @@ def _of_joints(robot: Robot) -> Iterator[Uncertain]:
             stds["cubic_stiffness"] = 0.5 * drive.cubic_stiffness
         else:
             stds["yielding"] = (2 * np.pi * wide.rigid_frequency) ** -2
-        stds["link_friction"] = wide.link_friction if _brakes(drive) else 0.0
+        stds["link_friction"] = wide.link_friction if brakes(drive) else 0.0
         if not drive.passive:
             stds["encoder_zero"] = wide.encoder_zero
             stds["lost_motion"] = wide.lost_motion
+            yield from _of_lines(j, drive)
         for kind, std in stds.items():
             if std:
                 name = "mass_scale" if kind == "mass" else kind
                 yield Uncertain(f"{name}_{drive.name}", kind, j, 0, float(std))
 
 
-def _brakes(drive: JointConfig) -> bool:
+def _of_lines(j: int, drive: JointConfig) -> Iterator[Uncertain]:
+    """Sine and cosine of each part of an encoder's reading whose phase no run tells."""
+    for line, (amplitude, _) in enumerate(drive.encoder_error.unknown(drive.gear_ratio)):
+        for part, name in enumerate(("sine", "cosine")):
+            yield Uncertain(
+                f"encoder_{name}_{drive.name}_{line}", "encoder_line", j, 2 * line + part, amplitude / 2**0.5
+            )
+
+
+def brakes(drive: JointConfig) -> bool:
     """Whether a link has friction."""
     bearing = drive.bearing_friction
     return any((*drive.link_friction, bearing.viscous, bearing.coulomb, bearing.stribeck, bearing.load))

@@ -1,4 +1,4 @@
-"""How the errors of a robot's numbers go together: `tolerances.correlations` of robot.yaml."""
+"""Correlations of the errors of a robot's parameters: `tolerances.correlations` of robot.yaml."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OF_SENSORS = ("rotation", "translation", "scale")
 """Kinds of numbers that are one for all time; those of accelerometers have an axis as well."""
 
 ROUNDING = 1e-9
-"""Digits of a file may leave correlations so far from what errors can have."""
+"""Largest negative eigenvalue of a correlation matrix that rounding in a file may cause."""
 
 WHERE = ("tolerances", "correlations")
 
@@ -36,7 +36,7 @@ def names(joints: Iterable[str], accelerometers: Iterable[str]) -> list[str]:
 
 
 def refuse_impossible(correlations: Correlations, known: Sequence[str]) -> None:
-    """Refuse what no errors have: a name that is none, a pair of one or given twice, values that exclude each other.
+    """Refuse unknown names, pairs of one name or given twice, and values that no errors can have together.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The section `counterbalances` of robot.yaml: what carries part of a robot's weight without a motor."""
+"""The section `counterbalances` of robot.yaml: springs that carry part of a robot's weight."""
 
 from typing import Annotated, Any, Literal
 

@@ -7,6 +7,7 @@ from pydantic import AfterValidator, model_validator
 
 from linkside.files.yaml_source import refusal
 
+from .encoders import STEEPEST, EncoderError
 from .section import Name, Section
 from .transmission import (
     Backlash,
@@ -43,6 +44,8 @@ class JointConfig(Section):
     backlash: Backlash = Backlash()
     hysteresis: tuple[FrictionElement, ...] = ()  # friction beside the spring, side by side
     ripple: tuple[Harmonic, ...] = ()  # the gear's output stands at θ + their sum
+    encoder_error: EncoderError = EncoderError()  # of the motor's encoder, `theta` and `dtheta`
+    link_encoder_error: EncoderError = EncoderError()  # of the link's, `q`
     damping: NonNegative = 0.0  # D, N m s/rad
     motor_inertia: Positive | None = None  # B, kg m²; required when elastic
     torque_constant: Positive | None = None  # N m/A; torque of a motor's current, on the side of the gear of the log's
@@ -68,7 +71,7 @@ class JointConfig(Section):
 
     @model_validator(mode="after")
     def _table_alone(self) -> "JointConfig":
-        """A table stands in for rates; `stiffness` is then its nominal one."""
+        """A table replaces the other stiffness values; `stiffness` is then its nominal value."""
         if self.stiffness_table is None:
             return self
         nominal = self.stiffness_table.nominal
@@ -90,7 +93,15 @@ class JointConfig(Section):
     def _passive_alone(self) -> "JointConfig":
         if self.passive and not self.elastic:
             raise refusal("expected an elastic joint: a passive one is a spring", "passive")
-        for key in ("motor_inertia", "torque_constant", "gear_ratio", "motor_friction", "efficiency", "ripple"):
+        for key in (
+            "motor_inertia",
+            "torque_constant",
+            "gear_ratio",
+            "motor_friction",
+            "efficiency",
+            "ripple",
+            "encoder_error",
+        ):
             if self.passive and key in self.model_fields_set and getattr(self, key) is not None:
                 raise refusal("expected none: the joint is passive", key)
         return self
@@ -107,6 +118,23 @@ class JointConfig(Section):
         change = sum(abs(amplitude * frequency) for amplitude, frequency, _ in self.harmonics)
         if change > 0.2:
             raise refusal(f"expected to change the output's speed by at most 0.2 of it, got {change:.3g}", "ripple")
+        return self
+
+    @model_validator(mode="after")
+    def _encoders_rise(self) -> "JointConfig":
+        for key in ("encoder_error", "link_encoder_error"):
+            error = getattr(self, key)
+            for index, harmonic in enumerate(error.harmonics):
+                where = (key, "harmonics", index, "of")
+                if harmonic.of == "motor" and key == "link_encoder_error":
+                    raise refusal("expected 'output': the link's encoder turns with the link", *where)
+                if harmonic.of == "motor" and "gear_ratio" not in self.model_fields_set:
+                    raise refusal("missing key 'gear_ratio': the motor's turns are counted by it", *where)
+            steepness = error.steepness(self.gear_ratio)
+            if steepness > STEEPEST:
+                raise refusal(
+                    f"expected to change a reading's rate by at most {STEEPEST:g} of it, got {steepness:.3g}", key
+                )
         return self
 
     @model_validator(mode="after")
@@ -145,6 +173,17 @@ class JointConfig(Section):
             message = f"expected less than the stiffness {self.stiffness:g} can bear, got {windup:g}"
             raise refusal(f"{message}: the spring's torque must rise with torsion", "soft_windup", "stiffness")
         return self
+
+
+class LinkageConfig(Section):
+    """A joint of the URDF that another one moves, by rods or belts: it stands at ratio·position + offset.
+
+    Parallel linkages are trees so: an arm's rods keep a carrier upright that its shoulder turns, by a ratio of -1.
+    """
+
+    follows: Name
+    ratio: Annotated[Number, AfterValidator(nonzero)] = 1.0
+    offset: Number = 0.0  # rad, or m
 
 
 class RotorConfig(Section):

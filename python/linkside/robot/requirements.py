@@ -1,4 +1,4 @@
-"""What a robot.yaml may declare that not every method accounts for; a method refuses it by name."""
+"""Keys of robot.yaml that not every method accounts for; such a method refuses them by name."""
 
 from __future__ import annotations
 
@@ -36,6 +36,8 @@ def _frictions(robot: Robot, key: str) -> list[str]:
 FEATURES: dict[str, Callable[[Robot], list[str]]] = {
     "coupling": lambda robot: [row for row, entries in robot.config.coupling.items() if any(entries.values())],
     "rotors": lambda robot: list(robot.config.rotors),
+    "gearing": lambda robot: list(robot.config.gearing),
+    "linkages": lambda robot: list(robot.config.linkages),
     "stiffness_table": lambda robot: [drive.name for drive in robot.drives if drive.stiffness_table],
     UNKNOWN: lambda robot: [drive.name for drive in robot.drives if drive.elastic and not drive.stiffness_known],
     "backlash": lambda robot: [drive.name for drive in robot.drives if drive.backlash.half_gap],
@@ -57,13 +59,15 @@ JOINT_SIDE = tuple(f"{carrier}.{key}" for carrier in ("link_encoder", "joint_tor
 BY_LOAD = ("efficiency", "load")
 """Friction that grows with the torque transmitted."""
 
-WHY = {"passive": "no motor moves it, whose encoder would tell where its link is"}
+WHY = {"passive": "no motor moves it, so no encoder shows where its link is"}
 """Reasons that a key does not give by itself."""
 
 UNSUPPORTED: dict[str, tuple[str, ...]] = {
     "the acceleration-driven observer": (
         UNKNOWN,
         "rotors",
+        "gearing",
+        "linkages",
         "backlash",
         "hysteresis",
         "ripple",
@@ -75,6 +79,8 @@ UNSUPPORTED: dict[str, tuple[str, ...]] = {
     "the acceleration-driven observer on joint accelerations": (
         UNKNOWN,
         "rotors",
+        "gearing",
+        "linkages",
         "backlash",
         "hysteresis",
         "ripple",
@@ -84,16 +90,25 @@ UNSUPPORTED: dict[str, tuple[str, ...]] = {
     "a filter on the jerk-driven model": (UNKNOWN, "coupling", "rotors"),
     "a filter on the elastic-joint model": (UNKNOWN,),
     "a simulation": (UNKNOWN,),
-    "a velocity observer": ("rotors", *BY_LOAD, "passive"),
-    "a velocity observer on the links": ("rotors", *BY_LOAD, "passive", *JOINT_SIDE),
-    "the momentum residual": ("rotors", *BY_LOAD, "passive"),
-    "the momentum residual on the links": ("rotors", *BY_LOAD, "passive", *JOINT_SIDE),
+    "a velocity observer": ("rotors", "gearing", *BY_LOAD, "passive"),
+    "a velocity observer on the links": ("rotors", "gearing", *BY_LOAD, "passive", *JOINT_SIDE),
+    "the momentum residual": ("rotors", "gearing", *BY_LOAD, "passive"),
+    "the momentum residual on the links": ("rotors", "gearing", *BY_LOAD, "passive", *JOINT_SIDE),
     "a particle filter": ("hysteresis",),
-    "inverse dynamics along a motion": (UNKNOWN, "rotors", "hysteresis", "passive"),
-    "state feedback": (UNKNOWN, "rotors", "hysteresis", "passive"),
-    "calibration": ("rotors", "stiffness_table", "backlash", "hysteresis", "ripple", *BY_LOAD, "asymmetry", "passive"),
+    "inverse dynamics along a motion": (UNKNOWN, "rotors", "gearing", "hysteresis", "passive"),
+    "state feedback": (UNKNOWN, "rotors", "gearing", "hysteresis", "passive"),
+    "calibration": (
+        "rotors",
+        "gearing",
+        "linkages",
+        "hysteresis",
+        *BY_LOAD,
+        "asymmetry",
+        "passive",
+    ),
+    "calibration with motor torques": ("stiffness_table", "backlash", "ripple"),
 }
-"""By method: what it does not account for."""
+"""Keys that each method does not account for."""
 
 
 def refuse_unsupported(robot: Robot, method: str) -> None:

@@ -16,9 +16,10 @@ from linkside.arguments import numbers
 from linkside.errors import ConfigError, EstimatorError, RobotWarning
 from linkside.files.yaml_source import Source
 
-from . import bodies
+from . import bodies, gearing
 from . import compile as tree
 from .config import ColumnsConfig, RobotConfig, RobotFile
+from .encoders import EncoderReading, readings
 from .joints import JointConfig
 from .sensors import AccelerometerConfig, FrameConfig, GyroscopeConfig
 from .units import Unit
@@ -44,7 +45,7 @@ class Robot:
     model : pinocchio.Model
         The tree of the listed joints alone, all others locked.
     notes : tuple of str
-        What is doubtful about masses: a method that needs them warns of it.
+        Doubts about masses; a method that needs masses warns of them.
 
     Attributes
     ----------
@@ -59,7 +60,11 @@ class Robot:
 
     def __post_init__(self) -> None:
         """Compile the robot."""
-        object.__setattr__(self, "core", tree.compile_robot(self.config, self.model))
+        object.__setattr__(self, "core", _core.Robot(self.described()))
+
+    def described(self) -> dict[str, Any]:
+        """Describe it in plain numbers, as the core takes it."""
+        return tree.describe(self.config, self.model)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> "Robot":
@@ -114,7 +119,7 @@ class Robot:
 
     @classmethod
     def _from_urdf(cls, urdf: Urdf, config: RobotConfig, source: Source) -> "Robot":
-        urdf.refuse_mimics([joint.name for joint in config.joints])
+        urdf.refuse_mimics([joint.name for joint in config.joints], config.linkages)
         model = urdf.model()
         reduced = tree.reduce(model, config, source)
         moving = tree.moving_links(reduced)
@@ -124,7 +129,7 @@ class Robot:
         return cls(config, reduced, notes)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle what the robot was made of; it is compiled anew."""
+        """Pickle what the robot was made of; it is compiled again when it is read."""
         return Robot, (self.config, self.model, self.notes)
 
     def __repr__(self) -> str:
@@ -136,7 +141,7 @@ class Robot:
     def scaled(
         self, *, stiffness: float = 1.0, damping: float = 1.0, motor_inertia: float = 1.0, mass: float = 1.0
     ) -> "Robot":
-        """Make a robot with other parameters, as a specimen differs from what is known of it: factors on all joints.
+        """Return a robot with other parameters, such as a specimen that differs from its model: factors on all joints.
 
         Parameters
         ----------
@@ -158,7 +163,7 @@ class Robot:
         return Robot(config, tree.heavier(self.model, mass), self.notes)
 
     def require_masses(self, purpose: str, *, elastic_only: bool = False) -> None:
-        """Insist on links with masses, for a method that needs them; warn of what is doubtful about them, once.
+        """Require links with masses, for a method that needs them; warn once of doubts about them.
 
         Parameters
         ----------
@@ -220,6 +225,15 @@ class Robot:
         """Inertial coupling S of motors to links, (n, n), strictly upper triangular [kg m²]."""
         return _constant(tree.coupling_matrix(self.config), np.float64)
 
+    @cached_property
+    def gearing(self) -> Array:
+        """Γ, (n, n): how far each motor, in columns, turns each joint, both as seen behind their gears.
+
+        A log of motors' positions θ_m and torques τ_m is converted as it is read, θ = Γ θ_m and τ = Γ⁻ᵀ τ_m; live
+        samples are to be so already.
+        """
+        return _constant(gearing.matrix(self.config.gearing, self.names), np.float64)
+
     @property
     def drives(self) -> tuple[JointConfig, ...]:
         """Spring, motor and friction of each joint."""
@@ -263,6 +277,16 @@ class Robot:
         return self.config.gyroscope_channels
 
     @cached_property
+    def encoder_readings(self) -> dict[str, dict[int, EncoderReading]]:
+        """By signal, `theta` or `q`, and by joint: how encoders read that read wrong in a way that is known."""
+        each = {
+            "theta": [readings(drive.encoder_error, drive.gear_ratio) for drive in self.drives],
+            "q": [readings(drive.link_encoder_error, 1.0) for drive in self.drives],
+        }
+        found = {signal: {j: one for j, one in enumerate(all_) if one is not None} for signal, all_ in each.items()}
+        return {signal: of_joints for signal, of_joints in found.items() if of_joints}
+
+    @cached_property
     def column_units(self) -> dict[str, Unit]:
         """Units of a log's columns, by our names, of those that are not in SI units."""
         return tree.column_units(self.model, self.config)[0]
@@ -284,18 +308,31 @@ class Robot:
         """Order positions as `model` does, (…, n) to (…, model.nq); a continuous joint becomes (cos, sin)."""
         q = np.asarray(q, dtype=np.float64)
         out = np.empty((*q.shape[:-1], self.model.nq))
-        for index, joint in enumerate(map(self._joint, self.names)):
-            value = q[..., index]
+        for name, value in self.joint_positions(q).items():
+            joint = self._joint(name)
             parts = [value] if joint.nq == 1 else [np.cos(value), np.sin(value)]
             out[..., joint.idx_q : joint.idx_q + joint.nq] = np.stack(parts, axis=-1)
         return out
 
     def velocity_to_pinocchio(self, dq: ArrayLike) -> Array:
-        """Order velocities, accelerations or torques as `model` does, (…, n) to (…, n)."""
+        """Order velocities, accelerations or torques as `model` does, (…, n) to (…, model.nv)."""
         dq = np.asarray(dq, dtype=np.float64)
-        out = np.empty_like(dq)
+        out = np.empty((*dq.shape[:-1], self.model.nv))
         out[..., self.velocity_index] = dq
+        for name, one in self.config.linkages.items():
+            out[..., self._joint(name).idx_v] = one.ratio * dq[..., self.names.index(one.follows)]
         return out
+
+    @cached_property
+    def velocity_map(self) -> Array:
+        """Pinocchio's velocities by those of the joints, (model.nv, n); times it, a Jacobian is in log order."""
+        return _constant(self.velocity_to_pinocchio(np.eye(self.n)).T, np.float64)
+
+    def joint_positions(self, q: ArrayLike) -> dict[str, Array]:
+        """Positions of the tree's joints by name, those that linkages move included, of q (…, n)."""
+        q = np.asarray(q, dtype=np.float64)
+        found = {name: q[..., index] for index, name in enumerate(self.names)}
+        return found | {name: one.ratio * found[one.follows] + one.offset for name, one in self.config.linkages.items()}
 
     def inverse_dynamics(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
         """Torque on the links, M(q) q̈ + C(q, q̇) q̇ + g(q), (T, n) [N m]."""
@@ -349,7 +386,7 @@ class Robot:
         return self._rows(self.core.motor_friction, dtheta=dtheta, load=rest if load is None else load)
 
     def specific_force(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
-        """What the accelerometers read, (T, acceleration channels) [m/s²]; +9.81 upward at rest."""
+        """Readings of the accelerometers, (T, acceleration channels) [m/s²]; +9.81 upward at rest."""
         return self._rows(self.core.specific_force, q=q, dq=dq, ddq=ddq)
 
     def acceleration_map(self, q: ArrayLike, dq: ArrayLike) -> tuple[Array, Array]:
@@ -362,11 +399,11 @@ class Robot:
         return derivatives[..., 2, :, :], self.specific_force(q, dq, rest)
 
     def angular_rate(self, q: ArrayLike, dq: ArrayLike) -> Array:
-        """What the gyroscopes read, (T, gyroscope channels) [rad/s]."""
+        """Readings of the gyroscopes, (T, gyroscope channels) [rad/s]."""
         return self._rows(self.core.angular_rate, q=q, dq=dq)
 
     def tool_position(self, q: ArrayLike) -> Array:
-        """Where the tool is in the base frame, (T, 3) [m]; raises EstimatorError if the robot has none."""
+        """Tool position in the base frame, (T, 3) [m]; raises EstimatorError if the robot has none."""
         if self.tool is None:
             raise EstimatorError("the robot has no tool: name one in robot.yaml, `tool: {link: …}`")
         return self._rows(self.core.tool_position, q=q)

@@ -1,4 +1,4 @@
-"""What the sections of robot.yaml have in common."""
+"""The common part of the sections of robot.yaml."""
 
 from typing import Annotated, Any
 

@@ -15,7 +15,7 @@ class FrameConfig(Section):
 
 
 class Lateness(Section):
-    """What is inside a sensor whose readings are of the past."""
+    """Filter and delay inside a sensor."""
 
     corner_frequency: Positive | None = None  # Hz; of the first-order filter inside the sensor, where it has one
     delay: NonNegative = 0.0  # s; by how much a reading is later than its time stamp says

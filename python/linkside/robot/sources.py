@@ -39,7 +39,7 @@ class JointsSource(Section):
 
 
 def _several(value: Any) -> Any:
-    """Take a topic for what it stands for, and one source for a list of one."""
+    """Accept a topic in place of a source, and one source in place of a list."""
     sources = value if isinstance(value, list | tuple) else [value]
     return [{"topic": source} if isinstance(source, str) else source for source in sources]
 

@@ -53,7 +53,7 @@ DAMPING = (0.01, 0.03, 0.1)
 """Damping ratio of motor and spring."""
 
 ABSURD = 1e5
-"""A limit of effort or velocity beyond it was put there to have one."""
+"""A limit of effort or velocity above this is a placeholder."""
 
 
 @dataclass(frozen=True)

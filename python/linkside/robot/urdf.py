@@ -3,7 +3,7 @@
 import math
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from os import PathLike, fspath
 from typing import Any
@@ -14,6 +14,7 @@ import pinocchio as pin
 from linkside.errors import ConfigError
 from linkside.files.yaml_source import one_line, read_text, suggest
 
+from .joints import LinkageConfig
 from .urdf_built import compare
 from .urdf_text import numbers as _numbers
 from .urdf_text import parse, refuse_deep, refuse_twice
@@ -72,15 +73,20 @@ class Urdf:
         except ValueError as error:
             raise ConfigError(f"{self.name}: {error}") from None
 
-    def refuse_mimics(self, joints: Collection[str]) -> None:
-        """Refuse a joint that follows another, if either is to move; both locked do no harm."""
+    def refuse_mimics(self, joints: Collection[str], linkages: Mapping[str, LinkageConfig]) -> None:
+        """Refuse a joint that follows another as no linkage says, if either is to move; both locked do no harm."""
         for joint in self.root.iter("joint"):
             mimic = joint.find("mimic")
-            if mimic is not None and {joint.get("name"), mimic.get("joint")} & set(joints):
-                leader, follower = mimic.get("joint"), joint.get("name")
+            if mimic is None or not {joint.get("name"), mimic.get("joint")} & {*joints, *linkages}:
+                continue
+            leader, follower = mimic.get("joint", ""), joint.get("name", "")
+            says = (leader, float(mimic.get("multiplier", 1)), float(mimic.get("offset", 0)))
+            ours = linkages.get(follower)
+            if ours is None or (ours.follows, ours.ratio, ours.offset) != says:
                 raise ConfigError(
-                    f"{self.name}: joint '{follower}' is a mimic of '{leader}'; "
-                    "linkside moves every joint on its own, list neither or fix it in the URDF"
+                    f"{self.name}: joint '{follower}' is a mimic of '{leader}'; list neither, fix it in the URDF, or "
+                    f"write `linkages: {{{follower}: {{follows: {leader}, ratio: {says[1]:g}, offset: {says[2]:g}}}}}` "
+                    "into robot.yaml"
                 )
 
     def refuse_impossible_bodies(self, links: Collection[str]) -> None:

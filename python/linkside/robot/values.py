@@ -15,7 +15,7 @@ def _listed(value: Any) -> Any:
 
 
 def _exactly(count: int) -> AfterValidator:
-    """Ask for so many numbers; pydantic's own check of length would not count those it finds fault with."""
+    """Require this many numbers; pydantic's own check of the length would not count invalid ones."""
 
     def check(value: tuple[float, ...]) -> tuple[float, ...]:
         if len(value) != count:

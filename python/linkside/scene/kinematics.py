@@ -44,13 +44,13 @@ def body_poses(robot: Robot, q: FloatArray) -> dict[str, Poses]:
     poses: dict[int, Poses] = {0: base}
     model, data = robot.model, robot.model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
-    order = {name: index for index, name in enumerate(robot.names)}
+    positions = robot.joint_positions(q)
     for index in range(1, model.njoints):
         parent, placement = poses[model.parents[index]], model.jointPlacements[index]
         linear, angular = np.split(np.asarray(data.joints[index].S).reshape(6), 2)
         rotation = parent.rotation @ placement.rotation
         translation = parent.translation + parent.rotation @ placement.translation
-        value = q[:, order[model.names[index]]]
+        value = positions[model.names[index]]
         if linear.any():
             translation = translation + value[:, None] * (rotation @ linear)
         else:

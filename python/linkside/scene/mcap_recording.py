@@ -48,7 +48,7 @@ TOPICS: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 def write(robot: Robot, excerpts: Iterable[Excerpt], path: Path) -> None:
-    """Write a file; ``path`` is there afterwards, whole or not."""
+    """Write a file; a failure leaves an incomplete ``path``."""
     try:
         from mcap.writer import Writer
     except ImportError:

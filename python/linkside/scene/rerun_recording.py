@@ -1,4 +1,4 @@
-"""Rerun's recordings (.rrd): the robot, its motors' ghost, the tool's path, and signals over time."""
+"""Rerun's recordings (.rrd): the robot by its links and by its motors, the tool's path, and signals over time."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ THIN = 0.012
 
 
 def write(robot: Robot, looks: Looks, excerpts: Iterable[Excerpt], path: Path) -> None:
-    """Write a recording; ``path`` is there afterwards, whole or not."""
+    """Write a recording; a failure leaves an incomplete ``path``."""
     try:
         import rerun as rr
     except ImportError:

@@ -1,4 +1,4 @@
-"""Simulate a robot with its sensors and a controller in the loop: a design can be studied before it is built."""
+"""Simulate a robot with its sensors and a controller in the loop."""
 
 from __future__ import annotations
 
@@ -24,8 +24,10 @@ from linkside.kalman.elastic_joint import ElasticJointFilter
 from linkside.observers.acceleration import AccelerationObserver
 from linkside.recording.layout import OF_MOTORS, Layout, signal_columns
 from linkside.recording.log import Log
+from linkside.recording.motors import encoder_readings
 from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
+from linkside.robot.encoders import EncoderReading
 from linkside.robot.requirements import refuse_unsupported
 from linkside.robot.sensors import Lateness
 
@@ -42,7 +44,7 @@ EXTRA = {channel.signal for channel in CHANNELS.values() if channel.extra}
 
 @dataclass(frozen=True)
 class Sensor:
-    """What a sensor makes of the truth: low-pass, then delay, bias, white noise, steps.
+    """A model of a sensor: low-pass filter, then delay, bias, white noise, quantisation.
 
     Attributes
     ----------
@@ -53,7 +55,7 @@ class Sensor:
     corner_frequency
         Of a low-pass of first order [Hz].
     every
-        One reading in so many samples; the others are NaN.
+        Number of samples for each reading; the others are NaN.
     """
 
     noise: float = 0.0
@@ -66,7 +68,7 @@ class Sensor:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Simulation:
-    """A run: what was recorded, and what was so.
+    """A run: the recording and the truth.
 
     Attributes
     ----------
@@ -166,7 +168,7 @@ def simulate(
     feedback
         What the controller knows of the robot: ``"truth"``, ``"sensors"`` (motors as measured, links taken to be
         there too), or the estimate of an `ElasticJointFilter` or `AccelerationObserver`, of a robot with other
-        parameters if need be; it starts anew, at the simulation's rate.
+        parameters if need be; it starts from the beginning, at the simulation's rate.
     sensors
         A `Sensor` of each kind: ``theta``, ``dtheta``, ``acceleration``, ``rate``, ``q``, ``torque``, ``dq``. A kind
         not given is as robot.yaml has it, or exact; link positions and velocities, and joint torques (what the
@@ -183,7 +185,7 @@ def simulate(
         Of ``"adaptive"``: a step may be wrong by ``atol + rtol |x|`` in each position and velocity; 1e-6 and 1e-9 if
         not given.
     keep_every
-        One sample in so many is kept.
+        Keep every n-th sample.
     seed
         Of the noise: the same seed gives the same bits.
     push : (n,) or (T, n)
@@ -215,7 +217,8 @@ def simulate(
     channels = [dataclasses.asdict(channel) for kind in SIGNALS for channel in models[kind]]
     source = _feedback_source(feedback, robot, 1.0 / rate)
     result = _core.simulate(robot.core, settings, channels, source, law_of(controller, robot))
-    return _assemble(robot, result, left_out=EXTRA - set(sensors or {}) - set(_declared(robot)))
+    lines = _lines(robot, settings["seed"])
+    return _assemble(robot, result, lines, left_out=EXTRA - set(sensors or {}) - set(_declared(robot)))
 
 
 def _push(push: npt.ArrayLike, n: int, count: int, period: float) -> dict[str, Any]:
@@ -241,12 +244,32 @@ def _stepping(integrator: str, substeps: int, rtol: float | None, atol: float | 
     return {"substeps": count, "tolerance": None}
 
 
-def _assemble(robot: Robot, result: Truth, *, left_out: set[str]) -> Simulation:
+Lines: TypeAlias = dict[str, dict[int, EncoderReading]]
+"""By signal and joint: what encoders read."""
+
+
+def _lines(robot: Robot, seed: int) -> Lines:
+    """Encoders' lines with the phases of this run."""
+    random = np.random.default_rng(seed)
+    found: Lines = {"theta": {}, "q": {}}
+    for j, drive in enumerate(robot.drives):
+        unknown = {
+            "theta": drive.encoder_error.unknown(drive.gear_ratio),
+            "q": drive.link_encoder_error.unknown(1.0),
+        }
+        for signal, lines in unknown.items():
+            if lines:
+                found[signal][j] = EncoderReading(1.0, 0.0, [(*line, random.uniform(0, 2 * np.pi)) for line in lines])
+    return found
+
+
+def _assemble(robot: Robot, result: Truth, lines: Lines, *, left_out: set[str]) -> Simulation:
     widths = [SIGNALS[kind].width(robot) for kind in SIGNALS]
     readings = np.split(result.pop("readings"), np.cumsum(widths)[:-1], axis=1)
     signals = dict(zip(SIGNALS, readings, strict=True)) | {"tau": result.pop("tau")}
     for kind in left_out:
         del signals[kind]
+    signals |= encoder_readings(signals, lines)
     columns = signal_columns(robot)
     driven = {s: ~robot.passive if s in OF_MOTORS else np.ones(len(columns[s]), bool) for s in ("t", *signals)}
     there = [column for s, own in driven.items() for column, kept in zip(columns[s], own, strict=True) if kept]

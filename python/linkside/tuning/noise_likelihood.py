@@ -256,7 +256,7 @@ class _NoiseSearch:
         return self.best_at
 
     def _descend(self, bounds: tuple[float, float]) -> None:
-        """Powell's method, begun anew at the best until that gains less than a tenth: valleys here are narrow."""
+        """Powell's method, restarted at the best point until that gains little, because valleys are narrow."""
         options = {"xtol": 1e-2, "ftol": 1e-9}
         for _ in range(RESTARTS):
             reached = self.best

@@ -70,4 +70,4 @@ class GainMap:
 
     def settings(self) -> dict[str, Any]:
         """Give all coefficients, row by row."""
-        return {name: getattr(self, name).ravel() for name in ("linear", "waves", "sine", "cosine")}
+        return {name: getattr(self, name).ravel().tolist() for name in ("linear", "waves", "sine", "cosine")}

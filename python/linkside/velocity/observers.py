@@ -19,6 +19,7 @@ from linkside.recording.estimate import Estimate, without_waits
 from linkside.recording.log import Log
 from linkside.recording.periodic import PeriodicObserver
 from linkside.robot import Robot
+from linkside.robot.compiled import Compiles, period_of
 from linkside.robot.requirements import refuse_unsupported
 from linkside.robot.workspace import prismatic
 
@@ -87,7 +88,7 @@ class VelocityEstimate(Estimate):
     level: npt.NDArray[np.uint8] | None = None
 
 
-class ReducedOrderObserver(PeriodicObserver[_core.VelocityObserver, VelocityEstimate]):
+class ReducedOrderObserver(PeriodicObserver[_core.VelocityObserver, VelocityEstimate], Compiles):
     """Reduced-order velocity observer.
 
     Cristofaro and De Luca, "Reduced-order observer design for robot manipulators", 2023, eq. (6). It takes the joints
@@ -103,7 +104,7 @@ class ReducedOrderObserver(PeriodicObserver[_core.VelocityObserver, VelocityEsti
         ``"motors"``: positions are the log's ``theta`` and torques its ``tau``. ``"links"``: positions are the log's
         ``q`` and torques its ``torque``, what the transmission gives the link; motors then do not matter.
     wrap
-        Positions that jump by a multiple of this are an encoder's wrap, are put right, and flagged UNWRAPPED [rad]:
+        Positions that jump by a multiple of this are an encoder's wrap, are corrected and flagged UNWRAPPED [rad]:
         one number, or one for each joint. By default a turn for revolute joints.
     period
         Sampling period for `step` [s]; by default ``rate_hz`` of robot.yaml. `run` takes the log's.
@@ -169,13 +170,13 @@ class ReducedOrderObserver(PeriodicObserver[_core.VelocityObserver, VelocityEsti
             A reading is infinite, a signal has a wrong shape, or a position has been missing for more than 0.05 s. The
             observer is as it was before, and takes the next sample.
         NumericalError
-            The inertia is singular, or readings so absurd that the estimate is no longer finite: the next sample starts
-            anew.
+            The inertia is singular, or readings are so extreme that the estimate is no longer finite; the observer
+            restarts at the next sample.
         """
         return self._live().step(q, tau)
 
     def start(self, *, dq: Signal, lag: Signal | None = None) -> None:
-        """Start anew from a velocity (n,) [rad/s] at the next sample, and a position ``lag`` (n,) behind it [rad]."""
+        """Restart from a velocity (n,) [rad/s] at the next sample, and a position ``lag`` (n,) behind it [rad]."""
         self._live().start(dq, np.zeros(self.robot.n) if lag is None else lag)
 
     @overload
@@ -202,25 +203,34 @@ class ReducedOrderObserver(PeriodicObserver[_core.VelocityObserver, VelocityEsti
         return VelocityEstimate(t=log.t, names=self.robot.names, **motor, **without_waits(log, result))
 
     def _design(self, period: float) -> _core.VelocityObserver:
-        core = _core.VelocityObserver(
-            self.robot.core,
-            period=period,
-            gains=[]
-            if isinstance(self.gain, HybridGain | GainMap)
-            else per_joint("gain", self.gain, self.robot.n).tolist(),
-            levels=self.gain.settings() if isinstance(self.gain, HybridGain) else None,
-            map=self.gain.settings() if isinstance(self.gain, GainMap) else None,
-            spring=self._spring(),
-            motors=self.side == "motors",
-            wrap=self._wrap,
-            rest=self._rest,
-        )
+        core = _core.VelocityObserver(self.robot.core, self._settings(period))
         if self._given is not None:
             core.begin(self._given["dq"], np.zeros(self.robot.n))
         return core
 
+    def _settings(self, period: float) -> dict[str, Any]:
+        """Describe such an observer in plain numbers, as the core takes it."""
+        gain = (
+            [] if isinstance(self.gain, HybridGain | GainMap) else per_joint("gain", self.gain, self.robot.n).tolist()
+        )
+        return {
+            "period": period,
+            "gains": gain,
+            "levels": self.gain.settings() if isinstance(self.gain, HybridGain) else None,
+            "map": self.gain.settings() if isinstance(self.gain, GainMap) else None,
+            "spring": self._spring(),
+            "motors": self.side == "motors",
+            "wrap": self._wrap,
+            "rest": self._rest,
+        }
+
     def _spring(self) -> list[float]:
         return [0.0] * self.robot.n
+
+    def _controller(self, period: float | None) -> dict[str, dict[str, Any]]:
+        period = period_of(self.robot, self._period if period is None else period, "for which an observer is designed")
+        start = None if self._given is None else self._given["dq"].tolist()
+        return {"velocity": {**self._settings(period), "start": start}}
 
     def _arrays(self, log: Log, before: Log | None, first: int) -> tuple[FloatArray, FloatArray]:
         position, torque = ("theta", "tau") if self.side == "motors" else ("q", "torque")

@@ -1,7 +1,7 @@
 //! Numbers out of ROS bags.
 //!
 //! A bag holds messages of topics, serialised as CDR (OMG, *Common Data Representation*, classic form), with the text of
-//! their definitions beside them. A [`Collector`] is told which fields of which topics are wanted; it compiles a
+//! their definitions beside them. A [`Collector`] knows which fields of which topics are wanted; it compiles a
 //! definition into what is to be taken from each message, and gathers columns. An [`McapReader`] feeds it from an MCAP
 //! file; rows of any other storage are [added](Collector::add) as they come.
 //!

@@ -186,7 +186,7 @@ impl Selection {
         Ok(())
     }
 
-    /// Passes over values that nobody wants; each but the first takes a byte at least, so that this ends with the message.
+    /// Skips values that are not wanted; each but the first takes a byte at least, so that this ends with the message.
     fn pass(&self, value: Value, count: usize, cursor: &mut Cursor<'_>) -> Result<(), Wrong> {
         match value {
             Value::Number(kind) => cursor.pass(kind, count)?,

@@ -21,7 +21,7 @@ thread_local! {
 pub struct Watch {
     /// Shared by all threads of the work.
     stop: Option<Arc<AtomicBool>>,
-    /// Of the thread that was told to watch.
+    /// Of the thread that watches.
     asker: Option<Rc<Asker>>,
 }
 

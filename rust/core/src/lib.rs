@@ -18,7 +18,7 @@
 //! | --- | --- |
 //! | describe a robot | [`Robot`](robot::Robot), or [`demo::arm`] to try things on |
 //! | follow links live, without their masses | [`AccelerationObserver`](estimate::observer::AccelerationObserver) |
-//! | know how sure an estimate is | [`ExtendedKalmanFilter`](estimate::kalman::ExtendedKalmanFilter) on [`JerkDriven`](estimate::kalman::JerkDriven), moved by jerk |
+//! | know the uncertainty of an estimate | [`ExtendedKalmanFilter`](estimate::kalman::ExtendedKalmanFilter) on [`JerkDriven`](estimate::kalman::JerkDriven), moved by jerk |
 //! | the same from motor torques | … on [`ElasticModel`](estimate::kalman::ElasticModel), the elastic-joint dynamics |
 //! | estimate a recording by all of its samples | [`Smoother`](estimate::kalman::Smoother) |
 //! | expect outliers, limits, or beliefs that are not normal | [`ParticleFilter`](estimate::particle::ParticleFilter) |

@@ -98,7 +98,7 @@ fn pool() -> Option<&'static ThreadPool> {
 
 /// Items that threads take one after the other.
 struct Queue<I> {
-    /// Those that nobody has taken yet.
+    /// Items that no thread has taken yet.
     items: Mutex<I>,
     /// Items taken and not yet done.
     busy: AtomicUsize,

@@ -3,7 +3,7 @@
 //! A kernel is written once, `#[inline(always)]` all the way down, and compiled for several levels. Without fused
 //! multiply-add each level gives the same bits, so the choice is never visible in a result.
 //!
-//! The level is chosen anew for each [`phase`] of a sample (predict, linearise, update, report), which takes about a
+//! The level is chosen for each [`phase`] of a sample (predict, linearise, update, report), which takes about a
 //! nanosecond. A phase is a function of its own, never inlined into its caller: compilers need far more than twice as long
 //! for a function that is twice as large, and what two loops share is compiled once.
 #![allow(unsafe_code)] // calling a function compiled for instructions that the processor was asked for

@@ -1,7 +1,6 @@
 //! NumPy arrays in and out: float64, C order, one row a sample.
 
 use crate::error::EstimatorError;
-use linkside_core::spatial::{Mat3, Vec3};
 use numpy::{
     PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArray, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods,
     ndarray::Dimension,
@@ -41,14 +40,6 @@ pub(crate) fn shaped<'py>(
     shape: Vec<usize>,
 ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
     PyArray1::from_vec(py, values).reshape(shape)
-}
-
-pub(crate) fn vec3(v: [f64; 3]) -> Vec3<f64> {
-    Vec3(v)
-}
-
-pub(crate) fn mat3(rows: [[f64; 3]; 3]) -> Mat3<f64> {
-    Mat3::from_rows(rows)
 }
 
 /// One sample of a signal: a NumPy vector, or any sequence of numbers.

@@ -1,54 +1,19 @@
 //! Kalman filter and smoother on the elastic-joint model.
 
 use crate::array::{Signal, rows};
-use crate::disturbance::LinkDisturbance;
 use crate::error::{EstimatorError, IntoPyErr};
-use crate::filtering::{self, Inside, Matrix, inside, named};
+use crate::filtering::{self, Matrix};
 use crate::live::check_step;
+use crate::plain::Plain;
 use crate::robot::Robot;
 use crate::state::State;
-use crate::tolerance::{CorrelationTuple, ToleranceTuple, of_core};
+use linkside_compiled::description;
 use linkside_core::estimate::kalman::{
-    Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterOutput, FilterSettings,
-    Inputs, KalmanRecording, KalmanSample, Keep, Model,
+    ElasticModel, ExtendedKalmanFilter, FilterOutput, Inputs, KalmanRecording, KalmanSample, Keep, Model,
 };
 use numpy::{PyReadonlyArray1, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use std::sync::Arc;
-
-/// Standard deviations of everything that is random.
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct ElasticNoiseFields {
-    link: Vec<f64>,
-    motor: Vec<f64>,
-    torque: Vec<f64>,
-    disturbance_walk: Vec<f64>,
-    reading: Vec<f64>,
-    torque_walk: Vec<f64>,
-    bias_walk: Vec<f64>,
-    bias_time: Vec<f64>,
-    initial: Vec<f64>,
-    initial_bias: Vec<f64>,
-}
-
-impl From<ElasticNoiseFields> for ElasticNoise {
-    fn from(n: ElasticNoiseFields) -> Self {
-        Self {
-            link: n.link,
-            motor: n.motor,
-            torque: n.torque,
-            disturbance_walk: n.disturbance_walk,
-            reading: n.reading,
-            torque_walk: n.torque_walk,
-            bias_walk: n.bias_walk,
-            bias_time: n.bias_time,
-            initial: n.initial,
-            initial_bias: n.initial_bias,
-        }
-    }
-}
 
 /// Kalman filter on the elastic-joint model of one robot.
 #[pyclass(module = "linkside._core")]
@@ -65,40 +30,8 @@ type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'py>);
 #[pymethods]
 impl ElasticJointFilter {
     #[new]
-    #[pyo3(signature = (
-        robot, *, kinds, disturbances, biased, first_order, held, noise, gate, iterations, tolerances,
-        correlations=vec![], late=None, link_disturbance=None
-    ))]
-    fn new(
-        robot: &Robot,
-        kinds: Vec<String>,
-        disturbances: bool,
-        biased: Vec<bool>,
-        first_order: bool,
-        held: bool,
-        noise: ElasticNoiseFields,
-        gate: Option<f64>,
-        iterations: usize,
-        tolerances: Vec<ToleranceTuple>,
-        correlations: Vec<CorrelationTuple>,
-        late: Option<Vec<Inside>>,
-        link_disturbance: Option<LinkDisturbance>,
-    ) -> PyResult<Self> {
-        let settings = ElasticSettings {
-            kinds: named(&kinds)?,
-            disturbances,
-            biased,
-            held,
-            discretization: if first_order { Discretization::FirstOrder } else { Discretization::Exact },
-        };
-        let tolerances = of_core(&tolerances, correlations)?;
-        let build = || {
-            let links = link_disturbance.map(Into::into);
-            let model = ElasticModel::disturbed(Arc::clone(&robot.0), &settings, noise.into(), links)?
-                .with_late(&inside(late))?;
-            ExtendedKalmanFilter::new(model.with_tolerances(tolerances), FilterSettings { gate, iterations })
-        };
-        let filter = build().map_err(IntoPyErr::into_py_err)?;
+    fn new(robot: &Robot, settings: Plain<description::ElasticFilter>) -> PyResult<Self> {
+        let filter = settings.0.build(&robot.0).map_err(IntoPyErr::into_py_err)?;
         let row = FilterOutput::zeros(1, filter.model(), Keep::default()).map_err(IntoPyErr::into_py_err)?;
         Ok(Self { filter, t: 0.0, row })
     }
@@ -163,13 +96,13 @@ impl ElasticJointFilter {
         filtering::run(py, &mut self.filter, recording, Keep::default())
     }
 
-    /// Each log from a fresh start with the filter beside it, on all cores, through the smoother where asked: its arrays, or the
-    /// exception that it came to.
+    /// Each log from a fresh start with the filter beside it, on all cores, ``"filter"``, ``"smooth"`` or ``"iterate"``: its
+    /// arrays, or the exception that it came to.
     #[staticmethod]
     fn run_all<'py>(
         py: Python<'py>,
         jobs: Vec<(PyRef<'py, Self>, Arrays<'py>)>,
-        smooth: bool,
+        way: &str,
         covariance: bool,
         innovations: bool,
     ) -> PyResult<Vec<Bound<'py, PyAny>>> {
@@ -177,7 +110,7 @@ impl ElasticJointFilter {
             .iter()
             .map(|(own, arrays)| Ok((&own.filter, recording(own.filter.model(), arrays)?)))
             .collect::<PyResult<Vec<_>>>()?;
-        filtering::run_all(py, &jobs, smooth, Keep { covariance, innovations })
+        filtering::run_all(py, &jobs, way, Keep { covariance, innovations })
     }
 }
 

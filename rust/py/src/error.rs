@@ -1,6 +1,7 @@
 //! Core errors as the package's own exceptions.
 
 use linkside_bag::BagError;
+use linkside_compiled::description::BuildError;
 use linkside_core::error::{DesignError, RobotError, RunError, SimulationError};
 use pyo3::exceptions::{PyKeyboardInterrupt, PyMemoryError};
 use pyo3::prelude::*;
@@ -33,6 +34,16 @@ impl IntoPyErr for DesignError {
         match self {
             Self::Memory { .. } => PyMemoryError::new_err(self.to_string()),
             _ => EstimatorError::new_err(self.to_string()),
+        }
+    }
+}
+
+impl IntoPyErr for BuildError {
+    fn into_py_err(self) -> PyErr {
+        match self {
+            Self::Robot(robot) => robot.into_py_err(),
+            Self::Design(design) => design.into_py_err(),
+            other => EstimatorError::new_err(other.to_string()),
         }
     }
 }

@@ -6,32 +6,14 @@ use crate::gil::Release;
 use crate::state::State;
 use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{
-    ExtendedKalmanFilter, Fault, FilterOutput, Finding, Gaussian, KalmanRecording, KalmanSample, Keep, Lateness, Model,
-    Phases,
+    ExtendedKalmanFilter, Fault, FilterOutput, Finding, Gaussian, KalmanRecording, KalmanSample, Keep, Model, Phases,
+    Way,
 };
-use linkside_core::estimate::measurement::Kind;
 use numpy::{PyArray1, PyArrayDyn, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 pub(crate) type Matrix<'py> = PyReadonlyArray2<'py, f64>;
-
-/// Kinds of channels by name.
-pub(crate) fn named(kinds: &[String]) -> PyResult<Vec<Kind>> {
-    let find = |name: &String| {
-        Kind::named(name).ok_or_else(|| EstimatorError::new_err(format!("{name:?} is no kind of channel")))
-    };
-    kinds.iter().map(find).collect()
-}
-
-/// Time constant and delay inside a channel's sensor [s], and how many steps of time the delay can have.
-pub(crate) type Inside = Option<(f64, f64, usize)>;
-
-/// None inside any where there is no list.
-pub(crate) fn inside(late: Option<Vec<Inside>>) -> Vec<Option<Lateness>> {
-    let one = |(time_constant, delay, steps)| Lateness { time_constant, delay, steps };
-    late.unwrap_or_default().into_iter().map(|inside| inside.map(one)).collect()
-}
 
 /// A belief of `states` states.
 pub(crate) fn belief(mean: &Signal<'_>, covariance: &Matrix<'_>, states: usize) -> PyResult<Gaussian> {
@@ -73,15 +55,20 @@ pub(crate) fn run<'py, M: Phases>(
     into_dict(py, out, filter.model())
 }
 
-/// Each log from a fresh start with the filter beside it, on all cores, through the smoother where asked: its arrays, or the
-/// exception that it came to.
+/// Each log from a fresh start with the filter beside it, on all cores: its arrays, or the exception that it came to.
 pub(crate) fn run_all<'py, M: Phases>(
     py: Python<'py>,
     jobs: &[(&ExtendedKalmanFilter<M>, KalmanRecording<'_>)],
-    smooth: bool,
+    way: &str,
     keep: Keep,
 ) -> PyResult<Vec<Bound<'py, PyAny>>> {
-    let results = py.release(|| Ok::<_, RunError>(ExtendedKalmanFilter::run_each(jobs, smooth, keep)))?;
+    let way = match way {
+        "filter" => Way::Filter,
+        "smooth" => Way::Smooth,
+        "iterate" => Way::Iterate,
+        other => return Err(EstimatorError::new_err(format!("{other:?} is not filter, smooth or iterate"))),
+    };
+    let results = py.release(|| Ok::<_, RunError>(ExtendedKalmanFilter::run_each(jobs, way, keep)))?;
     let convert = |(filter, _): &(&ExtendedKalmanFilter<M>, _), out| into_dict(py, out, filter.model());
     jobs.iter().zip(results).map(|(job, result)| outcome(py, result, |out| convert(job, out))).collect()
 }

@@ -1,42 +1,18 @@
 //! Kalman filter and smoother on the jerk-driven model.
 
 use crate::array::{Signal, rows};
-use crate::disturbance::LinkDisturbance;
 use crate::error::IntoPyErr;
-use crate::filtering::{self, Found, Inside, Matrix, findings, inside, into_dict, named};
+use crate::filtering::{self, Found, Matrix, findings, into_dict};
 use crate::gil::Release;
 use crate::live::{Live, Signals, check_step};
+use crate::plain::Plain;
 use crate::robot::Robot;
 use crate::state::State;
-use crate::tolerance::{CorrelationTuple, ToleranceTuple, of_core};
-use linkside_core::estimate::kalman::{
-    self, FilterSettings, Inputs, JerkDriven, JerkModel, KalmanRecording, Keep, Model,
-};
+use linkside_compiled::description;
+use linkside_core::estimate::kalman::{self, Inputs, JerkDriven, KalmanRecording, Keep, Model};
 use numpy::{PyReadonlyArray1, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use std::sync::Arc;
-
-/// Standard deviations of everything that is random.
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-pub(crate) struct NoiseFields {
-    jerk: Vec<f64>,
-    link_walk: Vec<f64>,
-    reading: Vec<f64>,
-    torsion: f64,
-    bias_walk: Vec<f64>,
-    bias_time: Vec<f64>,
-    initial: Vec<f64>,
-    initial_bias: Vec<f64>,
-}
-
-impl From<NoiseFields> for kalman::JerkNoise {
-    fn from(n: NoiseFields) -> Self {
-        let NoiseFields { jerk, link_walk, reading, torsion, bias_walk, bias_time, initial, initial_bias } = n;
-        Self { jerk, link_walk, reading, torsion, bias_walk, bias_time, initial, initial_bias }
-    }
-}
 
 /// Bound of the sum of ``used`` normalised innovations squared: exceeded by chance once in 10¹⁰ recordings.
 ///
@@ -59,35 +35,8 @@ pub(crate) type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'
 #[pymethods]
 impl ExtendedKalmanFilter {
     #[new]
-    #[pyo3(signature = (
-        robot, *, kinds, biased, noise, gate, iterations, damping, tolerances, correlations=vec![], late=None,
-        link_disturbance=None
-    ))]
-    fn new(
-        robot: &Robot,
-        kinds: Vec<String>,
-        biased: Vec<bool>,
-        noise: NoiseFields,
-        gate: Option<f64>,
-        iterations: usize,
-        damping: bool,
-        tolerances: Vec<ToleranceTuple>,
-        correlations: Vec<CorrelationTuple>,
-        late: Option<Vec<Inside>>,
-        link_disturbance: Option<LinkDisturbance>,
-    ) -> PyResult<Self> {
-        let tolerances = of_core(&tolerances, correlations)?;
-        let kinds = named(&kinds)?;
-        let build = || {
-            let mut model = JerkModel::new(Arc::clone(&robot.0), &kinds, &biased)?;
-            if let Some(law) = link_disturbance {
-                model = model.with_disturbances(law.into())?;
-            }
-            let model =
-                JerkDriven::new(model, noise.into(), damping)?.with_tolerances(tolerances).with_late(&inside(late))?;
-            kalman::ExtendedKalmanFilter::new(model, FilterSettings { gate, iterations })
-        };
-        let filter = build().map_err(IntoPyErr::into_py_err)?;
+    fn new(robot: &Robot, settings: Plain<description::JerkFilter>) -> PyResult<Self> {
+        let filter = settings.0.build(&robot.0).map_err(IntoPyErr::into_py_err)?;
         let live = Live::new(filter.model())?;
         Ok(Self { filter, live })
     }
@@ -112,6 +61,12 @@ impl ExtendedKalmanFilter {
     fn reset(&mut self) {
         self.filter.reset();
         self.live.ddqref.clear();
+    }
+
+    /// From now on linearises at these leading states, one row a sample.
+    fn linearise_along(&mut self, leading: Matrix<'_>) -> PyResult<()> {
+        let width = leading.shape()[1];
+        self.filter.linearise_along(rows("leading", &leading, width)?, width).map_err(IntoPyErr::into_py_err)
     }
 
     /// From now on a first sample finds this mean and covariance of the state; nothing: the robot at rest.
@@ -171,13 +126,13 @@ impl ExtendedKalmanFilter {
         filtering::run(py, &mut self.filter, recording, Keep { covariance, innovations })
     }
 
-    /// Each log from a fresh start with the filter beside it, on all cores, through the smoother where asked: its arrays, or the
-    /// exception that it came to.
+    /// Each log from a fresh start with the filter beside it, on all cores, ``"filter"``, ``"smooth"`` or ``"iterate"``: its
+    /// arrays, or the exception that it came to.
     #[staticmethod]
     fn run_all<'py>(
         py: Python<'py>,
         jobs: Vec<(PyRef<'py, Self>, Arrays<'py>)>,
-        smooth: bool,
+        way: &str,
         covariance: bool,
         innovations: bool,
     ) -> PyResult<Vec<Bound<'py, PyAny>>> {
@@ -185,7 +140,7 @@ impl ExtendedKalmanFilter {
             .iter()
             .map(|(own, arrays)| Ok((&own.filter, recording(own.filter.model(), arrays)?)))
             .collect::<PyResult<Vec<_>>>()?;
-        filtering::run_all(py, &jobs, smooth, Keep { covariance, innovations })
+        filtering::run_all(py, &jobs, way, Keep { covariance, innovations })
     }
 }
 

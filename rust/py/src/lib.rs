@@ -2,8 +2,8 @@
 
 mod array;
 mod bag;
+mod compiled;
 mod control;
-mod disturbance;
 mod elastic_filter;
 mod error;
 mod filtering;
@@ -14,10 +14,10 @@ mod likelihood;
 mod live;
 mod observer;
 mod particle;
+mod plain;
 mod robot;
 mod simulate;
 mod state;
-mod tolerance;
 mod velocity;
 
 use pyo3::prelude::*;
@@ -27,6 +27,8 @@ use pyo3::prelude::*;
 mod _core {
     #[pymodule_export]
     use crate::bag::{BagCollector, McapReader, unpack_file};
+    #[pymodule_export]
+    use crate::compiled::compiled;
     #[pymodule_export]
     use crate::control::{derivative_order, feedforward};
     #[pymodule_export]

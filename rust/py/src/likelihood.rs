@@ -3,8 +3,9 @@
 use crate::array::{rows, shaped};
 use crate::error::{EstimatorError, IntoPyErr};
 use crate::gil::Release;
-use crate::kalman::NoiseFields;
+use crate::plain::Plain;
 use crate::robot::Robot;
+use linkside_compiled::description;
 use linkside_core::estimate::likelihood::{
     self, Evidence, LikelihoodRecording, LikelihoodSettings, MotorMotion, Parameter,
 };
@@ -57,6 +58,9 @@ fn parameter((kind, i, k): &Name) -> PyResult<Parameter> {
         "motor_inertia" => P::MotorInertia(i),
         "viscous" => P::ViscousFriction(i),
         "coulomb" => P::CoulombFriction(i),
+        "half_gap" => P::HalfGap(i),
+        "link_coulomb" => P::LinkCoulomb(i),
+        "link_friction" => P::LinkFriction(i),
         "coupling" => P::Coupling(i, k),
         "mass_scale" => P::MassScale(i),
         "payload_mass" => P::PayloadMass,
@@ -90,7 +94,7 @@ impl Likelihood {
     fn new(
         robot: &Robot,
         signals: LikelihoodSignals<'_>,
-        noise: NoiseFields,
+        noise: Plain<description::JerkNoise>,
         biased: Vec<bool>,
         torque: bool,
         fixed: Vec<(Name, f64)>,
@@ -98,7 +102,7 @@ impl Likelihood {
     ) -> PyResult<Self> {
         let recording = signals.recording(robot.0.len(), robot.0.acceleration_channels(), torque)?;
         let fixed: PyResult<Vec<_>> = fixed.iter().map(|(name, value)| Ok((parameter(name)?, *value))).collect();
-        let settings = LikelihoodSettings { noise: noise.into(), biased, torque, fixed: fixed?, huber };
+        let settings = LikelihoodSettings { noise: noise.0.into(), biased, torque, fixed: fixed?, huber };
         likelihood::Likelihood::new(robot.0.clone(), settings, recording).map(Self).map_err(IntoPyErr::into_py_err)
     }
 

@@ -3,18 +3,18 @@
 use crate::array::{Signal, counted, rows, shaped};
 use crate::error::{EstimatorError, IntoPyErr, outcome};
 use crate::gil::Release;
+use crate::plain::Plain;
 use crate::robot::Robot;
 use crate::state::State;
+use linkside_compiled::description;
 use linkside_core::error::RunError;
 use linkside_core::estimate::observer::{
-    self, AccelerationMap, AccelerationSource, Complex, Form, JointModel, ObserverOutput, ObserverRecording,
-    ObserverSample, ObserverSettings, Poles, Sampled, Start,
+    self, AccelerationMap, Complex, JointModel, ObserverOutput, ObserverRecording, ObserverSample, Poles, Sampled,
 };
 use linkside_core::robot::Drive;
 use numpy::{PyArray1, PyArrayDyn, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use std::sync::Arc;
 
 /// Observer of one robot, designed for one sampling period.
 #[pyclass(module = "linkside._core")]
@@ -31,23 +31,8 @@ type Arrays<'py> = (Matrix<'py>, Matrix<'py>, Matrix<'py>);
 #[pymethods]
 impl AccelerationObserver {
     #[new]
-    #[pyo3(signature = (robot, *, period, poles, bias, predictor, joint_accelerations, worst_acceleration_std, rest))]
-    fn new(
-        robot: &Robot,
-        period: f64,
-        poles: Vec<Vec<Complex>>,
-        bias: bool,
-        predictor: bool,
-        joint_accelerations: bool,
-        worst_acceleration_std: f64,
-        rest: bool,
-    ) -> PyResult<Self> {
-        let source = if joint_accelerations { AccelerationSource::Joints } else { AccelerationSource::Sensors };
-        let form = if predictor { Form::Predictor } else { Form::Current };
-        let settings =
-            ObserverSettings { period, poles, bias, form, source, start: start(rest), worst_acceleration_std };
-        let fresh = observer::AccelerationObserver::new(Arc::clone(&robot.0), settings);
-        let fresh = fresh.map_err(IntoPyErr::into_py_err)?;
+    fn new(robot: &Robot, settings: Plain<description::Observer>) -> PyResult<Self> {
+        let fresh = settings.0.build(&robot.0).map_err(IntoPyErr::into_py_err)?;
         Ok(Self { live: fresh.clone(), fresh, tool: robot.0.tool.is_some() })
     }
 
@@ -114,10 +99,6 @@ impl AccelerationObserver {
         let convert = |own: &Self, t| into_dict(py, t, own.fresh.joints(), own.tool);
         jobs.iter().zip(results).map(|((own, _), result)| outcome(py, result, |t| convert(own, t))).collect()
     }
-}
-
-pub(crate) fn start(rest: bool) -> Start {
-    if rest { Start::Rest } else { Start::Auto }
 }
 
 fn recording<'a>(observer: &observer::AccelerationObserver, arrays: &'a Arrays<'_>) -> PyResult<ObserverRecording<'a>> {

@@ -2,14 +2,15 @@
 
 use crate::array::{Signal, shaped};
 use crate::error::{EstimatorError, IntoPyErr, outcome};
-use crate::filtering::{self, Inside, Matrix, inside, into_dict, named};
+use crate::filtering::{self, Matrix, into_dict};
 use crate::gil::Release;
-use crate::kalman::{Arrays, NoiseFields, recording};
+use crate::kalman::{Arrays, recording};
 use crate::live::{Live, Signals, check_step};
+use crate::plain::Plain;
 use crate::robot::Robot;
 use crate::state::State;
-use crate::tolerance::{CorrelationTuple, ToleranceTuple, of_core};
-use linkside_core::error::{DesignError, RunError};
+use linkside_compiled::description::{self, BuildError};
+use linkside_core::error::RunError;
 use linkside_core::estimate::kalman::{JerkDriven, JerkModel, Keep, Model};
 use linkside_core::estimate::particle::{
     self, Collapse, Density, Marginalised, ParticleOutput, ParticleSettings, Proposal, Resampling,
@@ -115,27 +116,29 @@ impl ParticleFilter {
         robot: &Robot,
         kinds: Vec<String>,
         biased: Vec<bool>,
-        noise: NoiseFields,
+        noise: Plain<description::JerkNoise>,
         damping: bool,
-        tolerances: Vec<ToleranceTuple>,
+        tolerances: Plain<Vec<description::Tolerance>>,
         marginalised: &str,
         settings: ParticleFields,
-        correlations: Vec<CorrelationTuple>,
-        late: Option<Vec<Inside>>,
+        correlations: Vec<(usize, usize, f64)>,
+        late: Option<Plain<Vec<Option<description::Late>>>>,
     ) -> PyResult<Self> {
-        let (settings, tolerances) = (settings.into_core()?, of_core(&tolerances, correlations)?);
+        let settings = settings.into_core()?;
         let marginalised = match marginalised {
             "nothing" => Marginalised::Nothing,
             "biases" => Marginalised::Biases,
             "accelerations" => Marginalised::Accelerations,
             other => return unknown("marginalised", other),
         };
-        let (levels, kinds) = (settings.quantiles.len(), named(&kinds)?);
-        let build = || -> Result<_, DesignError> {
+        let levels = settings.quantiles.len();
+        let build = || -> Result<_, BuildError> {
+            let kinds = description::kinds(&kinds)?;
             let model = JerkModel::new(Arc::clone(&robot.0), &kinds, &biased)?;
-            let model =
-                JerkDriven::new(model, noise.into(), damping)?.with_tolerances(tolerances).with_late(&inside(late))?;
-            particle::ParticleFilter::new(model, settings, marginalised)
+            let model = JerkDriven::new(model, noise.0.into(), damping)?
+                .with_tolerances(description::tolerances(&robot.0, &tolerances.0, &correlations)?)
+                .with_late(&description::late(&late.map_or_else(Vec::new, |late| late.0))?)?;
+            Ok(particle::ParticleFilter::new(model, settings, marginalised)?)
         };
         let filter = build().map_err(IntoPyErr::into_py_err)?;
         let live = Live::new(filter.model())?;

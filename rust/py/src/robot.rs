@@ -1,182 +1,17 @@
 //! A compiled robot and its dynamics over arrays.
 
-use crate::array::{counted, mat3, rows, shaped, vec3};
+use crate::array::{counted, rows, shaped};
 use crate::error::IntoPyErr;
 use crate::gil::Release;
-use linkside_core::dynamics::{Batch, DrivenStates, States, check_inertia};
-use linkside_core::error::{DesignError, RobotError};
+use crate::plain::Plain;
+use linkside_compiled::description;
+use linkside_core::dynamics::{Batch, DrivenStates, States};
+use linkside_core::error::DesignError;
 use linkside_core::memory;
-use linkside_core::robot::{
-    self, Anchor, Backlash, BodySpec, Counterbalance, Friction, FrictionElement, GasSpring, Harmonic, Hysteresis,
-    Interpolation, JointKind, LoadFriction, Ripple, Rotor, SoftWindup, SpringCurve, Strut, TorqueHarmonic,
-    TorqueSeries, Tree,
-};
+use linkside_core::robot;
 use numpy::{PyArrayDyn, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use std::sync::Arc;
-
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct Body {
-    parent: isize,
-    joint: usize,
-    prismatic: bool,
-    rotation: [[f64; 3]; 3],
-    translation: [f64; 3],
-    axis: [f64; 3],
-    mass: f64,
-    com: [f64; 3],
-    inertia: [[f64; 3]; 3],
-}
-
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct Drive {
-    elastic: bool,
-    stiffness: f64,
-    damping: f64,
-    motor_inertia: f64,
-    cubic_stiffness: f64,
-    soft_windup_stiffness: f64,
-    soft_windup_shape: f64,
-    curve: Vec<[f64; 2]>,
-    curve_straight: bool,
-    gap: [f64; 3],
-    ripple: Vec<[f64; 3]>,
-    hysteresis: Vec<[f64; 4]>,
-    friction_viscous: f64,
-    friction_coulomb: f64,
-    friction_stribeck: f64,
-    friction_stribeck_velocity: f64,
-    friction_asymmetry: f64,
-    gear_loss: [f64; 3],
-    link_friction: [f64; 6],
-    bearing: [f64; 5],
-    bearing_loss: [f64; 3],
-}
-
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct Sensor {
-    body: usize,
-    rotation: [[f64; 3]; 3],
-    translation: [f64; 3],
-    axes: Vec<usize>,
-    noise_std: f64,
-}
-
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct RotorPlace {
-    motor: usize,
-    body: usize,
-    axis: [f64; 3],
-    ratio: f64,
-}
-
-/// A strut between two points, or a series of torques on joints; each with what the other has not, empty.
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct Balance {
-    ends: Vec<(isize, [f64; 3])>,
-    spring: Option<[f64; 2]>,
-    gas: Option<[f64; 6]>,
-    pulls: bool,
-    joints: Vec<usize>,
-    series: Vec<(u32, f64, f64)>,
-}
-
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct Tool {
-    body: usize,
-    rotation: [[f64; 3]; 3],
-    translation: [f64; 3],
-}
-
-impl Body {
-    fn spec(self) -> BodySpec {
-        BodySpec {
-            parent: usize::try_from(self.parent).ok(),
-            joint: self.joint,
-            kind: if self.prismatic { JointKind::Prismatic } else { JointKind::Revolute },
-            rotation: mat3(self.rotation),
-            translation: vec3(self.translation),
-            axis: vec3(self.axis),
-            mass: self.mass,
-            com: vec3(self.com),
-            inertia: mat3(self.inertia),
-        }
-    }
-}
-
-impl TryFrom<Drive> for robot::Drive {
-    type Error = RobotError;
-
-    fn try_from(d: Drive) -> Result<Self, RobotError> {
-        let interpolation = if d.curve_straight { Interpolation::Linear } else { Interpolation::Monotone };
-        let none = d.curve.is_empty();
-        let curve = if none { SpringCurve::default() } else { SpringCurve::new(&d.curve, interpolation)? };
-        let [half_gap, slope, rounding] = d.gap;
-        let [viscous, coulomb, stribeck, stribeck_velocity, asymmetry] = d.bearing;
-        let load_friction = |[driving, driven, rounding]: [f64; 3]| LoadFriction { driving, driven, rounding };
-        let element =
-            |[stiffness, limit, recoil, rounding]: [f64; 4]| FrictionElement { stiffness, limit, recoil, rounding };
-        let elements = d.hysteresis.into_iter().map(element);
-        let harmonics =
-            d.ripple.into_iter().map(|[amplitude, frequency, phase]| Harmonic { amplitude, frequency, phase });
-        Ok(Self {
-            elastic: d.elastic,
-            stiffness: d.stiffness,
-            damping: d.damping,
-            motor_inertia: d.motor_inertia,
-            cubic_stiffness: d.cubic_stiffness,
-            soft_windup: SoftWindup { stiffness: d.soft_windup_stiffness, shape: d.soft_windup_shape },
-            curve,
-            backlash: Backlash { half_gap, slope, rounding },
-            hysteresis: Hysteresis { elements: elements.collect() },
-            ripple: Ripple::new(harmonics.collect()),
-            motor_friction: Friction {
-                viscous: d.friction_viscous,
-                coulomb: d.friction_coulomb,
-                stribeck: d.friction_stribeck,
-                stribeck_velocity: d.friction_stribeck_velocity,
-                asymmetry: d.friction_asymmetry,
-            },
-            gear_loss: load_friction(d.gear_loss),
-            link_friction: d.link_friction,
-            bearing_friction: Friction { viscous, coulomb, stribeck, stribeck_velocity, asymmetry },
-            bearing_loss: load_friction(d.bearing_loss),
-        })
-    }
-}
-
-impl Balance {
-    fn counterbalance(self) -> Counterbalance {
-        let anchor =
-            |&(body, point): &(isize, [f64; 3])| Anchor { body: usize::try_from(body).ok(), point: vec3(point) };
-        let strut = match (self.spring, self.gas) {
-            (Some([stiffness, length]), _) => Some(Strut::Spring { stiffness, length }),
-            (_, Some([pressure, volume, length, area, exponent, ambient])) => {
-                Some(Strut::Gas(GasSpring { pressure, volume, length, area, exponent, ambient, pulls: self.pulls }))
-            }
-            _ => None,
-        };
-        if let (Some(strut), [a, b]) = (strut, &self.ends[..]) {
-            return Counterbalance::Between { ends: [anchor(a), anchor(b)], strut };
-        }
-        let harmonic = |(order, cosine, sine)| TorqueHarmonic { order, cosine, sine };
-        let series = TorqueSeries(self.series.into_iter().map(harmonic).collect());
-        Counterbalance::Turning { joints: self.joints, series }
-    }
-}
-
-impl Sensor {
-    fn place(self, kind: &str, tree: &Tree) -> Result<robot::Sensor, RobotError> {
-        let frame = tree.frame(kind, self.body, &mat3(self.rotation), &vec3(self.translation))?;
-        Ok(robot::Sensor { frame, axes: self.axes, noise_std: self.noise_std })
-    }
-}
 
 /// A robot flattened for the kernels.
 #[pyclass(frozen, module = "linkside._core")]
@@ -188,37 +23,8 @@ type Output<'py> = PyResult<Bound<'py, PyArrayDyn<f64>>>;
 #[pymethods]
 impl Robot {
     #[new]
-    fn new(
-        gravity: [f64; 3],
-        bodies: Vec<Body>,
-        drives: Vec<Drive>,
-        coupling: Input<'_>,
-        accelerometers: Vec<Sensor>,
-        gyroscopes: Vec<Sensor>,
-        tool: Option<Tool>,
-        rotors: Vec<RotorPlace>,
-        counterbalances: Vec<Balance>,
-    ) -> PyResult<Self> {
-        let coupling = rows("coupling", &coupling, bodies.len())?.to_vec();
-        let specs: Vec<BodySpec> = bodies.into_iter().map(Body::spec).collect();
-        let build = || {
-            let tree = Tree::new(vec3(gravity), &specs)?;
-            let place = |kind, sensors: Vec<Sensor>| -> Result<Vec<_>, _> {
-                sensors.into_iter().map(|s| s.place(kind, &tree)).collect()
-            };
-            let accelerometers = place("accelerometer", accelerometers)?;
-            let gyroscopes = place("gyroscope", gyroscopes)?;
-            let tool = tool.map(|t| tree.frame("tool", t.body, &mat3(t.rotation), &vec3(t.translation))).transpose()?;
-            let drives = drives.into_iter().map(TryInto::try_into).collect::<Result<_, _>>()?;
-            let rotors =
-                rotors.into_iter().map(|r| Rotor { motor: r.motor, body: r.body, axis: vec3(r.axis), ratio: r.ratio });
-            let counterbalances: Vec<_> = counterbalances.into_iter().map(Balance::counterbalance).collect();
-            robot::Robot::new(tree, drives, coupling, accelerometers, gyroscopes, tool)?
-                .with_counterbalances(&counterbalances)?
-                .with_rotors(rotors.collect())
-        };
-        let checked = |robot| check_inertia(&robot).map(|()| Self(Arc::new(robot)));
-        build().and_then(checked).map_err(IntoPyErr::into_py_err)
+    fn new(description: Plain<description::Robot>) -> PyResult<Self> {
+        description.0.build().map(|robot| Self(Arc::new(robot))).map_err(IntoPyErr::into_py_err)
     }
 
     /// Number of joints.

@@ -1,61 +1,17 @@
 //! The velocity observers.
 
 use crate::array::{Signal, counted, rows, shaped};
-use crate::error::{EstimatorError, IntoPyErr, outcome};
+use crate::error::{IntoPyErr, outcome};
 use crate::gil::Release;
-use crate::observer::start;
+use crate::plain::Plain;
 use crate::robot::Robot;
 use crate::state::State;
+use linkside_compiled::description;
 use linkside_core::error::RunError;
-use linkside_core::estimate::velocity::{
-    self, GainMap, Gains, Logic, Schedule, VelocityOutput, VelocityRecording, VelocitySettings,
-};
+use linkside_core::estimate::velocity::{self, VelocityOutput, VelocityRecording};
 use numpy::{PyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use std::sync::Arc;
-
-/// Gains by level; as [`Schedule`].
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct Levels {
-    gains: Vec<f64>,
-    bound: f64,
-    margin: f64,
-    hysteresis: f64,
-    start: usize,
-    dwell: usize,
-    logic: String,
-}
-
-impl Levels {
-    fn schedule(self) -> PyResult<Schedule> {
-        let Self { gains, bound, margin, hysteresis, start, dwell, logic } = self;
-        let logic = match logic.as_str() {
-            "repaired" => Logic::Repaired,
-            "printed-sets" => Logic::PrintedSets,
-            "printed-map" => Logic::PrintedMap,
-            _ => return Err(EstimatorError::new_err(format!("logic is {logic:?}"))),
-        };
-        Ok(Schedule { gains, bound, margin, hysteresis, start, dwell, logic })
-    }
-}
-
-/// A gain that depends on the posture; as [`GainMap`].
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct Map {
-    linear: Vec<f64>,
-    waves: Vec<f64>,
-    sine: Vec<f64>,
-    cosine: Vec<f64>,
-}
-
-impl From<Map> for GainMap {
-    fn from(Map { linear, waves, sine, cosine }: Map) -> Self {
-        Self { linear, waves, sine, cosine }
-    }
-}
 
 /// Velocity observer of one robot, designed for one sampling period.
 #[pyclass(module = "linkside._core")]
@@ -72,25 +28,8 @@ type Arrays<'py> = (Matrix<'py>, Matrix<'py>);
 #[pymethods]
 impl VelocityObserver {
     #[new]
-    #[pyo3(signature = (robot, *, period, gains, levels, map, spring, motors, wrap, rest))]
-    fn new(
-        robot: &Robot,
-        period: f64,
-        gains: Vec<f64>,
-        levels: Option<Levels>,
-        map: Option<Map>,
-        spring: Vec<f64>,
-        motors: bool,
-        wrap: Vec<f64>,
-        rest: bool,
-    ) -> PyResult<Self> {
-        let gains = match (levels, map) {
-            (Some(levels), _) => Gains::Scheduled(levels.schedule()?),
-            (None, Some(map)) => Gains::Mapped(map.into()),
-            (None, None) => Gains::Constant(gains),
-        };
-        let settings = VelocitySettings { period, gains, spring, motors, start: start(rest), wrap };
-        let fresh = velocity::VelocityObserver::new(Arc::clone(&robot.0), settings).map_err(IntoPyErr::into_py_err)?;
+    fn new(robot: &Robot, settings: Plain<description::Velocity>) -> PyResult<Self> {
+        let fresh = settings.0.build(&robot.0).map_err(IntoPyErr::into_py_err)?;
         Ok(Self { live: fresh.clone(), fresh, tool: robot.0.tool.is_some() })
     }
 

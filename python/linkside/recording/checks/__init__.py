@@ -1,4 +1,4 @@
-"""Recordings are looked at before they are believed: cheap checks of a log against its robot, before any estimate."""
+"""Checks of recordings against their robot, which run before any estimate and cost little."""
 
 from .finding import Finding
 from .inspector import CHECKS, Inspector, inspect, verdicts

@@ -1,4 +1,4 @@
-"""Checks of single channels: sentinels, and readings that stay when they should not."""
+"""Checks of single channels: sentinel values, and readings that do not change although they should."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ ABSURD = 1e9
 """No reading in SI units is as large."""
 
 SENTINELS = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, -32768.0, 32767.0, -1e6, 1e6)
-"""What other programs write in place of a reading that is not there."""
+"""Values that other programs write in place of a missing reading."""
 
 STUCK = 0.025
-"""How long a live sensor's reading may stay the very same [s]; and at least 20 rows."""
+"""Longest time for which a working sensor may repeat exactly the same reading [s]; at least 20 rows."""
 
 SATURATED = 10
-"""So many rows at the very same extreme are a sensor at the end of its range."""
+"""A channel that stays at its extreme value for this many rows is saturated."""
 
 
 def sentinels(view: View) -> Iterator[Finding]:
-    """Find values that stand for a reading that is not there."""
+    """Find values that stand for a missing reading."""
     for signal, index, column, converted in view.channels(*SIGNALS):
         size = view.log.recorded_size(signal)[index]
         values = converted if size == 1 else np.round(converted / size, 6)  # as the recording has them
@@ -117,7 +117,7 @@ def _saturated(values: FloatArray, runs: Runs) -> tuple[int, int] | None:
 
 
 def _held(view: View, column: str, values: FloatArray, runs: Runs) -> Iterator[Finding]:
-    """A channel whose value changes every so many rows, like clockwork, and by more than its grain."""
+    """A channel whose value changes only every few rows, at regular intervals, and by more than its resolution."""
     inner = runs.length[1:-1]
     if len(inner) < 20 or np.isnan(values).any():
         return

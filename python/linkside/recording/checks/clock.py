@@ -10,7 +10,7 @@ from .finding import Finding, Verdict
 from .view import View
 
 UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
-"""How many seconds a unit is."""
+"""Seconds in each unit."""
 
 RATES = (50.0, 20_000.0)
 """Rates at which robots are recorded [1/s]."""

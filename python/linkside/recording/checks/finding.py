@@ -1,4 +1,4 @@
-"""What a check says about a recording."""
+"""A finding of a check about a recording."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Verdict = Literal["refused", "suspicious", "mended"]
 
 @dataclass(frozen=True)
 class Finding:
-    """Something about a column of a recording that cannot be, is unlikely, or was put right.
+    """Something in a column of a recording that is impossible, unlikely, or was corrected.
 
     Attributes
     ----------
@@ -18,7 +18,7 @@ class Finding:
         The check that found it: ``"wrap"``, ``"degrees"``, ``"milliseconds"`` and so on.
     verdict : str
         ``"refused"``: no estimate from such a recording can be right; ``"suspicious"``: it may be meant;
-        ``"mended"``: certain, and put right.
+        ``"mended"``: certain, and corrected.
     column : str
         The column of the recording.
     what : str

@@ -95,7 +95,7 @@ def _row(values: FloatArray) -> str:
 
 
 def _cause(columns: tuple[str, ...], read: FloatArray, should: FloatArray) -> tuple[str, str, str] | None:
-    """What explains the readings, if anything does: the usual causes before the rare ones."""
+    """Find the cause that explains the readings, usual causes before rare ones; None if there is none."""
     apart = float(np.sum((read - should) ** 2))
     causes = list(_causes(columns))
     left = np.array([np.sum((read @ factor - should) ** 2) for *_, factor in causes]) + 0.01 * apart

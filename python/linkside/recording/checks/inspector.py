@@ -1,4 +1,4 @@
-"""The table of checks, and what runs them over a recording or its pieces."""
+"""The table of checks, and the inspector that runs them over a recording or its pieces."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ CHECKS: dict[str, Check] = {
     "motor torques": gravity.torques,
     "channels that stay": channels.stays,
 }
-"""The checks, in the order in which they are made; one that refuses ends the matter."""
+"""The checks in their order; the first that refuses the recording ends the inspection."""
 
 BEFORE = 3
 """Rows of the piece before that a check may look at."""

@@ -15,10 +15,10 @@ from .finding import Finding
 from .view import View
 
 CLEAN = 8.0
-"""A jump is at least so many times what the speed changes around it."""
+"""A jump is at least this many times the change of speed around it."""
 
 SPEED = 100.0
-"""What a joint that is not out of order does not exceed from one sample to the next [rad/s]; a fifth of it in m/s."""
+"""Largest plausible speed of a joint between two samples [rad/s]; a fifth of it in m/s."""
 
 UNLIMITED = 1e6
 """A limit above this is none: Pinocchio has the largest number there is in its place."""
@@ -47,7 +47,7 @@ class Jumps:
 
 
 def turns(robot: Robot) -> list[tuple[float, ...]]:
-    """After what an encoder of each joint may wrap: a turn of the link, or of the motor's shaft [rad or m]."""
+    """Angle after which the encoder of each joint may wrap: a turn of the link, or of the motor's shaft [rad or m]."""
     out = []
     for slides, ratio in zip(sliding(robot), np.abs(robot.gear_ratio), strict=True):
         link, shaft = () if slides else (2 * np.pi,), () if ratio <= 1 else (2 * np.pi / float(ratio),)
@@ -99,7 +99,7 @@ def wraps(view: View) -> Iterator[tuple[Finding, str, int, FloatArray]]:
                 np.add.at(offset, found.row[match], -np.sign(found.size[match]) * turn)
                 first, count = int(found.row[match][0]), int(match.sum())
                 what = f"wraps by {turn:.6g}, a turn of the {'link' if turn == 2 * np.pi else 'motor shaft'},"
-                remedy = "put right here; record an unwrapped position to be sure"
+                remedy = "corrected here; record an unwrapped position to be sure"
                 size = float(found.size[match][0])
                 one = view.finding("wrap", "mended", column, what, remedy, at=first, size=size, count=count)
                 yield one, signal, joint, np.cumsum(offset)

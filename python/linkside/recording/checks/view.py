@@ -1,4 +1,4 @@
-"""What checks look at: some rows of a recording, and means over short blocks of them."""
+"""The part of a recording that checks examine: some rows, and means over short blocks of them."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ BLOCK = 0.02
 """Length of a block [s]: short for a motion, long for noise."""
 
 BLOCKS = 200
-"""So many blocks, at most, are looked at."""
+"""At most this many blocks are examined."""
 
 
 class Recording(Protocol):
-    """What the checks ask of a log; `Log` is made with them."""
+    """The attributes of a log that the checks need."""
 
     @property
     def t(self) -> FloatArray:

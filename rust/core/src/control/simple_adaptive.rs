@@ -131,7 +131,7 @@ impl SimpleAdaptive {
         kinematics.set_position(&robot.tree, q);
         jacobian.fill(0.0);
         kinematics.position_jacobian(&robot.tree, tool, |joint, column| {
-            jacobian[3 * joint..][..3].copy_from_slice(&column.0);
+            jacobian[3 * joint..][..3].iter_mut().zip(column.0).for_each(|(out, by)| *out += by);
         });
         kinematics.position(tool).0
     }

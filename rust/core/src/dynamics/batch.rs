@@ -181,7 +181,7 @@ impl<'a> Batch<'a> {
                 b.kinematics.specific_force_derivatives(&b.robot.tree, &sensor.frame, |joint, columns| {
                     for (which, column) in columns.iter().enumerate() {
                         for (r, &axis) in sensor.axes.iter().enumerate() {
-                            out[(which * channels + row + r) * n + joint] = column.0[axis];
+                            out[(which * channels + row + r) * n + joint] += column.0[axis];
                         }
                     }
                 });

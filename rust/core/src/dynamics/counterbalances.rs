@@ -167,7 +167,7 @@ impl<T: Scalar, P: Posture<T>> Kernel for Load<'_, T, P> {
                         for &i in &branch.bodies {
                             let body = &tree.bodies[i];
                             pose = posture.carried(tree, i, &pose);
-                            tau[body.joint] += pull.dot(&pose.moves(body, end));
+                            tau[body.joint] += body.share(pull.dot(&pose.moves(body, end)));
                         }
                     }
                 }
@@ -218,7 +218,7 @@ impl<T: Scalar> Kernel for Stiffen<'_, T> {
                             let slope = both * at.density + bend;
                             let [a, b] = [inner.1, outer.1].map(|i| tree.bodies[i].joint);
                             by_q[a * n + b] += slope;
-                            if a != b {
+                            if inner != outer {
                                 by_q[b * n + a] += slope;
                             }
                         }

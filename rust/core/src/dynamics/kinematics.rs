@@ -53,7 +53,7 @@ pub struct Kinematics<T> {
 impl<T: Scalar> Kinematics<T> {
     /// Room for `tree`.
     pub fn new(tree: &Tree) -> Self {
-        Self { bodies: vec![BodyState::default(); tree.len()], masses: Vec::new() }
+        Self { bodies: vec![BodyState::default(); tree.bodies.len()], masses: Vec::new() }
     }
 
     /// Computes with `masses`, the moments of each body's mass in its own frame, in place of the tree's: so that loads
@@ -95,7 +95,7 @@ impl<T: Scalar> Kinematics<T> {
                 None => (Mat3::constant(&body.rotation), Vec3::constant(&body.translation)),
             };
             let z = carrier.0[2];
-            let position = q[body.joint];
+            let position = body.position(q[body.joint]);
             let state = &mut self.bodies[i];
             match body.kind {
                 JointKind::Revolute => {
@@ -108,6 +108,9 @@ impl<T: Scalar> Kinematics<T> {
                     state.origin = origin + z.scale(position);
                     state.axis = Motion { angular: Vec3::default(), linear: z };
                 }
+            }
+            if let Some([ratio, _]) = body.following {
+                state.axis = state.axis.scale(T::constant(ratio));
             }
         }
     }

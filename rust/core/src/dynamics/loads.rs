@@ -41,7 +41,7 @@ pub struct Loads<T> {
 impl<T: Scalar> Loads<T> {
     /// Room for `tree`.
     pub fn new(tree: &Tree) -> Self {
-        Self { composites: vec![Composite::default(); tree.len()] }
+        Self { composites: vec![Composite::default(); tree.bodies.len()] }
     }
 
     /// Inverse dynamics: τ (n) for the state of `k`, counterbalances included. Recursive Newton–Euler, O(n).
@@ -54,16 +54,17 @@ impl<T: Scalar> Loads<T> {
     /// The same of masses alone, in which it is linear.
     #[inline(always)]
     pub(crate) fn load_of_masses_into(&mut self, tree: &Tree, k: &Kinematics<T>, tau: &mut [T]) {
-        for i in 0..tree.len() {
+        tau.fill(T::default());
+        for i in 0..tree.bodies.len() {
             let state = &k.bodies[i];
             let inertia = k.inertia(tree, i);
             // Newton and Euler: I a + v ×* I v, then summed from the leaves to the base.
             let inertial = inertia.apply(&state.acceleration);
             self.composites[i].force = inertial + state.velocity.cross_force(&inertia.apply(&state.velocity));
         }
-        for i in (0..tree.len()).rev() {
+        for i in (0..tree.bodies.len()).rev() {
             let force = self.composites[i].force;
-            tau[tree.bodies[i].joint] = k.bodies[i].axis.dot(&force);
+            tau[tree.bodies[i].joint] += k.bodies[i].axis.dot(&force);
             if let Some(p) = tree.bodies[i].parent {
                 self.composites[p].force += force;
             }
@@ -75,18 +76,21 @@ impl<T: Scalar> Loads<T> {
     pub fn mass_matrix_into(&mut self, tree: &Tree, k: &Kinematics<T>, mass: &mut [T]) {
         let n = tree.len();
         mass.fill(T::default());
-        for i in 0..n {
+        for i in 0..tree.bodies.len() {
             self.composites[i].inertia = k.inertia(tree, i);
         }
-        for j in (0..n).rev() {
+        for j in (0..tree.bodies.len()).rev() {
             let inertia = self.composites[j].inertia;
             // Column j of M: the momentum that a unit velocity of joint j gives to all it carries, along the axes below
             // it.
             let momentum = inertia.apply(&k.bodies[j].axis);
             for i in tree.path(j) {
                 let (a, b) = (tree.bodies[i].joint, tree.bodies[j].joint);
-                mass[a * n + b] = k.bodies[i].axis.dot(&momentum);
-                mass[b * n + a] = mass[a * n + b];
+                let entry = k.bodies[i].axis.dot(&momentum);
+                mass[a * n + b] += entry;
+                if i != j {
+                    mass[b * n + a] += entry;
+                }
             }
             if let Some(p) = tree.bodies[j].parent {
                 self.composites[p].inertia += inertia;
@@ -103,7 +107,7 @@ impl<T: Scalar> Loads<T> {
         let n = tree.len();
         coriolis.fill(T::default());
         self.gather_start(tree, k);
-        for j in (0..n).rev() {
+        for j in (0..tree.bodies.len()).rev() {
             let composite = self.composites[j];
             let state = &k.bodies[j];
             let outer = composite.inertia.apply(&state.axis_rate) + composite.coriolis.apply(&state.axis);
@@ -113,8 +117,10 @@ impl<T: Scalar> Loads<T> {
             for i in tree.path(j) {
                 let a = tree.bodies[i].joint;
                 let carrier = &k.bodies[i];
-                coriolis[b * n + a] = carrier.axis_rate.dot(&momentum) + carrier.axis.angular.dot(&turning);
-                coriolis[a * n + b] = carrier.axis.dot(&outer);
+                if i != j {
+                    coriolis[b * n + a] += carrier.axis_rate.dot(&momentum) + carrier.axis.angular.dot(&turning);
+                }
+                coriolis[a * n + b] += carrier.axis.dot(&outer);
             }
             self.gather(tree, j);
         }
@@ -139,7 +145,7 @@ impl<T: Scalar> Loads<T> {
     /// Each body's own moments.
     #[inline(always)]
     fn gather_start(&mut self, tree: &Tree, k: &Kinematics<T>) {
-        for i in 0..tree.len() {
+        for i in 0..tree.bodies.len() {
             let state = &k.bodies[i];
             let inertia = k.inertia(tree, i);
             let coriolis = Coriolis::new(&inertia, &state.velocity);
@@ -179,11 +185,11 @@ impl<T: Scalar> Kernel for Derivatives<'_, T> {
     fn run(self) {
         let Self { loads, tree, k, tau, by_q, by_dq, mass } = self;
         let n = tree.len();
-        for matrix in [&mut *by_q, &mut *by_dq, &mut *mass] {
-            matrix.fill(T::default());
+        for out in [&mut *tau, &mut *by_q, &mut *by_dq, &mut *mass] {
+            out.fill(T::default());
         }
         loads.gather_start(tree, k);
-        for j in (0..n).rev() {
+        for j in (0..tree.bodies.len()).rev() {
             let Composite { inertia, coriolis, force } = loads.composites[j];
             let state = &k.bodies[j];
             let momentum = inertia.apply(&state.axis);
@@ -196,19 +202,23 @@ impl<T: Scalar> Kernel for Derivatives<'_, T> {
                 + twice(coriolis.apply(&state.axis_rate));
             let outer_dq = twice(inertia.apply(&state.axis_rate) + coriolis.apply(&state.axis));
             let b = tree.bodies[j].joint;
-            tau[b] = state.axis.dot(&force);
+            tau[b] += state.axis.dot(&force);
             for i in tree.path(j) {
                 let a = tree.bodies[i].joint;
                 let carrier = &k.bodies[i];
+                let entry = carrier.axis.dot(&momentum);
+                // Entries where the inner joint's torque depends on the outer joint's motion, and the other way round.
+                by_q[a * n + b] += carrier.axis.dot(&outer_q);
+                by_dq[a * n + b] += carrier.axis.dot(&outer_dq);
+                mass[a * n + b] += entry;
+                if i == j {
+                    continue;
+                }
                 let (by_rate, by_axis) = (carrier.axis_rate.angular.dot(&turning), carrier.axis.angular.dot(&turning));
-                // Entries where the outer joint's torque depends on the inner joint's motion, and the other way round.
-                by_q[b * n + a] = carrier.axis_acceleration.dot(&momentum) + by_rate + by_rate;
-                by_q[a * n + b] = carrier.axis.dot(&outer_q);
+                by_q[b * n + a] += carrier.axis_acceleration.dot(&momentum) + by_rate + by_rate;
                 let half = carrier.axis_rate.dot(&momentum) + by_axis;
-                by_dq[b * n + a] = half + half;
-                by_dq[a * n + b] = carrier.axis.dot(&outer_dq);
-                mass[a * n + b] = carrier.axis.dot(&momentum);
-                mass[b * n + a] = mass[a * n + b];
+                by_dq[b * n + a] += half + half;
+                mass[b * n + a] += entry;
             }
             loads.gather(tree, j);
         }

@@ -71,7 +71,7 @@ pub struct NewtonEuler<T> {
 impl<T: Scalar> NewtonEuler<T> {
     /// Room for `tree`.
     pub fn new(tree: &Tree) -> Self {
-        Self { bodies: vec![Moving::default(); tree.len()] }
+        Self { bodies: vec![Moving::default(); tree.bodies.len()] }
     }
 
     /// Moves all bodies; positions, velocities and accelerations of length n, in the order of the log.
@@ -83,9 +83,10 @@ impl<T: Scalar> NewtonEuler<T> {
                 None => Carried::at_rest(body, &tree.gravity),
             };
             let (joint, moving) = (body.joint, &mut self.bodies[i]);
+            let (q, dq, ddq) = (body.position(q[joint]), body.share(dq[joint]), body.share(ddq[joint]));
             match body.kind {
-                JointKind::Revolute => moving.revolve(&carried, q[joint], dq[joint], ddq[joint]),
-                JointKind::Prismatic => moving.slide(carried, q[joint], dq[joint], ddq[joint]),
+                JointKind::Revolute => moving.revolve(&carried, q, dq, ddq),
+                JointKind::Prismatic => moving.slide(carried, q, dq, ddq),
             }
         }
     }
@@ -96,12 +97,13 @@ impl<T: Scalar> NewtonEuler<T> {
         for (moving, body) in self.bodies.iter_mut().zip(&tree.bodies) {
             moving.load(&body.inertia);
         }
+        tau.fill(T::default());
         for (i, body) in tree.bodies.iter().enumerate().rev() {
             let Moving { force, moment, .. } = &self.bodies[i];
-            tau[body.joint] = match body.kind {
+            tau[body.joint] += body.share(match body.kind {
                 JointKind::Revolute => moment.0[2],
                 JointKind::Prismatic => force.0[2],
-            };
+            });
             if let Some(p) = body.parent {
                 let (force, moment) = self.bodies[i].hand_over(body);
                 self.bodies[p].force += force;

@@ -2,6 +2,7 @@
 
 mod counterbalance;
 mod drive;
+mod gearing;
 mod rotor;
 mod tree;
 
@@ -12,6 +13,7 @@ pub use drive::{
     Backlash, Drive, Friction, FrictionElement, GearOutput, Harmonic, Hysteresis, Interpolation, LoadFriction, Loss,
     Moved, Ripple, SoftWindup, SpringCurve, Wound,
 };
+pub use gearing::Gearing;
 pub use rotor::Rotor;
 pub use tree::{Body, BodySpec, Frame, JointKind, Tree};
 
@@ -97,6 +99,8 @@ pub struct Robot {
     pub tool: Option<Frame>,
     /// Motors whose rotors links carry, one a motor at most.
     pub rotors: Vec<Rotor>,
+    /// Gears that several motors share.
+    pub gearing: Option<Gearing>,
 }
 
 impl Robot {
@@ -128,7 +132,7 @@ impl Robot {
                 sensor.check(&format!("{kind} {i}"))?;
             }
         }
-        Ok(Self { tree, drives, coupling, accelerometers, gyroscopes, tool, rotors: Vec::new() })
+        Ok(Self { tree, drives, coupling, accelerometers, gyroscopes, tool, rotors: Vec::new(), gearing: None })
     }
 
     /// Number of joints.

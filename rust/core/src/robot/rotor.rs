@@ -34,7 +34,7 @@ impl Robot {
             let owner = || format!("rotor {i}");
             let Rotor { motor, body, axis, ratio } = rotor;
             expect_of(*motor < n, "motor", owner, *motor as f64, "a joint of the robot")?;
-            expect_of(*body < n, "body", owner, *body as f64, "a body of the robot")?;
+            expect_of(*body < self.tree.bodies.len(), "body", owner, *body as f64, "a body of the robot")?;
             expect_of((axis.norm() - 1.0).abs() < 1e-9, "length of the axis", owner, axis.norm(), "1")?;
             expect_of(ratio.is_finite() && *ratio != 0.0, "ratio", owner, *ratio, "a number other than 0")?;
             let free = rotors[..i].iter().all(|other| other.motor != *motor);

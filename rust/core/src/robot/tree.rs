@@ -4,6 +4,7 @@ use super::counterbalance::Support;
 use super::{Drive, Rotor};
 use crate::check::expect_of;
 use crate::error::RobotError;
+use crate::scalar::Scalar;
 use crate::spatial::{Inertia, Mat3, Sym3, Vec3};
 
 /// How a joint moves.
@@ -46,6 +47,8 @@ pub struct Body {
     /// Entry of q that moves it, and how.
     pub(crate) joint: usize,
     pub(crate) kind: JointKind,
+    /// Where it follows another joint's entry: how far it moves for one of that, and where it is at zero.
+    pub(crate) following: Option<[f64; 2]>,
     /// Pose of the joint frame at q = 0 in the carrier's.
     pub(crate) rotation: Mat3<f64>,
     /// Whether the rotation is none, as between parallel joints.
@@ -80,6 +83,8 @@ pub struct Frame {
 pub struct Tree {
     /// Each after the one that carries it.
     pub(crate) bodies: Vec<Body>,
+    /// Entries of q.
+    joints: usize,
     /// Acceleration of free fall in the base frame [m/s²].
     pub(crate) gravity: Vec3<f64>,
     /// What carries part of the weight.
@@ -112,17 +117,36 @@ impl Tree {
             };
             bodies.push(compile(body, spec, &carrier)?);
         }
-        Ok(Self { bodies, gravity, supports: Vec::new() })
+        Ok(Self { joints: bodies.len(), bodies, gravity, supports: Vec::new() })
     }
 
     /// Number of joints.
     pub fn len(&self) -> usize {
-        self.bodies.len()
+        self.joints
     }
 
     /// Never true: a tree has a joint at least.
     pub fn is_empty(&self) -> bool {
         self.bodies.is_empty()
+    }
+
+    /// The tree with its last joints following others: `followers` are, of each, the joint that leads, how far it moves for one of
+    /// that, and where it is when that is at zero. Parallel linkages move so, reduced to a tree.
+    ///
+    /// # Errors
+    /// A leader that follows or does not exist, numbers that are not finite.
+    pub fn with_followers(mut self, followers: &[(usize, f64, f64)]) -> Result<Self, RobotError> {
+        let joints = self.joints.saturating_sub(followers.len());
+        for (k, &(leader, ratio, offset)) in followers.iter().enumerate() {
+            let owner = || format!("joint {}", joints + k);
+            expect_of(leader < joints, "leader", owner, leader as f64, "a joint that follows none")?;
+            expect_of(ratio.is_finite() && offset.is_finite(), "multiplier", owner, ratio, "a finite number")?;
+            for body in self.bodies.iter_mut().filter(|body| body.joint == joints + k) {
+                (body.joint, body.following) = (leader, Some([ratio, offset]));
+            }
+        }
+        self.joints = joints;
+        Ok(self)
     }
 
     /// A frame at `translation` with axes `rotation`, both in the modeller's frame of `body`; `owner` names it in errors.
@@ -147,6 +171,7 @@ impl Tree {
         let mut tree = self.clone();
         for rotor in rotors {
             tree.bodies.push(self.rotor(rotor, tree.len(), &drives[rotor.motor]));
+            tree.joints += 1;
         }
         tree
     }
@@ -159,6 +184,7 @@ impl Tree {
             parent: Some(rotor.body),
             joint,
             kind: JointKind::Revolute,
+            following: None,
             rotation: axis,
             straight: axis == Mat3::IDENTITY,
             translation: Vec3([0.0; 3]),
@@ -176,6 +202,20 @@ impl Tree {
     #[inline(always)]
     pub(crate) fn path(&self, body: usize) -> impl Iterator<Item = usize> + '_ {
         core::iter::successors(Some(body), |&b| self.bodies[b].parent)
+    }
+}
+
+impl Body {
+    /// How far its joint has moved where its entry of q is `position`.
+    #[inline(always)]
+    pub(crate) fn position<T: Scalar>(&self, position: T) -> T {
+        self.following.map_or(position, |[ratio, offset]| position * ratio + offset)
+    }
+
+    /// What its joint has of a velocity, an acceleration or an axis of that entry, or the entry of its torque.
+    #[inline(always)]
+    pub(crate) fn share<T: Scalar>(&self, value: T) -> T {
+        self.following.map_or(value, |[ratio, _]| value * ratio)
     }
 }
 
@@ -201,6 +241,7 @@ fn compile(body: usize, spec: &BodySpec, carrier: &Mat3<f64>) -> Result<Body, Ro
         parent: spec.parent,
         joint: spec.joint,
         kind: spec.kind,
+        following: None,
         rotation,
         straight: rotation == Mat3::IDENTITY,
         translation: carrier.apply(&spec.translation),

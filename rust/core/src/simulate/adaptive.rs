@@ -10,10 +10,10 @@ use crate::simd;
 
 /// Of the longest step that the error estimate allows.
 const SAFETY: f64 = 0.9;
-/// A step is at most so many times, and at least this part of, the one before.
+/// Largest and least ratio of a step to the one before.
 const LONGER: f64 = 6.0;
 const SHORTER: f64 = 0.2;
-/// The least error that the next step's length is foretold from.
+/// The least error from which the next step's length is predicted.
 const ERROR_FLOOR: f64 = 1e-2;
 /// The shortest step, as a part of the time to move.
 const SHORTEST: f64 = 1e-12;

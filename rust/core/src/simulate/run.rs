@@ -21,7 +21,7 @@ use crate::simd::{self, Kernel};
 /// How the robot moves between samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Stepping {
-    /// So many steps of [`RungeKutta`] in a period.
+    /// Number of steps of [`RungeKutta`] in a period.
     Fixed(usize),
     /// [`Adaptive`] steps, the last of a period ending at the sample.
     Adaptive(StepTolerance),
@@ -36,7 +36,7 @@ pub struct Plan {
     pub count: usize,
     /// Between samples.
     pub stepping: Stepping,
-    /// One sample of so many is kept.
+    /// Every n-th sample is kept.
     pub keep_every: usize,
 }
 

@@ -9,7 +9,7 @@ use crate::random::{Purpose, Stream};
 use crate::robot::Robot;
 use core::f64::consts::TAU;
 
-/// One channel: low-pass, then delay, bias, noise, steps, and a reading every so many samples.
+/// One channel: low-pass, then delay, bias, noise, quantisation and decimation.
 #[derive(Clone, Copy, Debug)]
 pub struct SensorModel {
     /// Standard deviation of white noise, in the channel's unit.
@@ -22,7 +22,7 @@ pub struct SensorModel {
     pub delay: f64,
     /// Corner of a low-pass of first order [Hz]; infinite for none.
     pub corner_frequency: f64,
-    /// A reading every so many samples, the others are NaN.
+    /// Samples for each reading; the others are NaN.
     pub every: usize,
 }
 
@@ -39,7 +39,7 @@ impl SensorModel {
     }
 }
 
-/// A reading is no older than so many samples.
+/// Largest delay of a reading, in samples.
 const LONGEST_DELAY: f64 = 1e6;
 
 /// One channel's sensor with its past.

@@ -9,7 +9,7 @@ use crate::scalar::Scalar;
 pub(super) struct Coupling<T> {
     /// n × n, the entry of link i and motor j in row i.
     matrix: Vec<T>,
-    /// Motor j couples to none but the first so many links.
+    /// Motor j couples only to this many links, the first ones.
     reach: Vec<usize>,
     /// Where links carry motors.
     pub(super) rotors: Option<Rotors<T>>,

@@ -25,6 +25,7 @@ impl<T: Scalar> ElasticDynamics<T> {
         for j in 0..n {
             self.differentiate_motor(robot, layout, x, j);
         }
+        self.differentiate_shared_friction(robot, layout, x);
         for (row, of) in self.elements.iter_mut().zip(layout.elements(robot)) {
             *row = element_row(robot, layout, x, of).1;
         }
@@ -42,6 +43,23 @@ impl<T: Scalar> ElasticDynamics<T> {
             let inertia = T::constant(drive.motor_inertia);
             for value in own {
                 *value = *value / inertia;
+            }
+        }
+        if let Some(gearing) = &robot.gearing {
+            (0..d).for_each(|k| gearing.share(&mut self.ddtheta_by, |j| j * d + k));
+        }
+    }
+
+    /// Minus the slopes of the friction of motors that several joints share.
+    #[inline(always)]
+    fn differentiate_shared_friction(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T]) {
+        let Some(gearing) = &robot.gearing else { return };
+        for motor in gearing.motors() {
+            let slope = robot.drives[motor.drive].motor_friction(motor.speed(|j| x[layout.dtheta[j]])).1;
+            for (a, by_a) in motor.joints() {
+                for (b, by_b) in motor.joints() {
+                    self.ddtheta_by[a * layout.dense + layout.dtheta[b]] -= slope * (by_a * by_b);
+                }
             }
         }
     }
@@ -114,7 +132,8 @@ impl<T: Scalar> ElasticDynamics<T> {
     fn differentiate_motor(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T], j: usize) {
         let (n, d, drive) = (layout.joints, layout.dense, &robot.drives[j]);
         let (theta, dtheta, one) = (layout.theta[j], layout.dtheta[j], T::constant(1.0));
-        let mut slip = drive.motor_friction(x[dtheta]).1;
+        let shared = robot.gearing.as_ref().is_some_and(|gearing| gearing.has(j));
+        let mut slip = if shared { T::default() } else { drive.motor_friction(x[dtheta]).1 };
         let disturbance = layout.disturbance.map(|first| first + j);
         let Self { coupling, ddq_by, ddq_by_tau, ddtheta_by, ratio, felt, left, spring, .. } = self;
         if !drive.elastic {
@@ -193,6 +212,9 @@ impl<T: Scalar> ElasticDynamics<T> {
             let own = T::constant(f64::from(i == j));
             rate[layout.dtheta[i]] = (own - pull) / T::constant(drive.motor_inertia);
         }
+        if let Some(gearing) = &robot.gearing {
+            gearing.share(rate, |i| layout.dtheta[i]);
+        }
     }
 
     /// Accelerations by further torques on links and motors and in transmissions, in place of them (n × `width` each),
@@ -231,6 +253,9 @@ impl<T: Scalar> ElasticDynamics<T> {
             } else {
                 linear::add_scaled(own, -inertia, &links[row(j)]);
             }
+        }
+        if let Some(gearing) = &robot.gearing {
+            (0..width).for_each(|k| gearing.share(motors, |j| j * width + k));
         }
     }
 

@@ -40,7 +40,8 @@ use coupling::Coupling;
 /// θ̈ is eliminated, as B is diagonal: (M − S B⁻¹ Sᵀ) q̈ = τ_e − C q̇ − g − d − S B⁻¹ (τ − f − (1 + ε′) τ_e). A rigid joint's motor
 /// moves with its link: its row and column of S and its B join M. Motors that are [`Rotor`](crate::robot::Rotor)s on
 /// links are bodies of an extended tree, whence S(q) and its velocity terms in both rows. Derivatives: those of the
-/// left-hand side are of the inverse dynamics at q̈ and θ̈.
+/// left-hand side are of the inverse dynamics at q̈ and θ̈. Of joints that [share motors](crate::robot::Gearing) B is a full
+/// matrix, and S zero.
 ///
 /// ```
 /// use linkside_core::dynamics::{ElasticDynamics, ElasticLayout};
@@ -161,6 +162,9 @@ impl<T: Scalar> ElasticDynamics<T> {
                 self.ddq[j]
             };
         }
+        if let Some(gearing) = &robot.gearing {
+            gearing.share(&mut self.ddtheta, |j| j);
+        }
     }
 
     /// M, S and C q̇ + g of links and rotors; what the rotors' rows have goes to their motors' torques.
@@ -196,7 +200,10 @@ impl<T: Scalar> ElasticDynamics<T> {
         for (j, drive) in robot.drives.iter().enumerate() {
             let speed = x[layout.dtheta[j]];
             let extra = layout.disturbance.map_or(T::default(), |first| x[first + j]);
-            self.drive[j] += tau[j] + extra - drive.motor_friction(speed).0;
+            self.drive[j] += tau[j] + extra;
+            if robot.gearing.as_ref().is_none_or(|gearing| !gearing.has(j)) {
+                self.drive[j] -= drive.motor_friction(speed).0;
+            }
             self.spring[j] = if drive.elastic {
                 let gear = drive.ripple.output(x[layout.theta[j]]);
                 (self.ratio[j], self.felt[j]) = (gear.ratio, gear.ratio);
@@ -220,6 +227,14 @@ impl<T: Scalar> ElasticDynamics<T> {
         }
         if let Some(first) = layout.link_disturbance {
             linear::add_scaled(&mut self.ddq, T::constant(1.0), &x[first..][..n]);
+        }
+        if let Some(gearing) = &robot.gearing {
+            for motor in gearing.motors() {
+                let friction = robot.drives[motor.drive].motor_friction(motor.speed(|j| x[layout.dtheta[j]])).0;
+                for (j, by) in motor.joints() {
+                    self.drive[j] -= friction * by;
+                }
+            }
         }
     }
 

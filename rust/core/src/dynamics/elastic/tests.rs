@@ -32,21 +32,33 @@ fn robot() -> Robot {
     Robot::new(tree, drives, coupling, vec![], vec![], None).unwrap()
 }
 
+/// The same with three motors that turn all elastic joints, and so are coupled to no link.
+fn geared() -> Robot {
+    let mut robot = robot();
+    (robot.coupling[1], robot.coupling[3], robot.coupling[7]) = (0.0, 0.0, 0.0);
+    robot.with_gearing(vec![0, 1, 3], &[1.0, 0.2, 0.0, -0.3, 0.8, 0.1, 0.5, -0.4, 1.1]).unwrap()
+}
+
 #[test]
 fn derivatives_are_those_of_differences() {
-    let robot = robot();
-    let layout = ElasticLayout::new(&robot, true).with_link_disturbances(0.7);
+    for robot in [robot(), geared()] {
+        compare_with_differences(&robot);
+    }
+}
+
+fn compare_with_differences(robot: &Robot) {
+    let layout = ElasticLayout::new(robot, true).with_link_disturbances(0.7);
     let d = layout.dense;
     assert_eq!(layout.link_disturbance, Some(18));
     assert_eq!((d, &layout.theta[..], &layout.dtheta[..]), (22, &[8, 9, 2, 10][..], &[11, 12, 6, 13][..]));
     let x: Vec<f64> = (0..d).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
     let tau = [5.0, -3.0, 2.0, 1.0];
-    let mut dynamics = ElasticDynamics::new(&robot, &layout);
-    dynamics.accelerate(&robot, &layout, &x, &tau);
-    dynamics.differentiate(&robot, &layout, &x);
-    let mut probe = ElasticDynamics::new(&robot, &layout);
+    let mut dynamics = ElasticDynamics::new(robot, &layout);
+    dynamics.accelerate(robot, &layout, &x, &tau);
+    dynamics.differentiate(robot, &layout, &x);
+    let mut probe = ElasticDynamics::new(robot, &layout);
     let mut at = |x: &[f64], tau: &[f64]| {
-        probe.accelerate(&robot, &layout, x, tau);
+        probe.accelerate(robot, &layout, x, tau);
         [probe.ddq.clone(), probe.ddtheta.clone()].concat()
     };
     let (h, n) = (1e-6, 4);
@@ -101,4 +113,37 @@ fn both_rows_of_the_model_balance() {
             assert!(row.abs() < 1e-12, "{j}: {row}");
         }
     }
+}
+
+#[test]
+fn motors_that_share_joints_turn_by_their_own_inertia() {
+    let robot = geared();
+    let layout = ElasticLayout::new(&robot, false);
+    let x: Vec<f64> = (0..layout.dense).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
+    let tau = [5.0, -3.0, 2.0, 1.0];
+    let mut dynamics = ElasticDynamics::new(&robot, &layout);
+    dynamics.accelerate(&robot, &layout, &x, &tau);
+    let gearing = robot.gearing.as_ref().unwrap();
+    for motor in gearing.motors() {
+        let drive = &robot.drives[motor.drive];
+        let friction = drive.motor_friction(motor.speed(|j| x[layout.dtheta[j]])).0;
+        let own = drive.motor_inertia * motor.speed(|j| dynamics.ddtheta[j]) + friction;
+        let given = motor.torque(|j| tau[j] - dynamics.spring[j]);
+        assert!((own - given).abs() < 1e-12 * (1.0 + own.abs()), "{own} {given}");
+    }
+}
+
+#[test]
+fn gearings_that_cannot_be_are_refused() {
+    let refused = |joints: &[usize], matrix: &[f64]| {
+        let mut robot = robot();
+        (robot.coupling[1], robot.coupling[3], robot.coupling[7]) = (0.0, 0.0, 0.0);
+        robot.with_gearing(joints.to_vec(), matrix).unwrap_err().to_string()
+    };
+    assert!(refused(&[0, 1], &[1.0, 1.0, 1.0, 1.0]).starts_with("determinant of the gearing is 0"));
+    assert!(
+        refused(&[0, 2], &[1.0, 0.0, 0.0, 1.0]).starts_with("gearing of joint 2 is 1, expected none, as the joint")
+    );
+    assert!(refused(&[0, 9], &[1.0, 0.0, 0.0, 1.0]).contains("expected a joint that there is"));
+    assert!(robot().with_gearing(vec![0, 1], &[1.0, 0.0, 0.0, 1.0]).unwrap_err().to_string().contains("is coupled"));
 }

@@ -12,19 +12,19 @@ use super::tolerances::Tolerances;
 use super::uncertain::Uncertain;
 use crate::linear;
 
-/// Samples of one sum from which the noise that lasts is told.
+/// Samples of one sum, from which low-frequency noise is estimated.
 const BLOCK: u32 = 32;
 /// Blocks that such noise is averaged over.
 const BLOCKS: f64 = 8.0;
 /// Part of the excess of such noise that is left a block later: a wrong model shows where the robot moves, not always.
 const FADING: f64 = 1.0 - 1.0 / 64.0;
-/// One sample of so many teaches the parameters: neighbours hardly differ, and the filter keeps its speed.
+/// Every n-th sample updates the parameters: neighbours hardly differ, and the filter stays fast.
 const THIN: u32 = 8;
 /// Part of the prior variance that no reading takes away: effects are linear in the parameters to about a sixth of them.
 const KEPT: f64 = 0.03;
-/// A residual beyond so many standard deviations teaches nothing of parameters: it is something else.
+/// A residual beyond this many standard deviations has another cause and does not update the parameters.
 const STRANGE: f64 = 5.0;
-/// From so many on what parameters may do to it is asked at once: a motion that begins with a shock is no news.
+/// From this many on the effect of the parameters is evaluated at once: a motion may begin with a shock.
 const SURPRISING: f64 = 2.5;
 
 /// How the error of the state depends on the parameters, and what is known of these.
@@ -71,6 +71,8 @@ pub(super) struct Consider {
     /// Σ E[p pᵀ] Σᵀ of the first states.
     pub(super) total: Vec<f64>,
     held: Held,
+    /// Scratch beside it.
+    apart: Held,
     /// Time since `total` was last summed up.
     elapsed: f64,
     /// Innovations less what the parameters explain, in their standard deviations; NaN where not used.
@@ -105,6 +107,7 @@ impl Consider {
             blur: (0..model.robot().len()).map(|j| blur(tolerances, j)).collect(),
             total: vec![0.0; states * states],
             held: Held::new(model.robot().len()),
+            apart: Held::new(model.robot().len()),
             elapsed: 0.0,
             residuals: vec![f64::NAN; m],
             variances: vec![1.0; m],
@@ -257,6 +260,14 @@ impl Consider {
         let Self { sensitivity: Sensitivity { columns, .. }, moment, wide, total, swings, held, elapsed, .. } = self;
         spread_of(columns, swings, moment, rows, wide, total);
         held.raise(swings, core::mem::take(elapsed), total, rows);
+    }
+
+    /// The same for one who looks on: what the next sample finds is as it was.
+    pub(super) fn sum_up_apart(&mut self, rows: usize) {
+        self.apart.variances.copy_from_slice(&self.held.variances);
+        let Self { sensitivity: Sensitivity { columns, .. }, moment, wide, total, swings, apart, elapsed, .. } = self;
+        spread_of(columns, swings, moment, rows, wide, total);
+        apart.raise(swings, *elapsed, total, rows);
     }
 
     /// E[p pᵀ] by the readings so far.

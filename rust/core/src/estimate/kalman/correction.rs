@@ -5,10 +5,15 @@
 //! each channel's gain, after those before it, for the smoother. Both are the same mathematics; a test holds them equal.
 
 use super::gaussian::{Gaussian, Innovation, Row, SHARP, Symmetric};
+use super::loss::{LEFT_OUT, SensorLosses};
 use super::model::Model;
 use crate::estimate::Status;
 use crate::linear;
 use crate::scalar::log;
+
+/// A sensor that was left out so many samples in a row is no longer: either it or the estimate is wrong for good, and outliers
+/// are not that many.
+const LONGEST: u32 = 8;
 
 /// Scratch and outcome of a measurement update.
 ///
@@ -35,6 +40,12 @@ pub(super) struct Correction {
     pub(super) innovations: Vec<Innovation>,
     /// Lᵀ, upper triangular with a diagonal of 1: innovations before any is used are L times `innovations`.
     pub(super) factors: Vec<f64>,
+    /// How much each channel counts: the variance of its noise is divided by it (channels).
+    pub(super) weights: Vec<f64>,
+    /// How many samples in a row each channel was left out by its weight (channels).
+    runs: Vec<u32>,
+    /// Variance of each channel's noise as it was used (channels).
+    pub(super) variances: Vec<f64>,
     /// Channels left out at this sample by the gate.
     pub(super) gated: Vec<bool>,
     /// Flags, normalised innovation squared, readings used and log-likelihood of the sample.
@@ -42,6 +53,13 @@ pub(super) struct Correction {
     pub(super) nis: f64,
     pub(super) used: u32,
     pub(super) log_likelihood: f64,
+}
+
+/// A sample's readings, and whether the belief has them in it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Readings<'a> {
+    pub(super) values: &'a [f64],
+    pub(super) used: bool,
 }
 
 impl Correction {
@@ -59,6 +77,9 @@ impl Correction {
             joint: vec![0.0; m * joint_width(own, stride)],
             innovations: vec![Innovation::NONE; m],
             factors: vec![0.0; m * m],
+            weights: vec![1.0; m],
+            runs: vec![0; m],
+            variances: vec![0.0; m],
             gated: vec![false; m],
             status: 0,
             nis: 0.0,
@@ -74,14 +95,17 @@ impl Correction {
     #[inline(always)]
     pub(super) fn update(&mut self, model: &impl Model, belief: &mut Gaussian, readings: &[f64], gate: Option<f64>) {
         (self.status, self.nis, self.used, self.log_likelihood) = (0, 0.0, 0, 0.0);
+        for (i, (variance, weight)) in self.variances.iter_mut().zip(&self.weights).enumerate() {
+            *variance = model.variance(i) / weight;
+        }
         self.project(model, belief);
         self.read(model, belief, readings);
-        if self.is_sharp(model) {
+        if self.is_sharp() {
             for i in 0..readings.len() {
                 self.use_one(model, belief, i, gate);
             }
         } else {
-            while !self.use_all(model, belief.covariance.stride, gate) {}
+            while !self.use_all(belief.covariance.stride, gate) {}
             belief.covariance.add_squares(-1.0, &self.projections);
         }
         self.move_mean(belief);
@@ -134,10 +158,10 @@ impl Correction {
 
     /// Whether some reading's noise is lost beside the variance of its prediction.
     #[inline(always)]
-    fn is_sharp(&self, model: &impl Model) -> bool {
+    fn is_sharp(&self) -> bool {
         let own = self.own();
         let mut read = self.raw.iter().enumerate().filter(|(_, raw)| !raw.is_nan());
-        read.any(|(i, _)| self.shares[i * own + i] > SHARP * model.variance(i))
+        read.any(|(i, _)| self.shares[i * own + i] > SHARP * self.variances[i])
     }
 
     /// Whether channel `i` is read and not shut out.
@@ -146,15 +170,15 @@ impl Correction {
         !self.raw[i].is_nan() && !self.gated[i]
     }
 
-    /// All channels at once, by one factor; false where the gate has just shut one out, and all is to be done anew.
+    /// All channels at once, by one factor; false if the gate has just rejected one, so that all must be repeated.
     #[inline(always)]
-    fn use_all(&mut self, model: &impl Model, stride: usize, gate: Option<f64>) -> bool {
+    fn use_all(&mut self, stride: usize, gate: Option<f64>) -> bool {
         let (m, own) = (self.raw.len(), self.own());
         let width = joint_width(own, stride);
         for i in 0..m {
             let open = self.is_open(i);
             self.joint[i * width..][..own].copy_from_slice(&self.shares[i * own..][..own]);
-            self.joint[i * width + i] += model.variance(i);
+            self.joint[i * width + i] += self.variances[i];
             if !open {
                 (0..m).for_each(|j| self.joint[j.min(i) * width + j.max(i)] = 0.0);
                 self.joint[i * width + i] = 1.0;
@@ -205,7 +229,7 @@ impl Correction {
         self.factors[i * m + i] = 1.0;
         self.project_anew(model, belief, i);
         let projection = &mut self.projections[i * stride..][..stride];
-        let variance = row.dot(projection) + model.variance(i);
+        let variance = row.dot(projection) + self.variances[i];
         self.gated[i] |= gate.is_some_and(|gate| value * value > gate * gate * variance);
         if value.is_nan() || self.gated[i] {
             projection.fill(0.0);
@@ -213,7 +237,7 @@ impl Correction {
             self.innovations[i] = Innovation::NONE;
             return;
         }
-        belief.covariance.condition(&self.row, projection, variance, model.variance(i));
+        belief.covariance.condition(&self.row, projection, variance, self.variances[i]);
         let scale = 1.0 / variance.sqrt();
         projection.iter_mut().for_each(|g| *g *= scale);
         self.innovations[i] = Innovation { value, variance };
@@ -255,6 +279,45 @@ impl Correction {
             self.used += 1;
             self.log_likelihood -= 0.5 * (squared + log(core::f64::consts::TAU * variance));
         }
+    }
+
+    /// How much each sensor counts, by the expected square of its errors; where nothing of the sample was used yet, by that of
+    /// its innovations over what is expected of them.
+    ///
+    /// `raw` is then these squares: what is known of the readings themselves is read anew by the next update.
+    #[inline(always)]
+    pub(super) fn weigh(&mut self, model: &impl Model, belief: &Gaussian, read: Readings<'_>, sensors: &SensorLosses) {
+        self.project(model, belief);
+        self.read(model, belief, read.values);
+        let own = self.own();
+        for (i, error) in self.raw.iter_mut().enumerate() {
+            let (noise, known) = (model.variance(i), self.shares[i * own + i]);
+            let square = *error * *error;
+            *error = if read.used { (square + known) / noise } else { square / (noise + known) };
+        }
+        sensors.weigh(&self.raw, &mut self.weights);
+        for (weight, _) in self.weights.iter_mut().zip(&self.runs).filter(|(_, run)| **run >= LONGEST) {
+            *weight = 1.0;
+        }
+    }
+
+    /// Takes note of who was left out of the sample, once it is done.
+    #[inline(always)]
+    pub(super) fn settle_weights(&mut self) {
+        for ((run, weight), innovation) in self.runs.iter_mut().zip(&self.weights).zip(&self.raw) {
+            if *weight < LEFT_OUT {
+                self.status |= Status::GATED;
+                *run += 1;
+            } else if !innovation.is_nan() {
+                *run = 0;
+            }
+        }
+    }
+
+    /// Forgets who was left out, and lets all channels count fully.
+    pub(super) fn reset_weights(&mut self) {
+        self.weights.fill(1.0);
+        self.runs.fill(0);
     }
 
     /// What is predicted against what is read, before any reading is used: differences and their standard deviations.

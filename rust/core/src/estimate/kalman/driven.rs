@@ -16,6 +16,7 @@ use super::tolerances::Tolerances;
 use super::uncertain::{MotorsAt, Tolerance};
 use crate::error::DesignError;
 use crate::estimate::measurement::{Channel, Evaluation};
+use crate::estimate::observer::Rest;
 use crate::scalar::Dual;
 
 /// The jerk-driven model with its noise, as a filter runs it.
@@ -34,7 +35,7 @@ impl JerkDriven {
     pub fn new(model: JerkModel, noise: JerkNoise, damping: bool) -> Result<Self, DesignError> {
         model.check(&noise)?;
         let measurement = JerkMeasurement::new(model.clone(), noise.clone(), damping);
-        Ok(Self::of(JerkProcess { model, noise }, measurement))
+        Ok(Self::of(JerkProcess { rest: Rest::new(&model.robot), model, noise }, measurement))
     }
 
     /// The model of a robot of which some numbers are known to a tolerance only.
@@ -257,7 +258,7 @@ impl Report for JerkMeasurement {
         n * (self.dense() + 2) + self.dense()
     }
 
-    /// Where the motors' channels were linearised, and what came of it.
+    /// Where the motors' channels were linearised, and the result.
     #[inline(always)]
     fn remember(&self, memory: &mut Vec<f64>) {
         let n = self.model.joints();

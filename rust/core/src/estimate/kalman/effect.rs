@@ -10,7 +10,7 @@ use super::model::Model;
 use super::sensitivity::Sensitivity;
 use crate::linear;
 
-/// A fault below so many standard deviations of what is known of it is none: the channel has returned.
+/// A fault below this many of its own standard deviations is over: the channel has recovered.
 const RETURNED: f64 = 3.0;
 /// Steps that are remembered.
 const MOST: usize = 256;

@@ -16,13 +16,13 @@ use super::elastic_sensitivity::ElasticSensitivity;
 use super::gaussian::{Gaussian, Symmetric};
 use super::model::{Paired, Process};
 use super::recording::{KalmanRecording, KalmanSample};
-use super::transition::Transition;
 use super::tolerances::Tolerances;
+use super::transition::Transition;
 use crate::check::{check_deviations, check_readings, check_times, expect_length};
 use crate::dynamics::ElasticLayout;
 use crate::error::DesignError;
 use crate::estimate::measurement::Kind;
-use crate::estimate::observer::link_position_at_rest;
+use crate::estimate::observer::Rest;
 use crate::robot::{Drive, Robot};
 use std::sync::Arc;
 
@@ -169,6 +169,7 @@ impl ElasticModel {
             after: vec![0.0; n],
             outage: vec![(0.0, 0.0); n],
             held: settings.held,
+            rest: Rest::new(&robot),
             robot,
             biases,
             states,
@@ -212,6 +213,8 @@ pub struct ElasticProcess {
     /// Mean and variance of each disturbance before its torque's readings were missing.
     outage: Vec<(f64, f64)>,
     held: bool,
+    /// Finds where links hang at a first sample.
+    rest: Rest,
 }
 
 impl ElasticProcess {
@@ -274,46 +277,46 @@ impl ElasticProcess {
     }
 
     /// Links and motors at rest at these positions, everything independent.
-    fn initial(&self, q: &[f64], theta: &[f64]) -> Gaussian {
-        let (n, layout) = (self.robot.len(), &self.transition.layout);
+    fn begin(&self, theta: &[f64], belief: &mut Gaussian) {
+        let (n, layout, q) = (self.robot.len(), &self.transition.layout, self.rest.q());
         let (position, rest) = self.noise.initial.split_at(n);
         let (velocity, disturbance) = rest.split_at(n);
-        let mut std = vec![0.0; self.states];
-        let mut mean = vec![0.0; self.states];
+        belief.clear();
+        let mut set = |state: usize, mean: f64, std: f64| {
+            belief.mean[state] = mean;
+            belief.covariance.put(state, state, std * std);
+        };
         for j in 0..n {
-            for (k, s, x) in [(layout.theta[j], position[j], theta[j]), (layout.dtheta[j], velocity[j], 0.0)] {
-                (std[k], mean[k]) = (if self.robot.drives[j].is_passive() { FIXED * s } else { s }, x);
+            for (k, x, s) in [(layout.theta[j], theta[j], position[j]), (layout.dtheta[j], 0.0, velocity[j])] {
+                set(k, x, if self.robot.drives[j].is_passive() { FIXED * s } else { s });
             }
-            (std[j], mean[j]) = (position[j], q[j]);
-            std[n + j] = velocity[j];
+            set(j, q[j], position[j]);
+            set(n + j, 0.0, velocity[j]);
             if let Some(first) = layout.disturbance {
-                std[first + j] = disturbance[j];
+                set(first + j, 0.0, disturbance[j]);
             }
         }
         // A friction element may be anywhere between its limits.
         for (_, k, element) in layout.elements(&self.robot) {
-            std[k] = element.reach() / 3.0_f64.sqrt();
+            set(k, 0.0, element.reach() / 3.0_f64.sqrt());
         }
         for (bias, s) in self.biases.iter().zip(&self.noise.initial_bias) {
             if let Some(b) = *bias {
-                std[b] = *s;
+                set(b, 0.0, *s);
             }
         }
         if let Some(first) = layout.link_disturbance {
-            std[first..][..n].copy_from_slice(&self.links);
+            self.links.iter().enumerate().for_each(|(j, s)| set(first + j, 0.0, *s));
         }
-        let mut belief = Gaussian::independent(&std);
-        belief.mean.copy_from_slice(&mean);
         for (j, k, element) in layout.elements(&self.robot) {
             // What it holds the spring need not: the link is nearer to its motor.
             let drive = &self.robot.drives[j];
-            let compliance = drive.compliance(drive.torsion_between(theta[j], mean[j]));
+            let compliance = drive.compliance(drive.torsion_between(theta[j], belief.mean[j]));
             depend(&mut belief.covariance, j, k, element.stiffness * compliance);
         }
         if let Some(first) = layout.link_disturbance {
-            hold(&self.robot, theta, first, &mut belief);
+            hold(&self.robot, theta, first, belief);
         }
-        belief
     }
 }
 
@@ -346,8 +349,8 @@ impl Process for ElasticProcess {
             return Err(DesignError::NoStart { joint });
         }
         // At rest θ is known by its reading and q hangs behind it, by the torsion that gravity asks for.
-        let q = link_position_at_rest(&self.robot, theta)?;
-        *belief = self.initial(&q, theta);
+        self.rest.find(&self.robot, theta)?;
+        self.begin(theta, belief);
         self.resume(sample, belief);
         Ok(())
     }

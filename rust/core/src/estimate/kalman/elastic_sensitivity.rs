@@ -1,7 +1,7 @@
 //! What errors of a robot's numbers do to its accelerations, and by them to a step of time and to readings.
 //!
 //! The equations of motion are linear in nearly all parameters, F(x, ẍ) = Y p, so that at a given state ∂ẍ/∂p = −(∂F/∂ẍ)⁻¹ Y: one
-//! right-hand side a parameter through factors that the step of time has anyway. Columns then ride along with the covariance:
+//! right-hand side a parameter through factors that the step of time has anyway. Columns are then propagated with the covariance:
 //! Σ ← Φ Σ + ∫ e^(A s) ∂ẋ/∂p ds over a step, and ∂h/∂p + H Σ at a reading.
 
 use super::tolerances::Tolerances;
@@ -28,13 +28,15 @@ pub(super) struct ElasticSensitivity {
     pub(super) motors: Vec<f64>,
     /// What the transmissions give their links more, in the same state (n × stride).
     transmitted: Vec<f64>,
+    /// Motor positions (n) [rad].
+    angles: Vec<f64>,
 }
 
 impl ElasticSensitivity {
     pub(super) fn new(tolerances: Tolerances, joints: usize) -> Self {
         let stride = tolerances.len().next_multiple_of(linear::LANES);
         let [links, motors, transmitted] = core::array::from_fn(|_| vec![0.0; joints * stride]);
-        Self { tolerances, stride, links, motors, transmitted }
+        Self { tolerances, stride, links, motors, transmitted, angles: vec![0.0; joints] }
     }
 
     /// The parameters, in the order of the columns.
@@ -89,7 +91,10 @@ impl ElasticSensitivity {
     /// Torques of parameters on links and motors, and in transmissions.
     #[inline(always)]
     fn load(&mut self, robot: &Robot, layout: &ElasticLayout, dynamics: &ElasticDynamics, x: &[f64], tau: &[f64]) {
-        let Self { tolerances, stride, links, motors, transmitted } = self;
+        let Self { tolerances, stride, links, motors, transmitted, angles } = self;
+        for (angle, &k) in angles.iter_mut().zip(&layout.theta) {
+            *angle = x[k];
+        }
         for torques in [&mut *links, &mut *motors, &mut *transmitted] {
             torques.fill(0.0);
         }
@@ -97,7 +102,7 @@ impl ElasticSensitivity {
             use Uncertain as U;
             if let U::Mass(link) = *parameter {
                 shares_of_link(&dynamics.kinematics, &robot.tree, link, |j, share| {
-                    links[j * *stride + column] = -share;
+                    links[j * *stride + column] -= share;
                 });
                 continue;
             }
@@ -113,6 +118,20 @@ impl ElasticSensitivity {
                     }
                 });
                 continue;
+            }
+            if let Some(motor) = robot.gearing.as_ref().and_then(|gearing| gearing.motor(j)) {
+                // A motor that turns several joints: what it gives more, all of them feel.
+                let drive = &robot.drives[j];
+                let more = match parameter {
+                    U::TorqueConstant(_) => Some(motor.torque(|j| tau[j])),
+                    U::MotorFriction(_) => Some(-drive.motor_friction(motor.speed(|j| x[layout.dtheta[j]])).0),
+                    U::MotorInertia(_) => Some(-drive.motor_inertia * motor.speed(|j| dynamics.ddtheta[j])),
+                    _ => None,
+                };
+                if let Some(more) = more {
+                    motor.joints().for_each(|(k, by)| motors[k * *stride + column] = more * by);
+                    continue;
+                }
             }
             let (drive, at) = (&robot.drives[j], j * *stride + column);
             let (theta, speed, dq) = (x[layout.theta[j]], x[layout.dtheta[j]], x[layout.joints + j]);
@@ -133,6 +152,7 @@ impl ElasticSensitivity {
                 | U::CubicStiffness(_)
                 | U::Damping(_)
                 | U::EncoderZero(_)
+                | U::EncoderLine(..)
                 | U::LostMotion(_)
                 | U::Hysteresis(_) => {}
                 _ => motors[at] = motor,
@@ -173,6 +193,9 @@ impl ElasticSensitivity {
             if let Uncertain::EncoderZero(j) | Uncertain::LostMotion(j) = *parameter {
                 let row = channels.iter().position(|c| *c == Channel::Motor(j));
                 row.into_iter().for_each(|row| put(row, 1.0));
+            } else if let Uncertain::EncoderLine(j, line) = *parameter {
+                let row = channels.iter().position(|c| *c == Channel::Motor(j));
+                row.into_iter().for_each(|row| put(row, robot.drives[j].encoder_line(line, self.angles[j])));
             } else if let Uncertain::Yielding(j) = *parameter {
                 let row = channels.iter().position(|c| *c == Channel::Motor(j) && !robot.drives[j].elastic);
                 row.into_iter().for_each(|row| {

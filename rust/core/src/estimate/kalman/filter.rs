@@ -1,14 +1,17 @@
 //! The extended Kalman filter: one step, and whole recordings.
 
 use super::consider::Consider;
-use super::correction::Correction;
+use super::correction::{Correction, Readings};
 use super::driven::JerkDriven;
 use super::effect::Step;
 use super::findings::Finding;
 use super::gaussian::{Gaussian, Symmetric};
+use super::iterated::IteratedSmoother;
+use super::loss::{NoiseLoss, SensorLosses};
 use super::monitor::Monitor;
 use super::output::{FilterOutput, Keep, Tool};
-use super::phases::{Judge, Linearise, Phases, Predict, Update, WriteReport};
+use super::path::StatePath;
+use super::phases::{Judge, Linearise, Phases, Predict, Update, WeighReadings, WriteReport};
 use super::recording::{KalmanRecording, KalmanSample};
 use super::smoother::{History, Smoother};
 use crate::check::{expect, expect_length};
@@ -16,13 +19,18 @@ use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
 use crate::interrupt::Watch;
 use crate::linear;
+use crate::memory::filled;
 use crate::parallel;
+use std::sync::Arc;
 
 /// A sample's measurement is linearised no more often than this.
 pub const MOST_ITERATIONS: usize = 100;
 
 /// The first samples of links with disturbance torques are linearised so often: links stand far from where motors say.
 const EARLY: (usize, usize) = (32, 5);
+
+/// A sample's readings are weighed so often where their noise has outliers.
+const WEIGHINGS: usize = 4;
 
 /// What a filter does beyond the textbook.
 #[derive(Clone, Copy, Debug)]
@@ -31,6 +39,17 @@ pub struct FilterSettings {
     pub gate: Option<f64>,
     /// How often the measurement is linearised, each time at the estimate of the time before; 1 is the plain update.
     pub iterations: usize,
+}
+
+/// What is made of a recording.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Way {
+    /// Each sample by those up to it: [`ExtendedKalmanFilter::run`].
+    Filter,
+    /// Each by all: [`Smoother`].
+    Smooth,
+    /// Each by all, linearised at the estimate itself: [`IteratedSmoother`].
+    Iterate,
 }
 
 /// How a sample's readings fitted what was predicted.
@@ -103,6 +122,10 @@ pub struct ExtendedKalmanFilter<M> {
     started: bool,
     /// The belief at the first sample; none: at rest.
     start: Option<Gaussian>,
+    /// What errors of each sensor's readings cost.
+    pub(super) sensors: SensorLosses,
+    /// Where to linearise; none: at its own estimates.
+    path: Option<Arc<StatePath>>,
 }
 
 impl ExtendedKalmanFilter<JerkDriven> {
@@ -140,6 +163,8 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
             taken: 0,
             started: false,
             start: None,
+            sensors: SensorLosses::of_squares(&model),
+            path: None,
             belief,
             model,
             settings,
@@ -158,10 +183,54 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         Ok(())
     }
 
-    /// Forgets the state: the next sample starts anew.
+    /// From now on errors of readings cost this (channels); the sensor's first channel counts for all of its axes.
+    ///
+    /// A sensor's noise is then divided by how much its readings count, given the estimate that they lead to: the variational
+    /// update (G. Agamennoni, J. I. Nieto and E. M. Nebot 2012), at a few times the cost of a plain one.
+    ///
+    /// # Errors
+    /// Not one a channel.
+    pub fn set_losses(&mut self, losses: &[NoiseLoss]) -> Result<(), DesignError> {
+        self.sensors = SensorLosses::new(&self.model, losses)?;
+        Ok(())
+    }
+
+    /// From now on linearises at these leading states, one row a sample, and not at its own estimates; further states are
+    /// taken to be zero there.
+    ///
+    /// The covariance, which then depends on no reading's value, is the Cramér–Rao bound along that trajectory (P. Tichavský,
+    /// C. H. Muravchik and A. Nehorai 1998); a [`Smoother`] of this filter has that by all readings.
+    ///
+    /// # Errors
+    /// Rows of more states than the model has, or no whole number of rows.
+    pub fn linearise_along(&mut self, leading: &[f64], width: usize) -> Result<(), DesignError> {
+        let (states, channels) = (self.model.states(), self.model.channels());
+        expect(
+            (1..=states).contains(&width),
+            "states of a trajectory",
+            width as f64,
+            "as many as the model has, or fewer",
+        )?;
+        expect_length("trajectory", leading.len(), leading.len() / width * width)?;
+        let mut means = filled(0.0, leading.len() / width, states)?;
+        for (own, row) in means.chunks_exact_mut(states).zip(leading.chunks_exact(width)) {
+            own[..width].copy_from_slice(row);
+        }
+        let weights = filled(1.0, leading.len() / width, channels)?;
+        self.path = Some(Arc::new(StatePath { states, channels, means, weights }));
+        Ok(())
+    }
+
+    /// From now on linearises at this path, and weighs readings as it says.
+    pub(super) fn set_path(&mut self, path: Option<Arc<StatePath>>) {
+        self.path = path;
+    }
+
+    /// Resets the filter: the next sample starts from the beginning.
     pub fn reset(&mut self) {
         self.taken = 0;
         self.started = false;
+        self.correction.reset_weights();
         if let Some(consider) = &mut self.consider {
             consider.reset();
         }
@@ -226,6 +295,25 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         covariance
     }
 
+    /// As [`covariance`](Self::covariance), row-major (states × states), into memory that is there.
+    ///
+    /// # Errors
+    /// Another length.
+    pub fn covariance_into(&mut self, out: &mut [f64]) -> Result<(), DesignError> {
+        let states = self.belief.mean.len();
+        expect_length("covariance", out.len(), states * states)?;
+        for (own, row) in
+            out.chunks_exact_mut(states).zip(self.belief.covariance.data.chunks_exact(self.belief.covariance.stride))
+        {
+            own.copy_from_slice(&row[..states]);
+        }
+        if let Some(consider) = &mut self.consider {
+            consider.sum_up_apart(states);
+            linear::add_scaled(out, 1.0, &consider.total[..states * states]);
+        }
+        Ok(())
+    }
+
     /// This filter without what tolerances add.
     pub(crate) fn without_tolerances(&self) -> Self {
         Self { consider: None, ..self.clone() }
@@ -254,7 +342,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
     ///
     /// # Errors
     /// A sample that cannot be used, or a first one from which the model cannot [start](Model::start): the state stays as it
-    /// was. [`RunError::NotFinite`]: readings so absurd that nothing is left; the next sample starts anew.
+    /// was. [`RunError::NotFinite`]: readings so extreme that the state is not finite; the next sample restarts.
     pub fn step(&mut self, sample: KalmanSample<'_>) -> Result<(), RunError> {
         self.step_with(sample, |_, _| ())
     }
@@ -291,10 +379,22 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
     }
 
     /// To the sample's time; afterwards the belief is what was predicted.
-    fn advance(&mut self, sample: &KalmanSample<'_>) -> Result<(), DesignError> {
+    pub(super) fn advance(&mut self, sample: &KalmanSample<'_>) -> Result<(), DesignError> {
+        if let Some(path) = &self.path {
+            expect(self.taken < path.len(), "samples", (self.taken + 1) as f64, "no more than the trajectory has")?;
+        }
         if self.started {
             // x⁻ = f(x), P⁻ = F P Fᵀ + Q, and Σ ← F Σ + ∂f/∂p of the parameters that are known to a tolerance.
-            M::predict_phase(Predict { model: &mut self.model, sample, belief: &mut self.belief });
+            let Self { model, belief, prior: Gaussian { mean: beyond, .. }, path, .. } = self;
+            if let Some(path) = &path {
+                path.replace(self.taken - 1, belief, beyond);
+            }
+            M::predict_phase(Predict { model, sample, belief });
+            if path.is_some() {
+                // x⁻ = f(x₀) + F (x − x₀).
+                model.carry_noise_free(beyond, 1, sample.dt);
+                linear::add_scaled(&mut belief.mean, 1.0, beyond);
+            }
             if let Some(consider) = &mut self.consider {
                 consider.carry(&mut self.model, sample.dt);
             }
@@ -302,7 +402,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
             // A first sample: no time passes, and the belief is the prior that its readings then correct.
             match &self.start {
                 Some(start) => {
-                    self.belief = start.clone();
+                    self.belief.begin_with(start);
                     self.model.resume(sample, &mut self.belief);
                 }
                 None => self.model.start(sample, &mut self.belief)?,
@@ -321,18 +421,31 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
     fn correct(&mut self, sample: &KalmanSample<'_>) {
         // A channel stays shut out over all iterations of this sample: the gate judges the first innovation only.
         self.correction.gated.fill(false);
-        let passes = self.passes();
+        let (linearisations, robust) = (self.linearisations(), self.path.is_none() && self.sensors.is_robust());
+        let passes = linearisations.max(if robust { WEIGHINGS } else { 1 });
         if passes > 1 {
             self.prior.copy_from(&self.belief);
         }
         self.linearise();
+        if robust {
+            // First by what was predicted, or an outlier would hide itself in what it does to the estimate.
+            self.weigh(sample.readings, false);
+        }
         self.update(sample.readings, self.settings.gate);
         // Iterated update (Bell and Cathey 1993): Gauss–Newton on prior and readings together. Each pass begins from
         // the prior, not from the pass before, or the readings would count as often as there are passes.
-        for _ in 1..passes {
-            self.linearise();
+        for pass in 1..passes {
+            if pass < linearisations {
+                self.linearise();
+            }
+            if robust {
+                self.weigh(sample.readings, true);
+            }
             self.belief.copy_from(&self.prior);
             self.update(sample.readings, None);
+        }
+        if robust || self.path.is_some() {
+            self.correction.settle_weights();
         }
         // What innovations say beside the state: of parameters (their estimates, a NIS whitened of them), and of
         // faults.
@@ -345,8 +458,11 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
     }
 
     /// How often this sample's measurement is linearised.
-    fn passes(&self) -> usize {
+    fn linearisations(&self) -> usize {
         let (samples, passes) = EARLY;
+        if self.path.is_some() {
+            return 1;
+        }
         if self.taken < samples && self.model.link_disturbance().is_some() {
             return self.settings.iterations.max(passes);
         }
@@ -359,12 +475,29 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         M::update_phase(Update { model: &*model, correction, belief, readings, gate });
     }
 
-    /// At the present mean.
+    /// How much readings count by the present belief, which has `used` them or not.
+    fn weigh(&mut self, values: &[f64], used: bool) {
+        let Self { model, correction, belief, sensors, .. } = self;
+        M::weigh_phase(WeighReadings {
+            model: &*model,
+            correction,
+            belief,
+            readings: Readings { values, used },
+            sensors,
+        });
+    }
+
+    /// At the present mean, or where the path says.
     fn linearise(&mut self) {
         // Copied, for `update` moves the mean reading by reading while the channels stay linearised here.
-        let reference = &mut self.correction.reference;
+        let Correction { reference, weights, .. } = &mut self.correction;
         let d = reference.len();
-        reference.copy_from_slice(&self.belief.mean[..d]);
+        if let Some(path) = &self.path {
+            reference.copy_from_slice(&path.state(self.taken)[..d]);
+            weights.copy_from_slice(path.weights(self.taken));
+        } else {
+            reference.copy_from_slice(&self.belief.mean[..d]);
+        }
         M::linearise_phase(Linearise { model: &mut self.model, reference });
     }
 
@@ -377,32 +510,33 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         self.run_with(recording, keep, None)
     }
 
-    /// Runs each of `recordings` from a fresh start, on all cores; through the smoother where `smooth`.
+    /// Runs each of `recordings` from a fresh start, on all cores.
     pub fn run_all(
         &self,
         recordings: &[KalmanRecording<'_>],
-        smooth: bool,
+        way: Way,
         keep: Keep,
     ) -> Vec<Result<FilterOutput, RunError>> {
         let jobs: Vec<_> = recordings.iter().map(|&recording| (self, recording)).collect();
-        Self::run_each(&jobs, smooth, keep)
+        Self::run_each(&jobs, way, keep)
     }
 
     /// As [`run_all`](Self::run_all), each recording with a filter of its own.
     pub fn run_each(
         jobs: &[(&Self, KalmanRecording<'_>)],
-        smooth: bool,
+        way: Way,
         keep: Keep,
     ) -> Vec<Result<FilterOutput, RunError>> {
-        parallel::map(jobs, |&(filter, recording)| {
-            if smooth {
-                return Smoother::new(filter).run(recording, keep);
+        parallel::map(jobs, |&(filter, recording)| match way {
+            Way::Smooth => Smoother::new(filter).run(recording, keep),
+            Way::Iterate => IteratedSmoother::new(filter).run(recording, keep),
+            Way::Filter => {
+                // A fresh start for each, so that the estimate depends on its own recording alone, whichever core it
+                // falls to.
+                let mut filter = filter.clone();
+                filter.reset();
+                filter.run(recording, keep)
             }
-            // A fresh start for each, so that the estimate depends on its own recording alone, whichever core it falls
-            // to.
-            let mut filter = filter.clone();
-            filter.reset();
-            filter.run(recording, keep)
         })
     }
 
@@ -413,7 +547,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         keep: Keep,
         mut history: Option<&mut History>,
     ) -> Result<FilterOutput, RunError> {
-        let count = recording.dt.len();
+        let (count, before) = (recording.dt.len(), self.taken);
         let mut out = FilterOutput::zeros(count, &self.model, keep)?;
         let watch = Watch::current();
         // The recursion of Kalman (1960) with the derivatives of the extended filter, sample by sample; each step is a
@@ -452,6 +586,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
             }
             out.write_fit(i, &self.correction);
         }
+        Status::doubt_start(&mut out.status, before);
         out.findings.extend_from_slice(self.findings());
         Ok(out)
     }

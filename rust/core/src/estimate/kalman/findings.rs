@@ -3,7 +3,7 @@
 use super::signal::{Fault, RUN, Signal};
 use crate::estimate::Status;
 
-/// A contradiction without a name that began at most so many samples before a fault is the fault itself, as it begins.
+/// A contradiction without a name that began at most this many samples before a fault is the fault itself, as it begins.
 pub(super) const LEAD: u64 = 32;
 /// Samples without an alarm after which a finding is over.
 pub(super) const CALM: u64 = 256;

@@ -169,11 +169,16 @@ impl Gaussian {
         Ok(belief)
     }
 
+    /// A mean of zero, and nothing uncertain.
+    pub(super) fn clear(&mut self) {
+        self.mean.fill(0.0);
+        self.covariance.data.fill(0.0);
+    }
+
     /// Its first entries as `own`; the others are zero, and known to be.
     pub(super) fn begin_with(&mut self, own: &Self) {
         let n = own.mean.len();
-        self.mean.fill(0.0);
-        self.covariance.data.fill(0.0);
+        self.clear();
         self.mean[..n].copy_from_slice(&own.mean);
         let Symmetric { stride, data, .. } = &mut self.covariance;
         for (to, from) in data.chunks_exact_mut(*stride).zip(own.covariance.data.chunks_exact(own.covariance.stride)) {

@@ -131,15 +131,13 @@ impl JerkModel {
     }
 
     /// Links at `q`, at rest, with the initial uncertainty of `noise`.
-    pub(crate) fn initial(&self, q: &[f64], noise: &JerkNoise) -> Gaussian {
-        let mut std = noise.initial.clone();
-        std.extend_from_slice(self.disturbances.initial());
-        for (bias, value) in self.biases.iter().zip(&noise.initial_bias) {
-            std.extend(bias.map(|_| *value));
+    pub(crate) fn begin(&self, q: &[f64], noise: &JerkNoise, belief: &mut Gaussian) {
+        let biases = self.biases.iter().zip(&noise.initial_bias).filter_map(|(bias, std)| bias.map(|_| std));
+        belief.clear();
+        for (i, std) in noise.initial.iter().chain(self.disturbances.initial()).chain(biases).enumerate() {
+            belief.covariance.put(i, i, std * std);
         }
-        let mut belief = Gaussian::independent(&std);
         belief.mean[..q.len()].copy_from_slice(q);
-        belief
     }
 
     /// What the biases do in time.

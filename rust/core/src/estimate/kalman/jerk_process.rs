@@ -6,7 +6,7 @@ use super::jerk::{JerkModel, JerkNoise};
 use super::model::Process;
 use super::recording::{KalmanRecording, KalmanSample};
 use crate::error::DesignError;
-use crate::estimate::observer::link_position_at_rest;
+use crate::estimate::observer::Rest;
 use crate::robot::Robot;
 
 /// See the module.
@@ -20,6 +20,8 @@ pub struct JerkProcess {
     pub(crate) model: JerkModel,
     /// Densities, walks and initial uncertainties.
     pub(crate) noise: JerkNoise,
+    /// Finds where links hang at a first sample.
+    pub(super) rest: Rest,
 }
 
 impl Process for JerkProcess {
@@ -41,8 +43,8 @@ impl Process for JerkProcess {
         if let Some(joint) = theta.iter().position(|x| x.is_nan()) {
             return Err(DesignError::NoStart { joint });
         }
-        let q = link_position_at_rest(&self.model.robot, theta)?;
-        *belief = self.model.initial(&q, &self.noise);
+        let q = self.rest.find(&self.model.robot, theta)?;
+        self.model.begin(q, &self.noise, belief);
         if let Some(first) = self.link_disturbance() {
             hold(&self.model.robot, theta, first, belief);
         }

@@ -26,7 +26,7 @@ use crate::robot::Robot;
 /// The state begins with the link positions (n).
 ///
 /// A filter asks for [`start`](Self::start) and [`predict`](Self::predict); the rest serves the smoother, which goes
-/// through the same steps backwards, and parameters, whose columns ride along. All in place, without allocating.
+/// through the same steps backwards, and parameters, whose columns are propagated too. All in place, without allocating.
 pub trait Process: Clone + Send + Sync {
     /// The robot.
     fn robot(&self) -> &Robot;
@@ -332,6 +332,8 @@ impl<P: Process, M: Measurement> Paired<P, M> {
             .then(|| Box::new(Late::new(inside, own, self.process.states(), self.measurement.dense())));
         if let Some(late) = &self.late {
             self.process.widen(late.states());
+            let parameters = self.measurement.tolerances().len().next_multiple_of(linear::LANES);
+            self.driven = vec![0.0; self.measurement.channels().len() * parameters];
         }
         Ok(self)
     }

@@ -29,13 +29,13 @@ const WINDOWS: [usize; 2] = [8, 64];
 const BANKS: [u32; 3] = [32, 256, 64];
 /// Which that is.
 const ONSET: usize = 2;
-/// Samples of it after which a channel may be named: what lasts is told from what does not, and from a wrong model.
+/// Samples of it after which a channel may be named: lasting faults then differ from short ones and from a wrong model.
 const LASTS: u32 = 4;
-/// A fault below so many standard deviations of a reading is not told from a wrong model, nor from an encoder's steps.
+/// A fault below this many standard deviations of a reading cannot be distinguished from a wrong model or an encoder's steps.
 const SMALL: f64 = 3.5;
-/// A jump by so many standard deviations is named at once: what it does to a filter is not linear any more.
+/// A jump by this many standard deviations is named at once, because its effect on the filter is no longer linear.
 const GROSS: f64 = 20.0;
-/// So many times fewer degrees of freedom than readings, as neighbours are correlated.
+/// Readings for each degree of freedom, because neighbours are correlated.
 const CORRELATED: f64 = 4.0;
 /// Part of a sample's contradiction that the channel must explain that is named: where many channels contradict, it is the
 /// model.
@@ -44,7 +44,7 @@ const MOST_OF: f64 = 0.5;
 const NEARLY_ALL: f64 = 0.8;
 /// Samples that a filter remembers: what contradicts it longer is the same error again.
 const MEMORY: f64 = 16.0;
-/// Mean square of all residuals of the longest window from which on what is known of parameters is not to be believed.
+/// Mean square of all residuals of the longest window from which on the knowledge of the parameters is not trusted.
 const LASTING: f64 = 4.0;
 /// A sample counts there by no more than such a mean square.
 const SHOCK: f64 = 16.0;
@@ -170,14 +170,14 @@ impl Monitor {
         let now = self.taken - 1;
         let mut flags = self.findings.record(verdict, now, (&self.signals, &self.turns), matters);
         if let Some(channel) = self.findings.look_again(now, (&self.signals, &self.turns)) {
-            self.effect.release(channel, now); // no step, and over when the channel reads anew
+            self.effect.release(channel, now); // no step, and over when the channel has a new reading
         }
         if let Judgement::Channel(alarm) = verdict
             && self.findings.is_step(&alarm)
         {
             self.take_step(model, correction, alarm);
         }
-        // 5. A row is not to be believed as long as what faults did to some link is not small.
+        // 5. A row is faulty as long as the effect of faults on some link is not small.
         if self.effect.is_active()
             && self.any_link(belief, consider, |j, _, whole| self.effect.error[j] * self.effect.error[j] > whole)
         {
@@ -211,7 +211,7 @@ impl Monitor {
         }
     }
 
-    /// Carries a fault along from now on; the search for others begins anew.
+    /// Propagates the effect of a fault from now on; the search for others starts again.
     fn take_step(&mut self, model: &impl Model, correction: &Correction, alarm: Alarm) {
         let Alarm { channel, size, age, variance, bank, .. } = alarm;
         let now = self.taken - 1;
@@ -340,7 +340,7 @@ impl Monitor {
     }
 }
 
-/// Part of a window of so many samples that a filter remembers.
+/// Share of a window of this many samples that a filter remembers.
 fn remembered(samples: usize) -> f64 {
     (MEMORY / samples as f64).min(1.0)
 }

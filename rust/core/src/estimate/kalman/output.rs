@@ -261,7 +261,7 @@ impl Tool {
         jacobian.fill(0.0);
         kinematics.position_jacobian(&robot.tree, frame, |joint, column| {
             for (row, value) in jacobian.chunks_exact_mut(q.len()).zip(column.0) {
-                row[joint] = value;
+                row[joint] += value;
             }
         });
         Some(kinematics.position(frame).0)

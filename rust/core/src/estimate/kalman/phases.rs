@@ -1,13 +1,15 @@
 //! What is compiled for each instruction set: the phases of a sample.
 //!
 //! A phase takes what it works on as one value and is compiled once for each instruction set and model. The filter's loop
-//! is then a sequence of calls, chosen anew each sample ([`simd::phase`]), and holds no arithmetic of its own.
+//! is then a sequence of calls, chosen at each sample ([`simd::phase`]), and holds no arithmetic of its own.
 
 use super::consider::Consider;
-use super::correction::Correction;
+use super::correction::{Correction, Readings};
 use super::driven::JerkDriven;
 use super::elastic::ElasticModel;
 use super::gaussian::Gaussian;
+use super::iterated::MeanBack;
+use super::loss::SensorLosses;
 use super::model::Model;
 use super::monitor::Monitor;
 use super::output::{FilterOutput, Tool};
@@ -26,11 +28,15 @@ pub trait Phases: Model {
     #[doc(hidden)]
     fn update_phase(phase: Update<'_, Self>);
     #[doc(hidden)]
+    fn weigh_phase(phase: WeighReadings<'_, Self>);
+    #[doc(hidden)]
     fn judge_phase(phase: Judge<'_, '_, Self>);
     #[doc(hidden)]
     fn report_phase(phase: WriteReport<'_, Self>);
     #[doc(hidden)]
     fn back_phase(phase: SmoothBack<'_, Self>);
+    #[doc(hidden)]
+    fn mean_phase(phase: MeanBack<'_, Self>);
     #[doc(hidden)]
     fn retreat_phase(phase: Retreat<'_, Self>);
 }
@@ -52,6 +58,10 @@ macro_rules! phases {
                 simd::phase(phase);
             }
 
+            fn weigh_phase(phase: WeighReadings<'_, Self>) {
+                simd::phase(phase);
+            }
+
             fn judge_phase(phase: Judge<'_, '_, Self>) {
                 simd::phase(phase);
             }
@@ -61,6 +71,10 @@ macro_rules! phases {
             }
 
             fn back_phase(phase: SmoothBack<'_, Self>) {
+                simd::phase(phase);
+            }
+
+            fn mean_phase(phase: MeanBack<'_, Self>) {
                 simd::phase(phase);
             }
 
@@ -119,6 +133,24 @@ impl<M: Model> Kernel for Update<'_, M> {
     #[inline(always)]
     fn run(self) {
         self.correction.update(self.model, self.belief, self.readings, self.gate);
+    }
+}
+
+/// How much the readings of the channels that were linearised count.
+pub(super) struct WeighReadings<'a, M> {
+    pub(super) model: &'a M,
+    pub(super) correction: &'a mut Correction,
+    pub(super) belief: &'a Gaussian,
+    pub(super) readings: Readings<'a>,
+    pub(super) sensors: &'a SensorLosses,
+}
+
+impl<M: Model> Kernel for WeighReadings<'_, M> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.correction.weigh(self.model, self.belief, self.readings, self.sensors);
     }
 }
 

@@ -1,4 +1,4 @@
-//! What errors that a filter does not estimate do to its state: columns that ride along with it.
+//! Effect on the state of errors that a filter does not estimate: columns that are propagated with it.
 
 use super::correction::{Correction, observe};
 use super::model::Model;
@@ -21,7 +21,7 @@ pub(super) struct Sensitivity {
 }
 
 impl Sensitivity {
-    /// To so many errors; zero.
+    /// To this many errors; zero.
     pub(super) fn new(model: &impl Model, errors: usize) -> Self {
         let stride = errors.next_multiple_of(linear::LANES);
         Self {

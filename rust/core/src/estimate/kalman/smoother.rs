@@ -22,6 +22,7 @@ use crate::interrupt::Watch;
 use crate::linear;
 use crate::memory::room;
 use crate::simd::Kernel;
+use core::ops::Range;
 
 /// What the filter knew at each sample of a stretch.
 #[derive(Clone, Debug)]
@@ -30,9 +31,9 @@ pub(super) struct History {
     states: usize,
     stride: usize,
     /// Time before each sample [s].
-    dt: Vec<f64>,
+    pub(super) dt: Vec<f64>,
     /// x⁻, states a sample.
-    means: Vec<f64>,
+    pub(super) means: Vec<f64>,
     /// P⁻, states × stride a sample: the lion's share of the memory.
     covariances: Vec<f64>,
     /// H, channels × dense a sample.
@@ -53,7 +54,7 @@ pub(super) struct History {
 
 impl History {
     /// Room for `count` samples, all of it at once: a recording that is too long says so before it starts.
-    fn with_capacity(count: usize, model: &impl Model, stride: usize) -> Result<Self, DesignError> {
+    pub(super) fn with_capacity(count: usize, model: &impl Model, stride: usize) -> Result<Self, DesignError> {
         let (d, m, states) = (model.dense(), model.channels(), model.states());
         Ok(Self {
             states,
@@ -73,13 +74,13 @@ impl History {
 
     /// The predicted covariance at sample `i`.
     #[inline(always)]
-    fn covariance(&self, i: usize) -> &[f64] {
+    pub(super) fn covariance(&self, i: usize) -> &[f64] {
         &self.covariances[i * self.states * self.stride..][..self.states * self.stride]
     }
 
     /// What the model remembered of sample `i`.
     #[inline(always)]
-    fn memory(&self, i: usize) -> &[f64] {
+    pub(super) fn memory(&self, i: usize) -> &[f64] {
         let size = self.memories.len() / self.dt.len();
         &self.memories[i * size..][..size]
     }
@@ -109,7 +110,7 @@ impl History {
         self.jacobians.extend_from_slice(model.linearised().jacobian);
         self.gains.extend_from_slice(&correction.gains);
         self.innovations.extend_from_slice(&correction.innovations);
-        self.variances.extend((0..model.channels()).map(|c| model.variance(c)));
+        self.variances.extend_from_slice(&correction.variances);
         model.remember(&mut self.memories);
     }
 }
@@ -149,9 +150,9 @@ impl History {
 #[derive(Clone, Debug)]
 pub struct Smoother<M> {
     /// The filter as it is before a recording: model, noise and settings.
-    filter: ExtendedKalmanFilter<M>,
+    pub(super) filter: ExtendedKalmanFilter<M>,
     /// λ, the adjoint state (padded).
-    lambda: Vec<f64>,
+    pub(super) lambda: Vec<f64>,
     /// Λ, what this and later readings say of the state.
     information: Information,
     /// One padded row for each reading: h, and h/√r.
@@ -217,6 +218,9 @@ impl<M: Phases> Kernel for Retreat<'_, M> {
     }
 }
 
+/// The filter as it is before a stretch, and the stretch.
+pub(super) type Stretch<M> = (ExtendedKalmanFilter<M>, Range<usize>);
+
 /// Bytes of history that a stretch may take.
 const STRETCH: usize = 256 << 20;
 
@@ -246,28 +250,32 @@ impl<M: Phases> Smoother<M> {
     /// # Errors
     /// As [`ExtendedKalmanFilter::run`].
     pub fn run(&mut self, recording: KalmanRecording<'_>, keep: Keep) -> Result<FilterOutput, RunError> {
-        let count = recording.dt.len();
-        let stretch = self.stretch();
+        let starts = self.starts(recording)?;
+        // Backwards, the last stretch first: λ and Λ, the information of later readings, stay in `self` from one to the next.
+        self.finish();
+        let mut parts = Vec::with_capacity(starts.len());
+        for (start, rows) in starts.iter().rev() {
+            parts.push(self.stretch_back(start, recording.rows(rows.clone(), &self.filter.model), keep)?);
+        }
+        let mut parts = parts.into_iter().rev();
+        let first = parts.next().unwrap_or_default();
+        Ok(parts.try_fold(first, FilterOutput::followed_by)?)
+    }
+
+    /// The stretches of a recording, and the filter as it is before each.
+    pub(super) fn starts(&self, recording: KalmanRecording<'_>) -> Result<Vec<Stretch<M>>, RunError> {
+        let (count, stretch) = (recording.dt.len(), self.stretch());
         let mut filter = self.filter.clone();
         let mut starts = Vec::with_capacity(count / stretch + 1);
         // Forwards through all stretches, remembering but the filter at the start of each: memory for one, not for all.
         for from in (0..count).step_by(stretch) {
             let to = (from + stretch).min(count);
-            starts.push(filter.clone());
+            starts.push((filter.clone(), from..to));
             if to < count {
                 filter.run(recording.rows(from..to, &self.filter.model), Keep::default())?;
             }
         }
-        // Backwards, the last stretch first: λ and Λ, what later readings say, live on in `self` from one to the next.
-        self.finish();
-        let mut parts = Vec::with_capacity(starts.len());
-        for (i, start) in starts.iter().enumerate().rev() {
-            let rows = i * stretch..((i + 1) * stretch).min(count);
-            parts.push(self.stretch_back(start, recording.rows(rows, &self.filter.model), keep)?);
-        }
-        let mut parts = parts.into_iter().rev();
-        let first = parts.next().unwrap_or_default();
-        Ok(parts.try_fold(first, FilterOutput::followed_by)?)
+        Ok(starts)
     }
 
     /// Samples whose history fits into the memory set aside.
@@ -340,7 +348,22 @@ impl<M: Phases> Smoother<M> {
     #[inline(always)]
     fn back(&mut self, history: &History, i: usize) {
         let m = self.load_rows(history, i);
+        self.pull(history, i);
+        let gains = history.gains(i);
+        self.information.learn(&self.whitened);
+        if let Some(consider) = &mut self.consider {
+            consider.back(&history.consider, i, &history.innovations[i * m..][..m], &self.rows, gains);
+        }
+        if self.effect.is_active() {
+            self.effect.back(&history.effect, i, &history.innovations[i * m..][..m], &self.rows, gains);
+        }
+    }
+
+    /// What [`back`](Self::back) does to λ, with the rows of H that were loaded.
+    #[inline(always)]
+    pub(super) fn pull(&mut self, history: &History, i: usize) {
         let (stride, gains) = (self.lambda.len(), history.gains(i));
+        let m = self.rows.len() / stride;
         // Readings in the order opposite to that in which the filter used them, as each gain belongs to the P of its
         // turn.
         for a in (0..m).rev() {
@@ -349,13 +372,6 @@ impl<M: Phases> Smoother<M> {
                 let pull = linear::dot(&gains[a * stride..][..stride], &self.lambda) + value / variance;
                 linear::add_scaled(&mut self.lambda, -pull, &self.rows[a * stride..][..stride]);
             }
-        }
-        self.information.learn(&self.whitened);
-        if let Some(consider) = &mut self.consider {
-            consider.back(&history.consider, i, &history.innovations[i * m..][..m], &self.rows, gains);
-        }
-        if self.effect.is_active() {
-            self.effect.back(&history.effect, i, &history.innovations[i * m..][..m], &self.rows, gains);
         }
     }
 
@@ -368,7 +384,7 @@ impl<M: Phases> Smoother<M> {
 
     /// Whole rows of H at sample `i`, and each over √r; zero where a reading was not used. Returns how many.
     #[inline(always)]
-    fn load_rows(&mut self, history: &History, i: usize) -> usize {
+    pub(super) fn load_rows(&mut self, history: &History, i: usize) -> usize {
         let Self { filter: ExtendedKalmanFilter { model, .. }, rows, whitened, lambda, .. } = self;
         let (m, d, stride) = (model.channels(), model.dense(), lambda.len());
         for (c, (row, white)) in rows.chunks_exact_mut(stride).zip(whitened.chunks_exact_mut(stride)).enumerate() {

@@ -32,7 +32,7 @@ pub(super) struct StepNoise {
 }
 
 impl StepNoise {
-    /// For `dense` states that noise drives at `sources` with these densities, and so many `inputs`.
+    /// For `dense` states that noise drives at `sources` with these densities, and this many `inputs`.
     pub(super) fn new(dense: usize, sources: Vec<(usize, f64)>, inputs: usize) -> Self {
         let covariance = Symmetric::zeros(dense);
         let stride = covariance.stride;
@@ -134,7 +134,7 @@ impl StepNoise {
         }
     }
 
-    /// Room for further inputs, so that there are so many.
+    /// Room for further inputs, up to this many.
     pub(super) fn set_inputs(&mut self, inputs: usize) {
         self.inputs = vec![0.0; inputs * self.covariance.stride];
     }

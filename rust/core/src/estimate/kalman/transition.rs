@@ -4,7 +4,7 @@
 //!
 //! | part | how |
 //! | --- | --- |
-//! | x(t + h) | the classical rule of fourth order in 2ᵏ substeps, so many that the fastest mode turns by no more than half a radian in one |
+//! | x(t + h) | the classical rule of fourth order in 2ᵏ substeps, in each of which the fastest mode turns by at most half a radian |
 //! | A | ∂a/∂x at the middle of the step, so that Φ is of second order in what A changes by; at its beginning for [`Discretization::FirstOrder`] |
 //! | Φ = e^(A h) | six terms over a substep, doubled k times (N. J. Higham, SIAM J. Matrix Anal. Appl. 26, 2005) |
 //! | Q = ∫ e^(A s) G Gᵀ e^(Aᵀ s) ds | from the same terms, doubled beside Φ: Q₂ = Q + Φ Q Φᵀ |
@@ -26,7 +26,7 @@ use crate::robot::Robot;
 const ANGLE: f64 = 0.5;
 /// Terms of the exponential's series; at [`ANGLE`] they leave less than 2e-6 of a mode's turn.
 const TERMS: usize = 6;
-/// At most so many doublings of a substep.
+/// Largest number of doublings of a substep.
 const MOST: u32 = 12;
 
 /// Scratch of a step of time.
@@ -118,6 +118,7 @@ impl Transition {
     pub(super) fn consider(&mut self, sensitivity: ElasticSensitivity) {
         let n = self.layout.joints;
         self.noise.set_inputs(if sensitivity.is_empty() { n } else { 3 * n });
+        self.carried = vec![0.0; self.layout.dense * sensitivity.tolerances().len().next_multiple_of(linear::LANES)];
         self.sensitivity = sensitivity;
     }
 
@@ -139,7 +140,7 @@ impl Transition {
             self.interpolate(torques, 0.0);
             self.linearise(robot);
         }
-        // So many halvings that the fastest mode turns by no more than ANGLE in a substep: for the mean that is
+        // Number of halvings after which the fastest mode turns by no more than ANGLE in a substep: for the mean that is
         // accuracy (the rule of Runge and Kutta is of order 4), for the covariance the radius within which the
         // exponential's series is short.
         let short = |k: &u32| f64::from(1_u32 << k) * ANGLE < dt * self.fastest;

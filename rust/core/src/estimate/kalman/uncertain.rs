@@ -33,6 +33,9 @@ pub enum Uncertain {
     MotorInertia(usize),
     /// How far a joint's motor position is from the link's zero, all the time [rad].
     EncoderZero(usize),
+    /// A harmonic of what a joint's motor encoder reads wrong [rad], of the frequencies that its drive has one by one: the
+    /// sine of each, then its cosine. What its phase is a run does not say.
+    EncoderLine(usize, usize),
     /// How far a joint's transmission is from its spring's curve [rad]: hysteresis, play, teeth. It changes as the robot moves.
     LostMotion(usize),
     /// Where a joint's friction elements were at the start, as a share of their way; a state of the elastic-joint model.
@@ -58,6 +61,7 @@ impl Uncertain {
             | Self::MotorFriction(j)
             | Self::MotorInertia(j)
             | Self::EncoderZero(j)
+            | Self::EncoderLine(j, _)
             | Self::LostMotion(j)
             | Self::Hysteresis(j) => Some(j),
             _ => None,
@@ -76,6 +80,7 @@ impl Uncertain {
             Self::CubicStiffness(_)
                 | Self::Yielding(_)
                 | Self::EncoderZero(_)
+                | Self::EncoderLine(..)
                 | Self::LostMotion(_)
                 | Self::Hysteresis(_)
                 | Self::Rotation(..)
@@ -162,6 +167,7 @@ impl<T: Scalar> LinkMotion<T> {
         | U::Yielding(j)
         | U::LinkFriction(j)
         | U::EncoderZero(j)
+        | U::EncoderLine(j, _)
         | U::LostMotion(j)
         | U::Hysteresis(j)) = parameter
         else {
@@ -177,6 +183,10 @@ impl<T: Scalar> LinkMotion<T> {
         let Some(row) = position(channels, Channel::Motor(j)) else { return };
         if let U::EncoderZero(_) | U::LostMotion(_) = parameter {
             return put(row, T::constant(1.0));
+        }
+        if let U::EncoderLine(_, line) = parameter {
+            let theta = if drive.elastic { self.motor(robot, j, at).theta } else { at.links[j] };
+            return put(row, drive.encoder_line(line, theta));
         }
         if !drive.elastic {
             if parameter == U::Yielding(j) {
@@ -230,12 +240,13 @@ pub(super) fn shares_of_link<T: Scalar>(
     link: usize,
     mut each: impl FnMut(usize, T),
 ) {
-    let Some(body) = tree.bodies.iter().position(|b| b.joint == link) else { return };
-    let state = &kinematics.bodies[body];
-    let inertia = kinematics.inertia(tree, body);
-    let force = inertia.apply(&state.acceleration) + state.velocity.cross_force(&inertia.apply(&state.velocity));
-    for i in tree.path(body) {
-        each(tree.bodies[i].joint, kinematics.bodies[i].axis.dot(&force));
+    for (body, _) in tree.bodies.iter().enumerate().filter(|(_, body)| body.joint == link) {
+        let state = &kinematics.bodies[body];
+        let inertia = kinematics.inertia(tree, body);
+        let force = inertia.apply(&state.acceleration) + state.velocity.cross_force(&inertia.apply(&state.velocity));
+        for i in tree.path(body) {
+            each(tree.bodies[i].joint, kinematics.bodies[i].axis.dot(&force));
+        }
     }
 }
 
@@ -317,7 +328,7 @@ impl<T: Scalar> Kernel for Signatures<'_, T> {
         let Self { motion, robot, channels, tolerances, at, stride, out } = self;
         out.fill(T::default());
         for (column, tolerance) in tolerances.iter().enumerate() {
-            let put = |row: usize, value: T| out[row * stride + column] = value;
+            let put = |row: usize, value: T| out[row * stride + column] += value;
             match tolerance.parameter {
                 Uncertain::Mass(j) => motion.mass_signature(robot, channels, j, at, put),
                 parameter if parameter.joint().is_some() => {

@@ -32,7 +32,7 @@ pub struct LikelihoodSettings {
     pub torque: bool,
     /// Parameters that are not free, and not as the robot says.
     pub fixed: Vec<(Parameter, f64)>,
-    /// Beyond so many standard deviations an innovation counts linearly (Huber 1964); infinite for the plain likelihood.
+    /// Beyond this many standard deviations an innovation counts linearly (Huber 1964); infinite for the plain likelihood.
     pub huber: f64,
 }
 
@@ -175,9 +175,9 @@ impl Likelihood {
         let fixed = self.settings.fixed.iter().map(|&(parameter, value)| (parameter, value, usize::MAX));
         let free = free.iter().zip(values).enumerate().map(|(i, (&p, &value))| (p, value, i.wrapping_sub(first)));
         for (parameter, value, direction) in fixed.chain(free) {
-            let slot =
-                parameters.slot(parameter).ok_or(DesignError::NoParameter { parameter: format!("{parameter:?}") })?;
-            *slot = T::seeded(value, direction);
+            let slot = parameters.slot(parameter).filter(|_| !parameter.of_response());
+            *slot.ok_or(DesignError::NoParameter { parameter: format!("{parameter:?}") })? =
+                T::seeded(value, direction);
             match parameter {
                 Parameter::Stiffness(j) => robot.drives[j].stiffness = value,
                 Parameter::CubicStiffness(j) => robot.drives[j].cubic_stiffness = value,

@@ -19,6 +19,12 @@ pub enum Parameter {
     ViscousFriction(usize),
     /// Dry friction of a joint's motor [N m].
     CoulombFriction(usize),
+    /// Factor on all friction of a link.
+    LinkFriction(usize),
+    /// Dry friction of a link's bearing [N m].
+    LinkCoulomb(usize),
+    /// Half of a joint's play [rad].
+    HalfGap(usize),
     /// S: motor of the second joint, link of the first [kg m²].
     Coupling(usize, usize),
     /// Factor on the mass of the link that a joint moves, its shape unchanged.
@@ -59,7 +65,11 @@ pub(super) struct JointParameters<T> {
     /// The motor's.
     pub(super) viscous_friction: T,
     pub(super) coulomb_friction: T,
-    /// Factor on the mass of the link that the joint moves.
+    /// Half of the play.
+    pub(super) half_gap: T,
+    /// Dry friction of the link that the joint moves; factors on all its friction, and on its mass.
+    pub(super) link_coulomb: T,
+    pub(super) link_friction: T,
     pub(super) mass_scale: T,
     /// Factors on standard deviations of its motor's position and torque, and on the density of its jerk.
     pub(super) motor_noise: T,
@@ -96,6 +106,13 @@ pub(super) struct Parameters<T> {
     pub(super) payload_centre: Vec3<T>,
 }
 
+impl Parameter {
+    /// Whether the links' response to their motors has it alone: the filter takes it as the robot says.
+    pub(super) fn of_response(self) -> bool {
+        matches!(self, Self::LinkFriction(_) | Self::LinkCoulomb(_) | Self::HalfGap(_))
+    }
+}
+
 impl<T: Scalar> Parameters<T> {
     /// What `robot` says.
     pub(super) fn of(robot: &Robot) -> Self {
@@ -106,6 +123,9 @@ impl<T: Scalar> Parameters<T> {
             motor_inertia: T::constant(d.motor_inertia),
             viscous_friction: T::constant(d.motor_friction.viscous),
             coulomb_friction: T::constant(d.motor_friction.coulomb),
+            half_gap: T::constant(d.backlash.half_gap),
+            link_coulomb: T::constant(d.bearing_friction.coulomb),
+            link_friction: one,
             mass_scale: one,
             motor_noise: one,
             torque_noise: one,
@@ -142,6 +162,9 @@ impl<T: Scalar> Parameters<T> {
             P::MotorInertia(j) => &mut joints.get_mut(j)?.motor_inertia,
             P::ViscousFriction(j) => &mut joints.get_mut(j)?.viscous_friction,
             P::CoulombFriction(j) => &mut joints.get_mut(j)?.coulomb_friction,
+            P::HalfGap(j) => &mut joints.get_mut(j)?.half_gap,
+            P::LinkCoulomb(j) => &mut joints.get_mut(j)?.link_coulomb,
+            P::LinkFriction(j) => &mut joints.get_mut(j)?.link_friction,
             P::MassScale(j) => &mut joints.get_mut(j)?.mass_scale,
             P::MotorNoise(j) => &mut joints.get_mut(j)?.motor_noise,
             P::TorqueNoise(j) => &mut joints.get_mut(j)?.torque_noise,

@@ -67,7 +67,7 @@ impl<T: Scalar> Wanted<T> for Jacobian<'_, T> {
     fn columns(&mut self, row: usize, joint: usize, by: [T; 3]) {
         let n = self.joints;
         for (part, entry) in by.into_iter().enumerate() {
-            self.rows[row * self.width + part * n + joint] = entry;
+            self.rows[row * self.width + part * n + joint] += entry;
         }
     }
 

@@ -12,6 +12,13 @@ const WINDOW: f64 = 0.05;
 /// An innovation that noise alone does not make, in multiples of what a position reading may be off by.
 const NOISE: f64 = 5.0;
 
+/// A jump of the encoder is one from so many times on what innovations change by at most from one sample to the next.
+const JUMP: f64 = 3.0;
+/// The same in standard deviations of what they lately changed by.
+const SCATTER: f64 = 8.0;
+/// Part of a jump that counts below which what it did is over.
+const OVER: f64 = 1e-3;
+
 /// The gain of one joint as it depends on when its position was last read.
 #[derive(Clone, Debug)]
 pub(super) struct JointCorrection {
@@ -29,11 +36,22 @@ pub(super) struct JointCorrection {
     share: f64,
     square: f64,
     limit: f64,
+    /// By how much the encoder reads too much since it jumped, what that has done to the joint's state, and whether that lasts.
+    slip: f64,
+    error: JointState,
+    slipped: bool,
+    /// The last innovation less what that adds to it, mean square of its changes, and from which size on a jump counts.
+    last: f64,
+    scatter: f64,
+    jump: f64,
+    /// Which state is the link's position.
+    link: usize,
 }
 
 impl JointCorrection {
-    /// For a joint whose innovations are at most about `most` [rad] where the model is about right, beside noise.
-    pub(super) fn new(late: VaryingGain, period: f64, most: f64) -> Self {
+    /// For a joint whose innovations are at most about `most` [rad] where the model is about right, and `change` by so much in
+    /// a period, beside noise; `link` is the state that is its link's position.
+    pub(super) fn new(late: VaryingGain, period: f64, [most, change]: [f64; 2], link: usize) -> Self {
         let longest = ((LONGEST / period).round() as usize).clamp(1, 1 << 16);
         Self {
             late,
@@ -44,12 +62,21 @@ impl JointCorrection {
             share: (period / WINDOW).min(1.0),
             square: 0.0,
             limit: (NOISE * READING).powi(2) + most.powi(2),
+            slip: 0.0,
+            error: JointState::default(),
+            slipped: false,
+            last: f64::NAN,
+            scatter: 0.0,
+            jump: NOISE * READING + JUMP * change,
+            link,
         }
     }
 
     /// At the first sample, whose position is taken as it is.
     pub(super) fn begin(&mut self, start: Start) {
         (self.since, self.square) = (0, 0.0);
+        (self.slip, self.error, self.slipped) = (0.0, JointState::default(), false);
+        (self.last, self.scatter) = (f64::NAN, 0.0);
         self.begun = (start == Start::Auto).then_some((0, 0));
         self.spread = self.late.first();
     }
@@ -66,17 +93,44 @@ impl JointCorrection {
             return self.apply_at_start(joint, x, innovation);
         }
         self.since += 1;
+        if self.slipped {
+            self.error = joint.transition().map(|row| row.iter().zip(&self.error).map(|(a, b)| a * b).sum());
+        }
         if innovation.is_nan() {
             return;
         }
-        let gain = if self.since == 1 { joint.gain() } else { self.gain_after_gap(joint) };
-        for (x, gain) in x.iter_mut().zip(gain) {
+        let gain = if self.since == 1 { *joint.gain() } else { *self.gain_after_gap(joint) };
+        for (x, gain) in x.iter_mut().zip(&gain) {
             *x += gain * innovation;
         }
+        self.follow_slip(&gain, innovation);
         // An error of acceleration grows with the square of the time that it has.
-        let grown = innovation / (self.since * self.since) as f64;
+        let grown = self.last / (self.since * self.since) as f64;
         self.square += (self.share * self.since as f64).min(1.0) * (grown * grown - self.square);
         self.since = 0;
+    }
+
+    /// What a jump of the encoder does, the observer following it: that is off for as long as the encoder is, though
+    /// innovations soon are as small as before. Leaves the innovation less that.
+    #[inline(always)]
+    fn follow_slip(&mut self, gain: &JointState, innovation: f64) {
+        let news = innovation - (self.slip - self.error[0]);
+        let change = news - self.last;
+        self.last = news;
+        if self.since == 1 && change * change > self.jump * self.jump + SCATTER * SCATTER * self.scatter {
+            let after = self.slip + change;
+            // One that takes back what was there before is the end of it.
+            self.last -= change;
+            self.slip = if after.abs() > self.jump { after } else { 0.0 };
+            self.slipped = true;
+        } else if change.is_finite() {
+            self.scatter += self.share * (change * change - self.scatter);
+        }
+        if self.slipped {
+            let pull = self.slip - self.error[0];
+            self.error.iter_mut().zip(gain).for_each(|(error, gain)| *error += gain * pull);
+            self.slipped = self.slip != 0.0 || self.error[self.link].abs() > OVER * self.jump;
+        }
     }
 
     /// The gain for a position after a gap; computed once for each length.
@@ -109,8 +163,8 @@ impl JointCorrection {
         self.begun = (!self.late.is_settled(samples, readings)).then_some((samples, readings));
     }
 
-    /// Whether innovations have been larger than any of a model that is about right.
+    /// Whether innovations have been larger than any of a model that is about right, or what a jump did to the link still is.
     pub(super) fn is_contradicted(&self) -> bool {
-        self.square > self.limit
+        self.square > self.limit || (self.slipped && self.error[self.link].abs() > self.jump)
     }
 }

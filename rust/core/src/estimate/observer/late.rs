@@ -54,7 +54,7 @@ impl VaryingGain {
         ((START / (self.speed * self.period)).ceil() as u32).max(START_READINGS)
     }
 
-    /// Whether a start is over that has seen so many samples and readings.
+    /// Whether the start is over after this many samples and readings.
     pub(super) fn is_settled(&self, samples: u32, readings: u32) -> bool {
         samples >= self.start_samples() && readings >= START_READINGS
     }

@@ -22,6 +22,7 @@ pub use correction::LONGEST;
 pub use gains::{JointModel, closed_form_gains};
 pub use poles::{Complex, Poles};
 pub use recording::{ObserverOutput, ObserverRecording, ObserverSample};
+pub(crate) use rest::Rest;
 pub use rest::link_position_at_rest;
 pub use run::AccelerationObserver;
 pub use sampled::Sampled;

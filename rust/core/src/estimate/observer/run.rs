@@ -15,7 +15,7 @@ use super::gains::JointModel;
 use super::late::VaryingGain;
 use super::poles::Poles;
 use super::recording::{ObserverOutput, ObserverRecording, ObserverSample};
-use super::rest::link_position_at_rest;
+use super::rest::Rest;
 use super::sampled::{JointState, Sampled};
 use super::settings::{AccelerationSource, Form, ObserverSettings, Start, check};
 use crate::check::{expect_length, refuse_infinite};
@@ -73,6 +73,8 @@ pub struct AccelerationObserver {
     map: AccelerationMap,
     /// Of the links at the predicted posture, then of the tool.
     kinematics: Kinematics<f64>,
+    /// Finds where links hang at a first sample.
+    rest: Rest,
     /// (θ, q, θ̇, q̇, bias) of each joint (n); (θ, θ̇, θ̈, –, –) where rigid.
     state: Vec<JointState>,
     /// The state before the last innovation.
@@ -126,12 +128,15 @@ impl AccelerationObserver {
             let sampled = Sampled::new(*model, &robot.drives[joint], &poles, settings.period);
             let late = VaryingGain::new(*model, &robot.drives[joint], speed, settings.period);
             let most = sampled.innovation(model.order(), settings.worst_acceleration_std);
-            corrections.push(JointCorrection::new(late, settings.period, most));
+            let bounds = [most, most * (speed * settings.period).min(1.0)];
+            let link = usize::from(*model != JointModel::Rigid);
+            corrections.push(JointCorrection::new(late, settings.period, bounds, link));
             joints.push(sampled);
         }
         Ok(Self {
             map: AccelerationMap::new(&robot, settings.worst_acceleration_std),
             kinematics: Kinematics::new(&robot.tree),
+            rest: Rest::new(&robot),
             state: vec![JointState::default(); n],
             predicted: vec![JointState::default(); n],
             torque: vec![0.0; n],
@@ -152,7 +157,7 @@ impl AccelerationObserver {
         })
     }
 
-    /// Forgets the state: the next sample starts anew.
+    /// Resets the observer: the next sample starts from the beginning.
     pub fn reset(&mut self) {
         self.taken = 0;
         self.started = false;
@@ -173,12 +178,17 @@ impl AccelerationObserver {
                 _ => [theta[j], q[j], dtheta[j], dq[j], 0.0],
             };
         }
+        self.begin(Start::Rest);
+        Ok(())
+    }
+
+    /// Goes on from the present state.
+    fn begin(&mut self, start: Start) {
         self.predicted.copy_from_slice(&self.state);
-        self.corrections.iter_mut().for_each(|correction| correction.begin(Start::Rest));
+        self.corrections.iter_mut().for_each(|correction| correction.begin(start));
         self.measured.fill(0.0);
         self.torque.fill(0.0);
         self.started = true;
-        Ok(())
     }
 
     /// Takes one sample; afterwards the getters give the state at its time.
@@ -188,7 +198,7 @@ impl AccelerationObserver {
     /// # Errors
     /// A sample that cannot be used, of wrong lengths or with an infinite reading; a first one without every motor position,
     /// or without a static equilibrium; a motor position that has been missing for more than [`LONGEST`]. The state then
-    /// stays as it was. [`RunError::NotFinite`]: readings so absurd that nothing is left; the next sample starts anew.
+    /// stays as it was. [`RunError::NotFinite`]: readings so extreme that the state is not finite; the next sample restarts.
     pub fn step(&mut self, sample: ObserverSample<'_>) -> Result<(), RunError> {
         self.check(sample)?;
         self.take(sample)?;
@@ -255,11 +265,14 @@ impl AccelerationObserver {
         if let Some(joint) = theta.iter().position(|x| x.is_nan()) {
             return Err(DesignError::NoStart { joint });
         }
-        let q = link_position_at_rest(&self.robot, theta)?;
-        let zero = vec![0.0; q.len()];
-        self.start(theta, &q, &zero, &zero)?;
-        let start = self.settings.start;
-        self.corrections.iter_mut().for_each(|correction| correction.begin(start));
+        let q = self.rest.find(&self.robot, theta)?;
+        for (j, (state, model)) in self.state.iter_mut().zip(&self.models).enumerate() {
+            *state = match model {
+                JointModel::Rigid => [theta[j], 0.0, 0.0, 0.0, 0.0],
+                _ => [theta[j], q[j], 0.0, 0.0, 0.0],
+            };
+        }
+        self.begin(self.settings.start);
         Ok(())
     }
 

@@ -172,7 +172,7 @@ impl ParticleFilter {
         Ok(())
     }
 
-    /// Forgets the state: the next sample starts anew.
+    /// Resets the filter: the next sample starts from the beginning.
     pub fn reset(&mut self) {
         (self.taken, self.started) = (0, false);
         self.guard.reset();
@@ -203,7 +203,7 @@ impl ParticleFilter {
     /// # Errors
     /// A sample that cannot be used, or a first one from which the model cannot start: the state stays as it was. No particle
     /// that explains the readings, if that is to stop it: a next sample goes on as if they had been missing.
-    /// [`RunError::NotFinite`]: readings so absurd that nothing is left; the next sample starts anew.
+    /// [`RunError::NotFinite`]: readings so extreme that the state is not finite; the next sample restarts.
     pub fn step(&mut self, sample: KalmanSample<'_>) -> Result<(), RunError> {
         sample.check(&self.model)?;
         self.take(sample)?;

@@ -91,7 +91,7 @@ impl Guard {
         self.kalman.step_with(sample, |model, belief| past.foretell(model, belief, sample.readings))
     }
 
-    /// Whether there is a belief to start anew from.
+    /// Whether there is a Kalman estimate to restart from.
     pub(super) fn is_finite(&self) -> bool {
         let (fit, belief) = (self.kalman.fit(), self.kalman.belief());
         fit.log_likelihood.is_finite() && belief.mean.iter().chain(&belief.covariance.data).all(|x| x.is_finite())
@@ -115,7 +115,7 @@ impl Guard {
         let (spread, distance) = self.compare(summary, joints);
         let [narrow, far] = WORN;
         match () {
-            // By evidence first, then by place and spread; the latter only where both filters believe the same.
+            // By evidence first, then by place and spread; the latter only where both filters represent the same distribution.
             () if self.behind > LOST || (self.alike && spread < COLLAPSED) => Verdict::Lost,
             () if !self.alike || self.cloud_leads() => Verdict::Good,
             () if distance > ASTRAY => Verdict::Lost,
@@ -139,7 +139,7 @@ impl Guard {
 }
 
 impl ParticleFilter {
-    /// What is to be done about a cloud after a sample: nothing, start it anew, flag it, or stop.
+    /// Action on a cloud after a sample: none, restart it, flag it, or stop.
     pub(super) fn guard(&mut self) -> Result<(), RunError> {
         if !self.guard.is_finite() {
             self.restart_guard();
@@ -160,7 +160,7 @@ impl ParticleFilter {
         }
     }
 
-    /// No particle is possible: starts anew, goes on as if the readings were missing, or stops.
+    /// No particle is possible: restarts, goes on as if the readings were missing, or stops.
     pub(super) fn recover(&mut self) -> Result<(), RunError> {
         if self.settings.collapse == Collapse::Stop {
             return Err(RunError::Impossible { sample: self.taken });
@@ -193,7 +193,7 @@ impl ParticleFilter {
         self.guard.kalman.restart(&self.belief);
     }
 
-    /// The cloud anew from the Kalman filter's belief, with its mean and covariance.
+    /// Draws the cloud again from the Kalman filter's estimate, with its mean and covariance.
     fn reseed(&mut self) {
         (self.guard.ahead, self.guard.behind) = (0.0, 0.0);
         if !self.guard.is_finite() {

@@ -23,7 +23,7 @@ pub struct Summary {
     pub status: u8,
     /// Readings used.
     pub used: u32,
-    /// Whether the cloud was then spread anew.
+    /// Whether the cloud was then drawn again.
     pub reseeded: bool,
     /// Upper triangle of the covariance, by rows: of the positions, or after a choice of particles of the whole state.
     pub(super) products: Vec<f64>,
@@ -36,7 +36,7 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Room for a cloud of so many.
+    /// Room for a cloud of this many particles.
     pub(super) fn new(model: &JerkModel, particles: usize) -> Self {
         let d = model.states();
         Self {
@@ -132,7 +132,7 @@ pub struct ParticleOutput {
     pub links: FilterOutput,
     /// Effective number of particles.
     pub effective: Vec<f64>,
-    /// Whether the cloud was spread anew after the sample.
+    /// Whether the cloud was drawn again after the sample.
     pub reseeded: Vec<bool>,
     /// Link positions of the particle of largest weight (n).
     pub best: Vec<f64>,

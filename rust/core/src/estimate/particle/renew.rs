@@ -62,7 +62,7 @@ impl ParticleFilter {
     /// Leans the moments that are wanted on the Kalman filter's, as far as chance alone may have made the difference.
     ///
     /// Covariances of a few hundred particles are random, and each choice hands its own on to the next. So the belief of
-    /// the Kalman filter counts as so many particles more, as the prior of a covariance does (inverse Wishart). The mean
+    /// the Kalman filter counts as this many further particles, as the prior of a covariance does (inverse Wishart). The mean
     /// moves towards the belief's by James and Stein's rule (1961): all the way where it is no further off than chance
     /// takes it, hardly where it is much further.
     fn lean(&mut self) {

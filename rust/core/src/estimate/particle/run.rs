@@ -3,6 +3,7 @@
 use super::filter::ParticleFilter;
 use super::output::ParticleOutput;
 use crate::error::RunError;
+use crate::estimate::Status;
 use crate::estimate::kalman::{KalmanRecording, Keep, Model};
 use crate::interrupt::Watch;
 use crate::parallel;
@@ -24,7 +25,7 @@ impl ParticleFilter {
         mut after: impl FnMut(&mut Self),
     ) -> Result<ParticleOutput, RunError> {
         self.model.check(&recording)?;
-        let count = recording.dt.len();
+        let (count, before) = (recording.dt.len(), self.taken);
         let mut out = ParticleOutput::zeros(count, self, keep)?;
         let watch = Watch::current();
         for i in 0..count {
@@ -41,6 +42,7 @@ impl ParticleFilter {
             out.report(i, self, keep);
             after(self);
         }
+        Status::doubt_start(&mut out.links.status, before);
         out.links.findings.extend_from_slice(self.guard.kalman.findings());
         Ok(out)
     }

@@ -55,7 +55,7 @@ pub enum Collapse {
     Stop,
     /// Flag the sample, and leave the cloud as it is.
     Flag,
-    /// Flag the sample, and spread the cloud anew from a Kalman filter that runs beside.
+    /// Flag the sample, and draw the cloud again from a Kalman filter that runs beside it.
     Reseed,
 }
 
@@ -74,7 +74,7 @@ pub struct ParticleSettings {
     pub proposal: Proposal,
     /// How particles are chosen.
     pub resampling: Resampling,
-    /// Choose anew when fewer than this share of N is effective.
+    /// Resample when fewer than this share of N is effective.
     pub threshold: f64,
     /// Width of the normal density around each chosen particle, in units of the cloud's own (Liu and West 2001); mean and
     /// covariance of the cloud stay what they were. None leaves copies where they are.

@@ -73,7 +73,7 @@ struct BackwardPass {
     parts: Vec<f64>,
     /// Scratch: a column of Fᵀ P₋⁻¹, a row of G, a change of the mean.
     column: Vec<f64>,
-    /// For the covariance that the adjoint of the motion carries beside, and nobody asks for here.
+    /// Scratch for the covariance of the motion's adjoint, which is not needed here.
     unused: Symmetric,
 }
 

@@ -156,7 +156,7 @@ impl VelocityObserver {
     /// # Errors
     /// A first sample that lacks a position, a spring too stiff for the period there, an inertia that is singular; wrong
     /// lengths, an infinite reading, a position that has been missing for more than [`LONGEST`], which leave the state as
-    /// it was. [`RunError::NotFinite`]: readings so absurd that nothing is left; it then starts anew.
+    /// it was. [`RunError::NotFinite`]: readings so extreme that the state is not finite; it then restarts.
     pub fn step(&mut self, q: &[f64], torque: &[f64]) -> Result<(), RunError> {
         self.check(q, torque)?;
         self.take(q, torque)?;
@@ -168,7 +168,7 @@ impl VelocityObserver {
         Err(RunError::NotFinite { sample })
     }
 
-    /// Forgets the state: the next sample starts anew.
+    /// Resets the observer: the next sample starts from the beginning.
     pub fn reset(&mut self) {
         (self.samples, self.given) = (0, false);
         self.velocity.fill(0.0);

@@ -10,6 +10,7 @@ pub use strut::{GasSpring, Strut};
 pub(crate) use torque_series::add_angles;
 pub use torque_series::{TorqueHarmonic, TorqueSeries};
 
+use super::tree::Body;
 use super::{JointKind, Robot, Tree};
 use crate::check::expect_of;
 use crate::error::RobotError;
@@ -114,7 +115,8 @@ impl Tree {
             Counterbalance::Turning { joints, series } => {
                 series.check(owner)?;
                 let bodies = joints.iter().enumerate().map(|(k, &joint)| {
-                    let body = self.bodies.iter().position(|b| b.joint == joint && b.kind == JointKind::Revolute);
+                    let turns = |b: &Body| b.joint == joint && b.following.is_none() && b.kind == JointKind::Revolute;
+                    let body = self.bodies.iter().position(turns);
                     let ok = body.is_some() && !joints[..k].contains(&joint);
                     expect_of(ok, "joint", || owner.into(), joint as f64, "one that turns, once")?;
                     Ok(body.unwrap_or_default())

@@ -69,6 +69,12 @@ impl Backlash {
         (u / right - v / left) * (-0.5 * (1.0 - self.slope)) + 1.0
     }
 
+    /// The slope of z in the half gap, at a torsion.
+    pub(crate) fn engaged_by_half_gap(&self, torsion: f64) -> f64 {
+        let [(u, right), (v, left)] = self.ends(torsion);
+        -0.5 * (1.0 - self.slope) * (u / right + v / left)
+    }
+
     /// δ ± a, and the roots over them.
     #[inline(always)]
     fn ends<T: Scalar>(&self, torsion: T) -> [(T, T); 2] {

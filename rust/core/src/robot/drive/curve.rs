@@ -43,7 +43,7 @@ pub enum Interpolation {
     Monotone,
 }
 
-/// Slopes at a point are at most so many times that of either neighbouring chord: cubics then rise by a quarter of it at
+/// Slopes at a point are at most this many times that of either neighbouring chord: cubics then rise by a quarter of it at
 /// least, where three times would let them stand still (Fritsch and Carlson 1980).
 const STEEPEST: f64 = 2.5;
 /// And at the ends at least this part of it.

@@ -162,8 +162,8 @@ impl Hysteresis {
     }
 }
 
-/// A torsion that is estimated trembles, and an element would lose its force on the way of that: steps to and fro within this
-/// part of the least reach are none. A step on from where it was left is exact all the same.
+/// An estimated torsion is noisy, and an element would lose its force by that: steps back and forth within this part of the
+/// least reach are ignored. Steps in the direction of the last one are exact.
 const PLAY: f64 = 0.02;
 
 /// Where the friction elements of one drive were left: what its torque depends on beside the torsion.

@@ -59,6 +59,8 @@ pub struct Drive {
     pub hysteresis: Hysteresis,
     /// Kinematic error of the gear before both; of elastic joints alone.
     pub ripple: Ripple,
+    /// Cycles a turn of θ of what the motor's encoder reads wrong by a phase that nobody knows.
+    pub encoder_lines: Vec<f64>,
     /// Friction between motor and ground.
     pub motor_friction: Friction,
     /// What the gear takes of the torque that it transmits, on the motor's side; of elastic joints alone.
@@ -100,6 +102,7 @@ impl Drive {
             backlash: Backlash::default(),
             hysteresis: Hysteresis::default(),
             ripple: Ripple::default(),
+            encoder_lines: Vec::new(),
             motor_friction: Friction::default(),
             gear_loss: LoadFriction::default(),
             link_friction: [0.0; 6],
@@ -112,6 +115,14 @@ impl Drive {
     #[inline(always)]
     pub fn is_passive(&self) -> bool {
         self.motor_inertia == f64::INFINITY
+    }
+
+    /// A unit error of the motor's encoder at θ: the sine and the cosine of each of its lines, one after the other.
+    #[inline(always)]
+    pub(crate) fn encoder_line<T: Scalar>(&self, line: usize, theta: T) -> T {
+        let frequency = self.encoder_lines.get(line / 2).copied().unwrap_or_default();
+        let (sin, cos) = (theta * frequency).sin_cos();
+        if line.is_multiple_of(2) { sin } else { cos }
     }
 
     /// # Errors
@@ -129,7 +140,8 @@ impl Drive {
             ("soft wind-up's shape", shape),
         ];
         let friction = self.link_friction.iter().map(|&g| ("link friction", g));
-        for (what, value) in finite.into_iter().chain(friction) {
+        let lines = self.encoder_lines.iter().map(|&cycles| ("line of the encoder", cycles));
+        for (what, value) in finite.into_iter().chain(friction).chain(lines) {
             expect_of(value.is_finite(), what, owner, value, "a finite number")?;
         }
         self.motor_friction.check(&owner())?;

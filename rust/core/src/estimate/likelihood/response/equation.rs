@@ -2,7 +2,7 @@
 
 use super::super::parameters::{Parameter, Parameters};
 use crate::estimate::measurement::LinkMotion;
-use crate::robot::{Drive, Robot};
+use crate::robot::{Backlash, Drive, Friction, Robot};
 use crate::scalar::{Dual, Scalar};
 use crate::spatial::{Inertia, Sym3, Vec3};
 
@@ -52,6 +52,20 @@ impl Balance {
     }
 }
 
+/// Dry friction of one newton metre.
+const DRY: Friction = Friction { viscous: 0.0, coulomb: 1.0, stribeck: 0.0, stribeck_velocity: 0.0, asymmetry: 0.0 };
+
+/// How far a transmission is wound up.
+struct Winding {
+    /// Its play.
+    backlash: Backlash,
+    /// δ = θ + ε(θ) − q [rad], and what of it is left for the spring behind the play.
+    torsion: f64,
+    engaged: f64,
+    /// δ̇ [rad/s].
+    rate: f64,
+}
+
 /// The equation of motion of one robot under given parameters, and scratch.
 #[derive(Clone, Debug)]
 pub(super) struct Equation<'a> {
@@ -76,27 +90,60 @@ impl<'a> Equation<'a> {
         Self { robot, parameters, free, masses, motion, loads: vec![0.0; robot.len()] }
     }
 
-    /// Torque of joint `j`'s transmission on its link, and its slopes in torsion and its rate.
-    pub(super) fn transmission(&self, j: usize, motors: &MotorSample, state: &[f64]) -> [f64; 3] {
-        let (own, Drive { soft_windup, .. }) = (&self.parameters.joints[j], &self.robot.drives[j]);
-        let n = self.robot.len();
-        let (torsion, rate) = (motors.theta[j] - state[j], motors.dtheta[j] - state[n + j]);
-        let square = torsion * torsion;
-        let secant = own.spring.stiffness + own.spring.cubic * square + soft_windup.secant(square);
-        let slope = own.spring.stiffness + 3.0 * own.spring.cubic * square + soft_windup.tangent(square);
-        [secant * torsion + own.damping * rate, slope, own.damping]
+    /// Where joint `j`'s transmission stands.
+    fn wound(&self, j: usize, motors: &MotorSample, state: &[f64]) -> Winding {
+        let (drive, n) = (&self.robot.drives[j], self.robot.len());
+        let backlash = Backlash { half_gap: self.parameters.joints[j].half_gap, ..drive.backlash };
+        let torsion = drive.torsion_between(motors.theta[j], state[j]);
+        let rate = drive.slip(motors.theta[j], [motors.dtheta[j], state[n + j]]);
+        Winding { backlash, torsion, engaged: backlash.engaged(torsion), rate }
     }
 
-    /// The derivative of joint `j`'s transmission torque in a parameter, if it is one of its own.
-    pub(super) fn transmission_by(parameter: Parameter, motors: &MotorSample, state: &[f64]) -> Option<(usize, f64)> {
-        let n = motors.theta.len();
-        let torsion = |j: usize| motors.theta[j] - state[j];
+    /// Torque of joint `j`'s transmission on its link, and its slopes in torsion and its rate.
+    pub(super) fn transmission(&self, j: usize, motors: &MotorSample, state: &[f64]) -> [f64; 3] {
+        let own = &self.parameters.joints[j];
+        let Winding { backlash, torsion, engaged, rate } = self.wound(j, motors, state);
+        let [torque, slope] = self.spring(j, engaged);
+        [torque + own.damping * rate, slope * backlash.engagement(torsion), own.damping]
+    }
+
+    /// Torque of joint `j`'s spring behind its play, and its slope.
+    fn spring(&self, j: usize, engaged: f64) -> [f64; 2] {
+        let (own, Drive { soft_windup, curve, .. }) = (&self.parameters.joints[j], &self.robot.drives[j]);
+        if !curve.is_none() {
+            return [curve.torque(engaged), curve.slope(engaged)];
+        }
+        let square = engaged * engaged;
+        let secant = own.spring.stiffness + own.spring.cubic * square + soft_windup.secant(square);
+        [secant * engaged, own.spring.stiffness + 3.0 * own.spring.cubic * square + soft_windup.tangent(square)]
+    }
+
+    /// The derivative of a joint's transmission torque in a parameter, if it is one of its own, and which joint's.
+    pub(super) fn transmission_by(
+        &self,
+        parameter: Parameter,
+        motors: &MotorSample,
+        state: &[f64],
+    ) -> Option<(usize, f64)> {
+        let wound = |j: usize| self.wound(j, motors, state);
         Some(match parameter {
-            Parameter::Stiffness(j) => (j, torsion(j)),
-            Parameter::CubicStiffness(j) => (j, torsion(j).powi(3)),
-            Parameter::Damping(j) => (j, motors.dtheta[j] - state[n + j]),
+            Parameter::Stiffness(j) => (j, wound(j).engaged),
+            Parameter::CubicStiffness(j) => (j, wound(j).engaged.powi(3)),
+            Parameter::Damping(j) => (j, wound(j).rate),
+            Parameter::HalfGap(j) => {
+                let Winding { backlash, torsion, engaged, .. } = wound(j);
+                (j, self.spring(j, engaged)[1] * backlash.engaged_by_half_gap(torsion))
+            }
             _ => return None,
         })
+    }
+
+    /// Friction of the link that joint `j` moves, and its slope in the link's velocity.
+    fn link_friction(&self, j: usize, state: &[f64]) -> [f64; 2] {
+        let (drive, own, v) = (&self.robot.drives[j], &self.parameters.joints[j], state[self.robot.len() + j]);
+        let (as_said, dry) = (drive.link_friction(v), DRY.dry(v));
+        let more = own.link_coulomb - drive.bearing_friction.coulomb;
+        [own.link_friction * as_said.0 + more * dry.0, own.link_friction * as_said.1 + more * dry.1]
     }
 
     /// At `state` = (q, q̇, q̈).
@@ -119,7 +166,7 @@ impl<'a> Equation<'a> {
                 continue;
             }
             let [torque, stiffness, damping] = self.transmission(j, motors, state);
-            let (friction, viscous) = drive.link_friction(state[n + j]);
+            let [friction, viscous] = self.link_friction(j, state);
             let coupled: f64 = self.parameters.coupling[row].iter().zip(&motors.ddtheta).map(|(s, a)| s * a).sum();
             // The motor's part in the link's row is known: S θ̈ of the recorded motion.
             out.residual[j] = self.motion.tau[j] + friction + coupled - torque;
@@ -133,8 +180,12 @@ impl<'a> Equation<'a> {
         let (robot, p) = (self.robot, self.free.len());
         out.by_parameter.fill(0.0);
         for (k, &parameter) in self.free.iter().enumerate() {
-            if let Some((j, slope)) = Self::transmission_by(parameter, motors, state) {
+            if let Some((j, slope)) = self.transmission_by(parameter, motors, state) {
                 out.by_parameter[j * p + k] = -slope;
+            } else if let Parameter::LinkFriction(j) = parameter {
+                out.by_parameter[j * p + k] = robot.drives[j].link_friction(state[robot.len() + j]).0;
+            } else if let Parameter::LinkCoulomb(j) = parameter {
+                out.by_parameter[j * p + k] = DRY.dry(state[robot.len() + j]).0;
             } else if let Parameter::Coupling(i, j) = parameter {
                 out.by_parameter[i * p + k] = motors.ddtheta[j];
             } else if !self.masses[k].is_empty() {

@@ -1,0 +1,77 @@
+"""Residuals whose errors last, made white: samples that share an error tell less than they seem to.
+
+What motors' encoders read wrong makes the links of the prediction ring at their own frequencies, and what a model
+leaves out is slow. Weighted as if they were white, such errors would be fitted: above all with dampings that are too
+strong, which take the ringing out of the prediction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+import scipy.signal
+
+from linkside.arrays import FloatArray
+
+ORDER = 24
+"""Samples that a residual is foretold from: enough for a few resonances in white noise."""
+
+LEAST = 20
+"""Samples for each of those, at least."""
+
+FLOOR = 1e-6
+"""White noise that is added, as a share of the variance, so that what is not noise at all can be inverted too."""
+
+MISSING = 0.2
+"""Where more of the samples before was missing, a residual cannot be foretold."""
+
+
+@dataclass(frozen=True)
+class Whitening:
+    """What the samples before do not foretell (L. Ljung, System Identification, 1999, section 7.2: prediction errors).
+
+    Attributes
+    ----------
+    weights : (m, L)
+        Of each channel's present and past samples; the first is 1.
+    """
+
+    weights: FloatArray
+
+    @classmethod
+    def of(cls, residuals: Sequence[FloatArray]) -> Whitening:
+        """Fit autoregressions to (T, m) residuals, NaN where missing (Yule and Walker)."""
+        count, channels = min(len(r) for r in residuals), residuals[0].shape[1]
+        order = min(ORDER, count // LEAST)
+        weights = np.zeros((channels, order + 1))
+        weights[:, 0] = 1.0
+        for c in range(channels if order else 0):
+            columns = [np.nan_to_num(r[:, c]) for r in residuals]
+            products = [[x[k:] @ x[: len(x) - k] for k in range(order + 1)] for x in columns]
+            covariance = np.sum(products, axis=0)
+            if covariance[0] > 0:
+                covariance[0] *= 1 + FLOOR
+                weights[c, 1:] = -scipy.linalg.solve_toeplitz(covariance[:-1], covariance[1:])
+        return cls(weights)
+
+    def rows(self, count: int) -> npt.NDArray[np.int64]:
+        """Samples of ``count`` that have enough before them."""
+        return np.arange(self.weights.shape[1] - 1, count)
+
+    def __call__(self, values: FloatArray) -> FloatArray:
+        """Filter (T, m, …) along time."""
+        first = self.weights.shape[1] - 1
+        out = np.empty_like(values[first:])
+        for c, weights in enumerate(self.weights):
+            out[:, c] = scipy.signal.upfirdn(weights, values[:, c], axis=0)[first : len(values)]
+        return out
+
+    def told(self, missing: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Whether samples were read, and most before them, from (T, m) flags of missing readings."""
+        length = self.weights.shape[1]
+        share = scipy.signal.upfirdn(np.full(length, 1 / length), missing.astype(float), axis=0)
+        return np.asarray(~missing[length - 1 :] & (share[length - 1 : len(missing)] < MISSING))

@@ -1,0 +1,200 @@
+// Link-side state estimation for robots with elastic joints: estimators from files that `linkside compile` writes.
+//
+// Written by cbindgen (`make header`): do not edit.
+//
+// Memory: once an estimator is made, no function allocates, asks the operating system or waits, until `linkside_free`.
+// Threads: one estimator is used by one thread at a time, whichever; different ones do not know of each other.
+// Errors: a function that can fail gives a LinksideResult, and `linkside_error` says in a line what was wrong, and where.
+
+#ifndef LINKSIDE_H
+#define LINKSIDE_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+// Some combination of accelerations was damped near a singular posture.
+#define LINKSIDE_DAMPED 1
+
+// A reading was missing and bridged.
+#define LINKSIDE_BRIDGED 2
+
+// Some combination of accelerations was not seen at all.
+#define LINKSIDE_UNSEEN 4
+
+// A reading was left out as an outlier.
+#define LINKSIDE_GATED 8
+
+// Not one reading was used: the estimate is a prediction.
+#define LINKSIDE_PREDICTED 16
+
+// An encoder wrapped, and its jump was taken out.
+#define LINKSIDE_UNWRAPPED 32
+
+// Readings contradict the model: the estimate, and its standard deviations, are not to be believed.
+#define LINKSIDE_CONTRADICTED 64
+
+// One channel contradicts the model and all others.
+#define LINKSIDE_FAULTY 128
+
+// What became of a call.
+typedef enum LinksideResult {
+  // It is done.
+  LINKSIDE_OK = 0,
+  // The sample, or an argument, cannot be used; everything is as it was before the call.
+  LINKSIDE_REFUSED = 1,
+  // The sample's readings are so absurd that no estimate is left; the next sample starts anew.
+  LINKSIDE_LOST = 2,
+  // A pointer that must not be null is.
+  LINKSIDE_NULL = 3,
+  // The file cannot be used: read `linkside_last_error`.
+  LINKSIDE_FILE = 4,
+  // A fault of this library. The estimator answers nothing else from now on; please report it.
+  LINKSIDE_FAULT = 5,
+} LinksideResult;
+
+// An estimator, made by `linkside_read` or `linkside_from_bytes`.
+typedef struct LinksideEstimator LinksideEstimator;
+
+// One sample of a robot's signals, on the link side of gears, in SI units; NaN where a reading is missing.
+//
+// Each signal is an array of as many numbers as `linkside_width` says, or null where there is none of it. One that the
+// estimator does not read may be there, and is not looked at. Begin with `{0}`, so that fields you do not set are null.
+typedef struct LinksideSample {
+  // Time since the sample before [s]; filters need it, observers have the period that they were designed for.
+  double dt;
+  // Motor positions [rad].
+  const double *theta;
+  // Motor velocities [rad/s].
+  const double *dtheta;
+  // Motor torques [N m].
+  const double *tau;
+  // Accelerometer channels [m/s²].
+  const double *acceleration;
+  // Gyroscope channels [rad/s].
+  const double *rate;
+  // Link positions [rad].
+  const double *q;
+  // Link velocities [rad/s].
+  const double *dq;
+  // Link accelerations [rad/s²].
+  const double *ddq;
+  // Torques of joint torque sensors [N m].
+  const double *torque;
+  // Commanded link accelerations [rad/s²].
+  const double *ddqref;
+} LinksideSample;
+
+#ifdef __cplusplus
+extern "C" {
+#endif // __cplusplus
+
+// Reads the file at `path`, which `linkside compile` has written, and makes its estimator; `*out` is null where it fails.
+//
+// # Safety
+// `path` is a string, `out` may be written. Free the estimator with `linkside_free`.
+enum LinksideResult linkside_read(const char *path,
+                                  struct LinksideEstimator **out);
+
+// The same of a file's `length` bytes in memory.
+//
+// # Safety
+// `content` has `length` bytes, `out` may be written. Free the estimator with `linkside_free`.
+enum LinksideResult linkside_from_bytes(const uint8_t *content, size_t length, struct LinksideEstimator **out);
+
+// Frees an estimator; null is left alone.
+//
+// # Safety
+// `estimator` came from this library, and is not used again.
+void linkside_free(struct LinksideEstimator *estimator);
+
+// Why the last `linkside_read` or `linkside_from_bytes` of this thread failed; valid until its next one.
+const char *linkside_last_error(void);
+
+// Why the last call on this estimator failed; empty where none has. Valid until its next call.
+//
+// # Safety
+// `estimator` is one, or null, which gives null.
+const char *linkside_error(const struct LinksideEstimator *estimator);
+
+// Takes one sample; afterwards what `linkside_values` points to is the estimate at its time.
+//
+// # Safety
+// `estimator` is one, `sample` a sample with as many numbers a signal as `linkside_width` says.
+enum LinksideResult linkside_step(struct LinksideEstimator *estimator, const struct LinksideSample *sample);
+
+// Forgets all samples: the next one starts anew.
+//
+// # Safety
+// `estimator` is one, or null.
+enum LinksideResult linkside_reset(struct LinksideEstimator *estimator);
+
+// A part of the estimate by name: `t`, `q`, `dq`, `ddq`, `theta`, `dtheta`, `tool_position`; of filters also `q_std`, `tool_std`,
+// `disturbance`, `disturbance_std`, `nis`, `log_likelihood`, `used`, `state`; of velocity observers `level`.
+//
+// Null of a name that the estimator does not have. The pointer, and `*length`, stay valid until `linkside_free`: ask once,
+// before the loop. NaN before there is an estimate.
+//
+// # Safety
+// `estimator` is one or null, `name` a string, `length` may be written or is null.
+const double *linkside_values(const struct LinksideEstimator *estimator,
+                              const char *name,
+                              size_t *length);
+
+// What there is to know about the last sample, a sum of `LINKSIDE_DAMPED` and the like; 0 is good.
+//
+// # Safety
+// `estimator` is one, or null, which gives 0.
+uint8_t linkside_status(const struct LinksideEstimator *estimator);
+
+// Writes the covariance of a filter's `state`, by rows, into `out` of `length` numbers: the square of `linkside_states`.
+//
+// # Safety
+// `estimator` is one, `out` has `length` numbers.
+enum LinksideResult linkside_covariance(struct LinksideEstimator *estimator,
+                                        double *out,
+                                        size_t length);
+
+// Number of states of a filter; 0 of an observer, which has no covariance.
+//
+// # Safety
+// `estimator` is one, or null, which gives 0.
+size_t linkside_states(const struct LinksideEstimator *estimator);
+
+// Number of joints.
+//
+// # Safety
+// `estimator` is one, or null, which gives 0.
+size_t linkside_joints(const struct LinksideEstimator *estimator);
+
+// How many numbers the signal `name` of a sample has, called as the fields of `LinksideSample`; 0 where it is not read.
+//
+// # Safety
+// `estimator` is one, or null, `name` a string.
+size_t linkside_width(const struct LinksideEstimator *estimator, const char *name);
+
+// What entry `index` of the signal `name` is called: a joint, or a channel of a sensor; null where there is none.
+//
+// # Safety
+// `estimator` is one, or null, `name` a string. The answer is valid until `linkside_free`.
+const char *linkside_name(const struct LinksideEstimator *estimator, const char *name, size_t index);
+
+// The method: `observer`, `ekf`, `elastic-ekf` or `velocity`; null of null.
+//
+// # Safety
+// `estimator` is one, or null.
+const char *linkside_method(const struct LinksideEstimator *estimator);
+
+// The sampling period that an observer was designed for [s]; 0 of filters, which take any.
+//
+// # Safety
+// `estimator` is one, or null, which gives 0.
+double linkside_period(const struct LinksideEstimator *estimator);
+
+// Version of this library, 1000 000 major + 1000 minor + patch.
+int linkside_version(void);
+
+#ifdef __cplusplus
+}  // extern "C"
+#endif  // __cplusplus
+
+#endif  /* LINKSIDE_H */
