@@ -92,7 +92,7 @@ def test_the_step_is_that_of_the_lifted_matrices(count, n, s, postures, seed):
     m = np.linalg.solve(h + np.diag(both), np.diag(both - rho) + g.T @ w @ (g - g0))
     norm = np.linalg.norm(np.sqrt(both)[:, None] * m / np.sqrt(both), 2)
     factor = step.contraction(other, rng.standard_normal(count * n))
-    assert 0.97 * norm < factor < norm * (1 + 1e-9)
+    assert 0.999 * norm < factor < 1.001 * norm
 
 
 def test_the_links_answer_as_the_simulator_says():

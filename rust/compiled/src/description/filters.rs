@@ -220,9 +220,8 @@ impl Belief {
     /// Shapes that do not belong together, numbers that are not finite.
     fn build(&self) -> Result<Gaussian, DesignError> {
         let covariance = self.covariance.concat();
-        let sum: f64 = self.mean.iter().chain(&covariance).map(|x| x - x).sum();
-        if sum != 0.0 {
-            return Err(DesignError::Range { what: "a start", value: sum, expected: "finite numbers" });
+        if let Some(&value) = self.mean.iter().chain(&covariance).find(|x| !x.is_finite()) {
+            return Err(DesignError::Range { what: "a start", value, expected: "finite numbers" });
         }
         Gaussian::new(&self.mean, &covariance)
     }
