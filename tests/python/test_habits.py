@@ -88,7 +88,7 @@ def test_shells_complete():
     environment = {
         **os.environ,
         "_LINKSIDE_COMPLETE": "bash_complete",
-        "COMP_WORDS": "linkside comp",
+        "COMP_WORDS": "linkside compa",
         "COMP_CWORD": "1",
     }
     program = "from linkside import cli; cli.main()"

@@ -79,7 +79,7 @@ def test_from_a_urdf_to_a_check(tmp_path, monkeypatch):
     assert "6 elastic joints" in done.stdout
     again = linkside("init", "arm.urdf")
     assert again.exit_code == 2
-    assert "there already" in again.stderr
+    assert "exists already" in again.stderr
 
 
 def test_what_cannot_be_begun_is_refused():

@@ -26,7 +26,7 @@ FOURTH = float(np.sqrt(70.0))
 """Factor by which fourth differences of white noise are larger than the noise."""
 
 SHARE_OF_ENDS = 20
-"""Of a recording, no more is left out at either end than one part in so many."""
+"""At most one part in this many of a recording is left out at either end."""
 
 SHARE = 0.3
 """Of the accelerometers' noise, what the encoders' may make of what they should read."""

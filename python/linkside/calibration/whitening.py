@@ -18,7 +18,7 @@ import scipy.signal
 from linkside.arrays import FloatArray
 
 ORDER = 24
-"""Samples that a residual is foretold from: enough for a few resonances in white noise."""
+"""Samples that a residual is predicted from: enough for a few resonances in white noise."""
 
 LEAST = 20
 """Samples for each of those, at least."""
@@ -27,12 +27,12 @@ FLOOR = 1e-6
 """White noise that is added, as a share of the variance, so that what is not noise at all can be inverted too."""
 
 MISSING = 0.2
-"""Where more of the samples before was missing, a residual cannot be foretold."""
+"""Where more of the samples before was missing, a residual cannot be predicted."""
 
 
 @dataclass(frozen=True)
 class Whitening:
-    """What the samples before do not foretell (L. Ljung, System Identification, 1999, section 7.2: prediction errors).
+    """What the samples before do not predict (L. Ljung, System Identification, 1999, section 7.2: prediction errors).
 
     Attributes
     ----------

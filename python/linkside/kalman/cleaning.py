@@ -11,7 +11,7 @@ from linkside.arrays import FloatArray
 from .start import LEAST, Readings, Spread
 
 FAR = 6.0
-"""An outlier is so many standard deviations from a curve through the others."""
+"""An outlier is this many standard deviations from a curve through the others."""
 
 DEGREE = 3
 """Of that curve."""
