@@ -15,7 +15,7 @@ demo: $(VENV) ## build, install, run the main job on the recording inside the pa
 
 test: $(VENV) ## everything that must hold
 	$(PIP) ".[test,lint]"
-	RUSTFLAGS="--cfg one_level" cargo test --locked -p linkside-core -p linkside-bag
+	RUSTFLAGS="--cfg one_level" cargo test --locked -p linkside-core -p linkside-bag -p linkside-compiled
 	cargo test --locked --workspace --release --features linkside-capi/header --test '*' # of the workspace: with the wheel's features, on its build of the core
 	$(BIN)/python -m mypy.stubtest linkside._core
 	LINKSIDE_CAPI=target/release/deps OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile # a worker a core, not two
