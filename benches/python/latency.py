@@ -1,11 +1,14 @@
 """Compiles robots of 3, 6 and 7 joints into a folder, for `make latency`: the slowest steps of a controller's loop."""
 
 import sys
+from importlib.metadata import distribution
 from pathlib import Path
 
-import example_robot_data
+import pinocchio
 
 import linkside
+
+EXAMPLES = Path(str(distribution("example-robot-data").locate_file("cmeel.prefix/share/example-robot-data/robots")))
 
 
 def robots():
@@ -16,7 +19,7 @@ def robots():
     yield linkside.Robot.from_urdf(urdf, demo.drives[:3], accelerometers=[on_link(demo, "link3")])
     yield linkside.Robot.from_urdf(urdf, demo.drives, **settings)
     drive = {"stiffness": 1e4, "damping": 10.0, "motor_inertia": 0.5}
-    panda = example_robot_data.load("panda").model
+    panda = pinocchio.buildModelFromUrdf(str(EXAMPLES / "panda_description/urdf/panda.urdf"))
     names = [name for name in panda.names if name.startswith("panda_joint")][:7]
     sensors = [{"name": f"acc{link}", "link": f"panda_link{link}", "noise_std": 0.05} for link in (4, 6, 7)]
     yield linkside.Robot.from_pinocchio(panda, [{"name": name, **drive} for name in names], accelerometers=sensors)
