@@ -151,11 +151,12 @@ impl JerkFilter {
         let model = JerkDriven::new(model, self.noise.clone().into(), self.damping)?
             .with_tolerances(tolerances(robot, &self.tolerances, &self.correlations)?)
             .with_late(&late(&self.late)?)?;
-        let mut filter =
-            ExtendedKalmanFilter::new(model, FilterSettings { gate: self.gate, iterations: self.iterations })?;
-        set_losses(&mut filter, &self.losses)?;
-        filter.set_start(self.start.as_ref().map(Belief::build).transpose()?)?;
-        Ok(filter)
+        filter(
+            model,
+            FilterSettings { gate: self.gate, iterations: self.iterations },
+            &self.losses,
+            self.start.as_ref(),
+        )
     }
 }
 
@@ -176,11 +177,12 @@ impl ElasticFilter {
         let model = ElasticModel::disturbed(Arc::clone(robot), &settings, self.noise.clone().into(), links)?
             .with_tolerances(tolerances(robot, &self.tolerances, &self.correlations)?)
             .with_late(&late(&self.late)?)?;
-        let mut filter =
-            ExtendedKalmanFilter::new(model, FilterSettings { gate: self.gate, iterations: self.iterations })?;
-        set_losses(&mut filter, &self.losses)?;
-        filter.set_start(self.start.as_ref().map(Belief::build).transpose()?)?;
-        Ok(filter)
+        filter(
+            model,
+            FilterSettings { gate: self.gate, iterations: self.iterations },
+            &self.losses,
+            self.start.as_ref(),
+        )
     }
 }
 
@@ -227,10 +229,20 @@ impl Belief {
     }
 }
 
-fn set_losses<M: Phases>(filter: &mut ExtendedKalmanFilter<M>, names: &[String]) -> Result<(), BuildError> {
-    let find = |name: &String| NoiseLoss::named(name).ok_or_else(|| BuildError::unknown("a loss", name));
-    let losses: Vec<_> = names.iter().map(find).collect::<Result<_, _>>()?;
-    if losses.is_empty() { Ok(()) } else { Ok(filter.set_losses(&losses)?) }
+/// The filter on either model.
+fn filter<M: Phases>(
+    model: M,
+    settings: FilterSettings,
+    losses: &[String],
+    start: Option<&Belief>,
+) -> Result<ExtendedKalmanFilter<M>, BuildError> {
+    let mut filter = ExtendedKalmanFilter::new(model, settings)?;
+    if !losses.is_empty() {
+        let find = |name: &String| NoiseLoss::named(name).ok_or_else(|| BuildError::unknown("a loss", name));
+        filter.set_losses(&losses.iter().map(find).collect::<Result<Vec<_>, _>>()?)?;
+    }
+    filter.set_start(start.map(Belief::build).transpose()?)?;
+    Ok(filter)
 }
 
 /// Kinds of channels by name.
