@@ -16,6 +16,7 @@ import scipy.linalg
 import scipy.signal
 
 from linkside.arrays import FloatArray
+from linkside.statistics import autocovariance
 
 ORDER = 24
 """Samples that a residual is predicted from: enough for a few resonances in white noise."""
@@ -50,9 +51,7 @@ class Whitening:
         weights = np.zeros((channels, order + 1))
         weights[:, 0] = 1.0
         for c in range(channels if order else 0):
-            columns = [np.nan_to_num(r[:, c]) for r in residuals]
-            products = [[x[k:] @ x[: len(x) - k] for k in range(order + 1)] for x in columns]
-            covariance = np.sum(products, axis=0)
+            covariance = np.sum([len(r) * autocovariance(np.nan_to_num(r[:, c]), order) for r in residuals], axis=0)
             if covariance[0] > 0:
                 covariance[0] *= 1 + FLOOR
                 weights[c, 1:] = -scipy.linalg.solve_toeplitz(covariance[:-1], covariance[1:])

@@ -14,6 +14,7 @@ from linkside.errors import EstimatorError
 from linkside.recording.estimate import Estimate, result_of
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.statistics import rms
 from linkside.text import Titled
 
 from .jerk_driven import IteratedSmoother
@@ -57,7 +58,7 @@ class Bound:
             sizes = [np.linalg.norm(std, axis=1) for std in (self.filter_tool, self.smoother_tool)]
             rows.append(("tool [mm]", 1e3, *sizes))
         for name, unit, filtered, smoothed in rows:
-            values = (_rms(filtered), _rms(smoothed), float(smoothed.max()))
+            values = (rms(filtered), rms(smoothed), float(smoothed.max()))
             table.add_row(name, *(f"{unit * value:.3g}" for value in values))
         yield table
 
@@ -107,7 +108,3 @@ def bound(robot: Robot, log: Log, motion: Estimate | None = None, noise: Noise |
     return Bound(
         log.t, robot.names, filtered["q_std"], smoothed["q_std"], filtered.get("tool_std"), smoothed.get("tool_std")
     )
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -23,6 +23,7 @@ from linkside.observers.acceleration import AccelerationObserver
 from linkside.recording.log import Log
 from linkside.robot import Robot
 from linkside.simulation.simulator import simulate
+from linkside.statistics import rms
 from linkside.text import Titled
 
 from .reproduction import PaperComparison, Reproduction, verdict
@@ -67,7 +68,7 @@ class JointMotion:
     @property
     def torsion_error(self) -> float:
         """Error of the observed torsion, RMS [mrad]."""
-        return 1e3 * float(np.sqrt(np.mean(((self.true - self.observed) @ [1, -1, 0, 0]) ** 2)))
+        return 1e3 * rms((self.true - self.observed) @ [1, -1, 0, 0])
 
 
 def reproduce() -> Reproduction:
