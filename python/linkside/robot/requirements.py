@@ -59,53 +59,32 @@ JOINT_SIDE = tuple(f"{carrier}.{key}" for carrier in ("link_encoder", "joint_tor
 BY_LOAD = ("efficiency", "load")
 """Friction that grows with the torque transmitted."""
 
+BY_ACCELERATION = (UNKNOWN, "rotors", "gearing", "linkages", "backlash", "hysteresis", "ripple", *BY_LOAD, "passive")
+"""What an observer that integrates measured accelerations does not account for."""
+
+BY_MOMENTUM = ("rotors", "gearing", *BY_LOAD, "passive")
+"""The same of one that integrates the equations of motion of rigid links."""
+
+OF_CONTROL = (UNKNOWN, "rotors", "gearing", "hysteresis", "passive")
+"""The same of control laws."""
+
 WHY = {"passive": "no motor moves it, so no encoder shows where its link is"}
 """Reasons that a key does not give by itself."""
 
 UNSUPPORTED: dict[str, tuple[str, ...]] = {
-    "the acceleration-driven observer": (
-        UNKNOWN,
-        "rotors",
-        "gearing",
-        "linkages",
-        "backlash",
-        "hysteresis",
-        "ripple",
-        *BY_LOAD,
-        "passive",
-        "corner_frequency",
-        "delay",
-    ),
-    "the acceleration-driven observer on joint accelerations": (
-        UNKNOWN,
-        "rotors",
-        "gearing",
-        "linkages",
-        "backlash",
-        "hysteresis",
-        "ripple",
-        *BY_LOAD,
-        "passive",
-    ),
+    "the acceleration-driven observer": (*BY_ACCELERATION, *LATE),
+    "the acceleration-driven observer on joint accelerations": BY_ACCELERATION,
     "a filter on the jerk-driven model": (UNKNOWN, "coupling", "rotors"),
     "a filter on the elastic-joint model": (UNKNOWN,),
     "a simulation": (UNKNOWN,),
-    "a velocity observer": ("rotors", "gearing", *BY_LOAD, "passive"),
-    "a velocity observer on the links": ("rotors", "gearing", *BY_LOAD, "passive", *JOINT_SIDE),
-    "the momentum residual": ("rotors", "gearing", *BY_LOAD, "passive"),
-    "the momentum residual on the links": ("rotors", "gearing", *BY_LOAD, "passive", *JOINT_SIDE),
+    "a velocity observer": BY_MOMENTUM,
+    "a velocity observer on the links": (*BY_MOMENTUM, *JOINT_SIDE),
+    "the momentum residual": BY_MOMENTUM,
+    "the momentum residual on the links": (*BY_MOMENTUM, *JOINT_SIDE),
     "a particle filter": ("hysteresis",),
-    "inverse dynamics along a motion": (UNKNOWN, "rotors", "gearing", "hysteresis", "passive"),
-    "state feedback": (UNKNOWN, "rotors", "gearing", "hysteresis", "passive"),
-    "calibration": (
-        "rotors",
-        "gearing",
-        "linkages",
-        "hysteresis",
-        *BY_LOAD,
-        "asymmetry",
-        "passive",
-    ),
+    "inverse dynamics along a motion": OF_CONTROL,
+    "state feedback": OF_CONTROL,
+    "calibration": ("rotors", "gearing", "linkages", "hysteresis", *BY_LOAD, "asymmetry", "passive"),
     "calibration with motor torques": ("stiffness_table", "backlash", "ripple"),
 }
 """Keys that each method does not account for."""
