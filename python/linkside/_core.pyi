@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 __all__ = [
+    "START_SAMPLES",
     "AccelerationObserver",
     "BagCollector",
     "ElasticJointFilter",
@@ -32,6 +33,8 @@ __all__ = [
     "simulate",
     "unpack_file",
 ]
+
+START_SAMPLES: int
 
 _Array = npt.NDArray[np.float64]
 _Signal = _Array | Sequence[float]

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from linkside import _core
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError, NumericalError
 from linkside.robot import Robot
@@ -15,7 +16,7 @@ from linkside.robot import Robot
 Start = Literal["auto", "rest"] | tuple[npt.ArrayLike, npt.ArrayLike]
 """The first samples decide; at rest; or a mean and a covariance of the state at the first sample."""
 
-WINDOW = 32
+WINDOW = _core.START_SAMPLES
 """Samples from which the initial state is determined."""
 
 LEAST = 8

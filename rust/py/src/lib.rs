@@ -48,6 +48,8 @@ mod _core {
     #[pymodule_export]
     use crate::simulate::simulate;
     #[pymodule_export]
+    const START_SAMPLES: usize = linkside_core::estimate::Status::START;
+    #[pymodule_export]
     use crate::state::State;
     #[pymodule_export]
     use crate::velocity::VelocityObserver;

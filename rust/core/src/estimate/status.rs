@@ -29,7 +29,7 @@ impl Status {
     pub const FAULTY: u8 = 128;
 
     /// Samples that a filter's start is fitted to.
-    const START: usize = 32;
+    pub const START: usize = 32;
 
     /// Flags the rows before a contradiction that begins among the samples which a start was fitted to: it was fitted to
     /// readings that contradict the model. `rows` follow `before` earlier ones.
