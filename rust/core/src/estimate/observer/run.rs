@@ -172,11 +172,8 @@ impl AccelerationObserver {
         for (what, given) in [("theta", theta), ("q", q), ("dtheta", dtheta), ("dq", dq)] {
             expect_length(what, given.len(), expected)?;
         }
-        for j in 0..expected {
-            self.state[j] = match self.models[j] {
-                JointModel::Rigid => [theta[j], dtheta[j], 0.0, 0.0, 0.0],
-                _ => [theta[j], q[j], dtheta[j], dq[j], 0.0],
-            };
+        for (j, (state, model)) in self.state.iter_mut().zip(&self.models).enumerate() {
+            *state = joint_state(*model, theta[j], q[j], [dtheta[j], dq[j]]);
         }
         self.begin(Start::Rest);
         Ok(())
@@ -267,10 +264,7 @@ impl AccelerationObserver {
         }
         let q = self.rest.find(&self.robot, theta)?;
         for (j, (state, model)) in self.state.iter_mut().zip(&self.models).enumerate() {
-            *state = match model {
-                JointModel::Rigid => [theta[j], 0.0, 0.0, 0.0, 0.0],
-                _ => [theta[j], q[j], 0.0, 0.0, 0.0],
-            };
+            *state = joint_state(*model, theta[j], q[j], [0.0; 2]);
         }
         self.begin(self.settings.start);
         Ok(())
@@ -546,5 +540,13 @@ impl Kernel for ObserverStep<'_, '_> {
     #[inline(always)]
     fn run(self) -> Self::Output {
         self.observer.take_here(self.sample)
+    }
+}
+
+/// A joint's state at these positions of motor and link, and their velocities; no bias is known yet.
+fn joint_state(model: JointModel, theta: f64, q: f64, [dtheta, dq]: [f64; 2]) -> JointState {
+    match model {
+        JointModel::Rigid => [theta, dtheta, 0.0, 0.0, 0.0],
+        _ => [theta, q, dtheta, dq, 0.0],
     }
 }
