@@ -74,7 +74,7 @@ def chain(count, kind="revolute"):
     return f'<robot name="r">{links}{"".join(joint.format(i, i + 1) for i in range(count))}</robot>'
 
 
-@pytest.mark.parametrize(("count", "kind"), [(257, "revolute"), (6000, "fixed"), (6000, "revolute"), (20_000, "fixed")])
+@pytest.mark.parametrize(("count", "kind"), [(257, "revolute"), (6000, "fixed"), (6000, "revolute")])
 def test_a_chain_beyond_all_bounds_is_a_message(count, kind):
     with pytest.raises(ConfigError, match=r"expected at most .* got \d+"):
         Robot.from_urdf(chain(count, kind), [spring("j0")])
