@@ -159,6 +159,25 @@ def test_a_sensor_that_repeats_itself_is_stuck_at_once(robot: Robot, log: Log, c
     assert np.flatnonzero(estimate.status & Status.FAULTY)[0] < 610
 
 
+@pytest.mark.parametrize("joint", [0, 1])
+def test_an_encoder_that_stays_while_its_motor_turns_is_stuck(joint: int) -> None:
+    """Without a sensor on the links nothing but the motor's velocity says so; noise of that alone, at rest, does not."""
+    blind = Robot.from_urdf(ARM, [spring("shoulder"), spring("elbow")], encoder={"resolution": 1e-5})
+    log = moved(blind, 1.0, 1000.0, sensors={"theta": Sensor(resolution=1e-5), "dtheta": Sensor(noise=1e-3)}).log
+    assert log.dtheta is not None
+    row = 200 + int(np.argmax(np.abs(log.dtheta[200:, joint]) > 0.1))
+    estimate = ExtendedKalmanFilter(blind).run(spoiled(log, "theta", joint, "stuck", row))
+    (found,) = estimate.findings
+    assert found.channel == log.columns("theta")[joint]
+    assert found.kind in ("stuck", "saturated", "dead")
+    assert abs(found.since - row) <= 1
+    assert (estimate.status[row + 100 :] & Status.FAULTY).all()
+    still = replace(log, theta=np.tile(log.theta[:1], (len(log), 1)))
+    for speed in (0.0, 0.01):  # a tachometer's zero
+        noise = speed + 1e-3 * np.random.default_rng(0).standard_normal(log.theta.shape)
+        assert ExtendedKalmanFilter(blind).run(replace(still, dtheta=noise)).findings == ()
+
+
 def test_a_coarse_accelerometer_at_rest_is_not_stuck() -> None:
     """A digit of its readings is larger than its noise: at rest they repeat for good reason."""
     sensors = [{"name": "acc", "link": "hand", "xyz": [0.02, 0.05, 0.1], "noise_std": 0.15}]
