@@ -161,7 +161,7 @@ def test_a_sensor_that_repeats_itself_is_stuck_at_once(robot: Robot, log: Log, c
 
 @pytest.mark.parametrize("joint", [0, 1])
 def test_an_encoder_that_stays_while_its_motor_turns_is_stuck(joint: int) -> None:
-    """Without a sensor on the links nothing but the motor's velocity says so; noise of that alone, at rest, does not."""
+    """Without a sensor on the links only the motor's velocity says so; its noise alone, at rest, does not."""
     blind = Robot.from_urdf(ARM, [spring("shoulder"), spring("elbow")], encoder={"resolution": 1e-5})
     log = moved(blind, 1.0, 1000.0, sensors={"theta": Sensor(resolution=1e-5), "dtheta": Sensor(noise=1e-3)}).log
     assert log.dtheta is not None
