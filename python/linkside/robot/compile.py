@@ -16,6 +16,7 @@ from .counterbalances import Anchor, Counterbalance
 from .joints import JointConfig, RotorConfig
 from .sensors import FrameConfig, SensorConfig
 from .urdf import impossible
+from .wrenches import WrenchConfig
 
 # About or along any axis; RUB and RevoluteUnbounded are URDF's continuous joints, whose q is (cos, sin).
 SINGLE_AXIS = re.compile(r"JointModel(R|RUB|P|Revolute|RevoluteUnbounded|Prismatic)(X|Y|Z|Unaligned)")
@@ -113,6 +114,7 @@ def describe(config: RobotConfig, model: Any) -> dict[str, Any]:
         "tool": None if config.tool is None else _frame(model, config.tool),
         "rotors": [_rotor(model, config, motor, rotor) for motor, rotor in config.rotors.items()],
         "counterbalances": [_counterbalance(model, names, balance) for balance in config.counterbalances],
+        "wrenches": [_wrench(model, wrench) for wrench in config.wrenches],
         "gearing": _gearing(config, names),
         "followers": [(names.index(one.follows), one.ratio, one.offset) for one in config.linkages.values()],
     }
@@ -166,7 +168,7 @@ def _refuse_unknown_joints(model: Any, config: RobotConfig, source: Source) -> N
 
 
 def _refuse_unknown_links(model: Any, config: RobotConfig, source: Source) -> None:
-    for kind in ("accelerometers", "gyroscopes"):
+    for kind in ("accelerometers", "gyroscopes", "wrenches"):
         for index, sensor in enumerate(getattr(config, kind)):
             _refuse_unknown_link(model, sensor, source.where(kind, index, "link"))
     for motor, rotor in config.rotors.items():
@@ -199,8 +201,9 @@ def column_units(model: Any, config: RobotConfig) -> tuple[dict[str, units.Unit]
     columns = config.columns_by_kind
     slides = [model.joints[model.getJointId(j.name)].shortname().startswith("JointModelP") for j in config.joints]
     shafts = MOTOR_SIGNALS if config.columns.motor_side else ()
-    of_joints = [kind for kind in columns if kind not in ("t", "acceleration", "rate")]
+    of_joints = [kind for kind in columns if kind not in ("t", "acceleration", "rate", "wrench")]
     turning = {c: kind in shafts or not s for kind in of_joints for c, s in zip(columns[kind], slides, strict=True)}
+    turning |= {column: column[-2] == "m" for column in columns["wrench"]}
     return units.column_units(config.units, columns, turning)
 
 
@@ -297,6 +300,14 @@ def _anchor(model: Any, end: Anchor) -> tuple[int, list[float]]:
 def _counterbalance(model: Any, names: list[str], balance: Counterbalance) -> dict[str, Any]:
     ends = [_anchor(model, end) for end in balance.ends]
     return balance.compiled(ends, [names.index(joint) for joint in balance.joints])
+
+
+def _wrench(model: Any, wrench: WrenchConfig) -> dict[str, Any]:
+    return {
+        "place": _frame(model, wrench),
+        "constant": wrench.constant,
+        "measured": wrench.kind == "measured",
+    }
 
 
 def _sensor(model: Any, sensor: SensorConfig) -> dict[str, Any]:

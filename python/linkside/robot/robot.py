@@ -24,6 +24,7 @@ from .joints import JointConfig
 from .sensors import AccelerometerConfig, FrameConfig, GyroscopeConfig
 from .units import Unit
 from .urdf import Urdf
+from .wrenches import WrenchConfig
 
 Array = NDArray[np.float64]
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -276,6 +277,16 @@ class Robot:
         """Columns of angular rate, `<gyroscope>_wx` and so on."""
         return self.config.gyroscope_channels
 
+    @property
+    def varying_wrenches(self) -> tuple[WrenchConfig, ...]:
+        """Wrenches from outside that are not constant, which filters have in their state."""
+        return tuple(wrench for wrench in self.config.wrenches if wrench.kind != "constant")
+
+    @property
+    def wrench_channels(self) -> tuple[str, ...]:
+        """Columns of force sensors, `<wrench>_fx` and so on."""
+        return self.config.wrench_channels
+
     @cached_property
     def encoder_readings(self) -> dict[str, dict[int, EncoderReading]]:
         """By signal, `theta` or `q`, and by joint: how encoders read that read wrong in a way that is known."""
@@ -334,9 +345,29 @@ class Robot:
         found = {name: q[..., index] for index, name in enumerate(self.names)}
         return found | {name: one.ratio * found[one.follows] + one.offset for name, one in self.config.linkages.items()}
 
-    def inverse_dynamics(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
-        """Torque on the links, M(q) q̈ + C(q, q̇) q̇ + g(q), (T, n) [N m]."""
-        return self._rows(self.core.inverse_dynamics, q=q, dq=dq, ddq=ddq)
+    def inverse_dynamics(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike, wrench: ArrayLike | None = None) -> Array:
+        """Torque that transmissions give the links, M(q) q̈ + C(q, q̇) q̇ + g(q) less that of wrenches, (T, n) [N m].
+
+        Constant wrenches of robot.yaml count; those that vary are `wrench`, (T, 6k), and none unless given.
+        """
+        torque = self._rows(self.core.inverse_dynamics, q=q, dq=dq, ddq=ddq)
+        return torque if wrench is None else torque - self.wrench_torque(q, wrench)
+
+    def wrench_torque(self, q: ArrayLike, wrench: ArrayLike) -> Array:
+        """Torque that wrenches which vary give the joints, Jᵀ w, (T, n) [N m].
+
+        `wrench`, (T, 6k): of each of the k wrenches of robot.yaml that are not constant, in their order, force along
+        x, y and z [N] and moment about them [N m], in the axes of its frame.
+        """
+        jacobian, values = self.wrench_map(q), numbers("wrench", wrench)
+        expected = (*jacobian.shape[:-2], jacobian.shape[-1])
+        if values.shape != expected:
+            raise EstimatorError(f"wrench: expected shape {expected}, got {values.shape}")
+        return np.asarray((jacobian @ values[..., None])[..., 0])
+
+    def wrench_map(self, q: ArrayLike) -> Array:
+        """What each number of wrenches that vary adds to the joints' torques, (T, n, 6k): Jᵀ of `wrench_torque`."""
+        return self._rows(self.core.wrench_map, q=q)
 
     def inverse_dynamics_derivatives(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> tuple[Array, Array, Array]:
         """Derivatives of `inverse_dynamics` by q, q̇ and q̈ (the last: mass matrix), three of (T, n, n)."""
