@@ -75,7 +75,7 @@ def given(robot, log):
     state = np.full(3 * n, 0.01), np.diag(np.full(3 * n, 1e-4))
     filters = ("dt", "theta", "acceleration")
     slow = [sensor.model_copy(update={"delay": 1.2e-3, "corner_frequency": 200.0}) for sensor in robot.accelerometers]
-    late = linkside.Robot(robot.config.model_copy(update={"accelerometers": tuple(slow)}), robot.model)
+    late = linkside.Robot(robot.config.model_copy(update={"accelerometers": tuple(slow)}), robot.tree)
     return {
         "observer": (AccelerationObserver(robot, bias=True, period=period), ("theta", "tau", "acceleration")),
         "ekf": (ExtendedKalmanFilter(robot, start="rest"), filters),
@@ -158,7 +158,7 @@ def test_what_a_controller_cannot_know_is_refused(robot, tmp_path):
         ExtendedKalmanFilter(robot).compile(tmp_path / "robot.lsr")
     with pytest.raises(OutputError, match=r"ends in \.lsr"):
         ExtendedKalmanFilter(robot, start="rest").compile(tmp_path / "robot.bin")
-    nameless = linkside.Robot(robot.config.model_copy(update={"rate_hz": None}), robot.model)
+    nameless = linkside.Robot(robot.config.model_copy(update={"rate_hz": None}), robot.tree)
     with pytest.raises(EstimatorError, match="compile needs the sampling period"):
         AccelerationObserver(nameless).compile(tmp_path / "robot.lsr")
     with pytest.raises(EstimatorError, match="expected a positive, finite time"):
