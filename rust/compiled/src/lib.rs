@@ -5,6 +5,15 @@
 //! it gives are the bits that Python gives. The C interface, `linkside-capi`, is these calls and no more.
 //!
 //! [`description`] is what a file holds, as plain numbers: a program may also write one, with [`Description::to_bytes`].
+// Nothing a user gives makes a panic: what cannot fail says why where it is.
+#![deny(
+    clippy::expect_used,
+    clippy::panic,
+    clippy::todo,
+    clippy::unimplemented,
+    clippy::unreachable,
+    clippy::unwrap_used
+)]
 
 pub mod demo;
 pub mod description;
