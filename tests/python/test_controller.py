@@ -1,6 +1,5 @@
 """Compiled estimators: what a controller gets from a file are the bits that `step` gives here."""
 
-import os
 import platform
 import shutil
 import subprocess
@@ -23,9 +22,6 @@ from linkside import (
 from linkside.cli import main
 
 ROOT = Path(__file__).parents[2]
-LIBRARIES = (os.environ.get("LINKSIDE_CAPI", ""), ROOT / "target/release/deps", ROOT / "target/release")
-"""Where `cargo test --release` leaves the C library; the first one must have it where it is given."""
-
 SAMPLES = 300
 
 UNWATCHED = 3
@@ -40,17 +36,6 @@ def robot():
 @pytest.fixture(scope="module")
 def log(robot):
     return linkside.Log.read(linkside.demo.LOG, robot)[:SAMPLES]
-
-
-@pytest.fixture(scope="module")
-def library():
-    name = "liblinkside.dylib" if platform.system() == "Darwin" else "liblinkside.so"
-    for folder in filter(None, LIBRARIES):
-        if (Path(folder) / name).is_file():
-            return Path(folder)
-    if LIBRARIES[0]:
-        pytest.fail(f"LINKSIDE_CAPI={LIBRARIES[0]} has no {name}")
-    pytest.skip(f"no {name}: cargo test --release -p linkside-capi builds it")
 
 
 @pytest.fixture(scope="module")
