@@ -10,6 +10,7 @@ from drawing import save, style
 from walk import walk
 
 from linkside import Estimate, ExtendedKalmanFilter, Log, Robot
+from linkside.excitation import expected_errors
 from linkside.figures.style import COLOURS, finish
 
 HERE = Path(__file__).parent
@@ -118,7 +119,32 @@ def draw_repeats(names: dict[str, Any], folder: Path) -> None:
     save(figure, HERE / "repeats.svg")
 
 
+def draw_excitation(names: dict[str, Any], folder: Path) -> None:
+    """The planned motion and its standard errors, of the journey from a URDF alone."""
+    motion, robot = names["motion"], Robot.load(folder / "robot.yaml")
+    before, after = expected_errors(robot, []), expected_errors(robot, motion)
+    figure, (path, errors) = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained", width_ratios=(1.3, 1))
+    for j, name in enumerate(robot.names):
+        path.plot(motion.t, motion.theta[:, j], color=COLOURS[j], label=name)
+    path.set(title="planned motion", xlabel="time [s]", ylabel="[rad]")
+    path.legend(frameon=False)
+    chosen = [
+        i for i, p in enumerate(after.parameters) if p.kind in ("stiffness", "damping", "translation", "rotation")
+    ]
+    rows = np.arange(len(chosen))
+    errors.hlines(rows, after.std[chosen], before.std[chosen], color="0.6")
+    errors.semilogx(before.std[chosen], rows, "o", color=COLOURS[1], label="without the motion")
+    errors.semilogx(after.std[chosen], rows, "o", color=COLOURS[0], label="with it")
+    errors.set_yticks(rows, [after.parameters[i].name for i in chosen], fontsize="x-small")
+    errors.set(title="standard errors, in tolerances", ylim=(len(rows) - 0.5, -0.5))
+    errors.legend(frameon=False, fontsize="small")
+    for axes in (path, errors):
+        finish(axes, legend=False)
+    save(figure, HERE / "urdf.svg")
+
+
 PICTURES = {
+    "urdf.md": (draw_excitation,),
     "path.md": (draw_path, draw_fault),
     "calibrate.md": (draw_calibration,),
     "loop.md": (draw_loop,),

@@ -1,4 +1,4 @@
-"""Planned motions keep their limits, tell what they say they tell, and tell more than plain ones."""
+"""Planned motions keep their limits; their standard errors are those that they state, smaller than of plain motions."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from linkside import EstimatorError, Log, Robot, cli, simulate
 from linkside.calibration import calibrate
 from linkside.control.controllers import JointPD
 from linkside.control.trajectories import rest_to_rest
-from linkside.excitation import Limits, MotorMotion, excite, foretell
+from linkside.excitation import Limits, MotorMotion, excite, expected_errors
 from linkside.excitation.series import FourierSeries
 
 from .robots import ARM, DATA, EXAMPLES
@@ -144,10 +144,10 @@ def as_log(robot, motion, path):
 
 def test_it_tells_more_than_a_plain_motion(robot, limits, planned):
     log = as_log(robot, plain(robot, limits, 4.0, RATE), "plain")
-    other = foretell(robot, log)
+    other = expected_errors(robot, log)
     for name in SPRINGS:
         assert planned.after.error(name) < other.error(name) / 3
-    assert set(other.told) < set(planned.after.told)
+    assert set(other.identifiable) < set(planned.after.identifiable)
 
 
 def test_what_is_foretold_is_what_a_calibration_finds(robot, planned):
@@ -160,7 +160,7 @@ def test_what_is_foretold_is_what_a_calibration_finds(robot, planned):
     true = Robot(robot.config.model_copy(update={"joints": tuple(joints)}), robot.model)
     found = calibrate(robot, recorded(true, planned.motion, 1))
     assert found.accepted
-    told = [e for e in found.estimates if e.parameter.name in planned.after.told]
+    told = [e for e in found.estimates if e.parameter.name in planned.after.identifiable]
     assert len(told) >= 14
     assert {"translation_tool_acc_y", "scale_tool_acc_y"} <= found.refused.keys() & planned.after.reasons.keys()
     ratio = [e.std / planned.after.error(e.parameter.name) for e in told]
@@ -183,11 +183,11 @@ def test_a_second_motion_tells_what_a_recording_cannot(robot, limits, planned):
     theta = motion.theta.copy()
     theta[:, 1] = theta[0, 1]
     log = as_log(robot, replace(motion, theta=theta), "still")
-    before = foretell(robot, log)
+    before = expected_errors(robot, log)
     assert "its joint does not move" in before.reasons["stiffness_axis3"]
     plan = excite(robot, log, limits=limits, duration=4.0, rate=RATE, evaluations=2)
     assert plan.before.reasons.keys() == before.reasons.keys()
-    assert "stiffness_axis3" in plan.after.told
+    assert "stiffness_axis3" in plan.after.identifiable
     assert plan.after.error("stiffness_axis2") < before.error("stiffness_axis2")
 
 
@@ -216,7 +216,7 @@ def test_the_command_writes_a_log_of_the_motion_and_its_figure(folder):
     assert done.exit_code == 0, done.stderr
     assert "stiffness_axis2" in done.stdout
     assert "translation_tool_acc_y" in done.stdout
-    assert "cannot be told" in done.stdout
+    assert "not identifiable" in done.stdout
     robot = Robot.load("robot.yaml")
     log = Log.read("motion.csv", robot)
     same = excite(robot, duration=3.0, evaluations=2)
@@ -225,7 +225,7 @@ def test_the_command_writes_a_log_of_the_motion_and_its_figure(folder):
     assert (folder / "motion.svg").stat().st_size < 2e6
     told = linkside("excite", "robot.yaml", "motion.csv")
     assert told.exit_code == 0, told.stderr
-    assert f"{len(foretell(robot, log).told)} of 22 parameters can be told" in told.stdout
+    assert f"{len(expected_errors(robot, log).identifiable)} of 22 parameters are identifiable" in told.stdout
 
 
 @pytest.mark.parametrize(
@@ -285,8 +285,8 @@ def test_public_arms_are_told_more_than_by_a_plain_motion(tmp_path, file, links)
     assert used.max() <= 1
     assert np.all(np.abs(plan.motion.dtheta).max(axis=0) <= limits.velocity)
     motion = plain(robot, limits, 10.0, 1000.0)
-    other = foretell(robot, as_log(robot, replace(motion, theta=motion.theta + plan.motion.theta[0]), "plain"))
+    other = expected_errors(robot, as_log(robot, replace(motion, theta=motion.theta + plan.motion.theta[0]), "plain"))
     springs = [i for i, p in enumerate(plan.after.parameters) if p.kind == "stiffness"]
     ratio = plan.after.std[springs] / other.std[springs]
     assert np.exp(np.log(ratio).mean()) < 0.5
-    assert len(plan.after.told) > len(other.told)
+    assert len(plan.after.identifiable) > len(other.identifiable)

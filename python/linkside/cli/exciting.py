@@ -39,16 +39,16 @@ from .terminal import bar, show
 @click.option("--figure", type=click.Path(), help="Draw the motion: a .png, .pdf or .svg file.")
 @no_check
 def excite(robot: str, logs: tuple[str, ...], out: str | None, figure: str | None, **options: Any) -> None:
-    """Plan a motion by which `calibrate` can tell springs, masses and poses of sensors of ROBOT.
+    """Plan a motion that makes springs, masses and sensor poses of ROBOT identifiable.
 
-    With LOGs, recorded or planned, the motion tells what they cannot. Without --out, report what LOGs tell.
+    With LOGs, recorded or planned, it adds what they lack. Without --out, report what is identifiable from LOGs.
 
     The motion stays within the limits of joints, but knows of no obstacle, cable or table: look at it before the robot
     moves. Positions and velocities are those of motors, as recordings of ROBOT have them.
     """
-    from linkside.excitation import Limits, foretell
+    from linkside.excitation import Limits, expected_errors
     from linkside.excitation import excite as plan
-    from linkside.excitation.words import foreseen_table
+    from linkside.excitation.words import errors_table
 
     if out is None and not logs:
         raise click.UsageError("--out is missing: the motion, a file that ends in .parquet or .csv; or give a LOG")
@@ -62,7 +62,7 @@ def excite(robot: str, logs: tuple[str, ...], out: str | None, figure: str | Non
     recorded = [Log.read(log, loaded, check=not options["no_check"]) for log in logs]
     free = None if options["free"] is None else options["free"].split(",")
     if out is None:
-        show([foreseen_table(None, foretell(loaded, recorded, free))])
+        show([errors_table(None, expected_errors(loaded, recorded, free))])
         return
     limits = Limits.of(
         loaded,

@@ -1,8 +1,8 @@
-"""Motions that let a calibration tell springs, masses and where sensors are."""
+"""Motions that make springs, masses and poses of sensors identifiable."""
 
 from .excitation import Excitation
-from .excite import excite, foretell
-from .foresight import Foreseen, MotorMotion
+from .excite import excite, expected_errors
+from .expected import ExpectedErrors, MotorMotion
 from .limits import Limits
 
-__all__ = ["Excitation", "Foreseen", "Limits", "MotorMotion", "excite", "foretell"]
+__all__ = ["Excitation", "ExpectedErrors", "Limits", "MotorMotion", "excite", "expected_errors"]

@@ -1,4 +1,4 @@
-"""A planned motion, what it lets a calibration tell, and its file."""
+"""A planned motion, the standard errors to expect, and its file."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
 from linkside.text import Titled, as_text
 
-from .foresight import Foreseen, MotorMotion
+from .expected import ExpectedErrors, MotorMotion
 from .limits import Limits
-from .words import foreseen_table
+from .words import errors_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,20 +38,20 @@ class Excitation:
         What it keeps.
     torque : (T, n)
         Torques of the motors along it, if the robot is as robot.yaml says [N m].
-    before, after : Foreseen
-        What is told without it, and with it.
+    before, after : ExpectedErrors
+        Standard errors to expect without it, and with it.
     """
 
     robot: Robot
     motion: MotorMotion
     limits: Limits
     torque: FloatArray
-    before: Foreseen
-    after: Foreseen
+    before: ExpectedErrors
+    after: ExpectedErrors
 
     def __repr__(self) -> str:
-        """Robot, duration and what is told in one line."""
-        told = f"tells {len(self.after.told)} of {len(self.after.parameters)} parameters"
+        """Robot, duration and what is identifiable in one line."""
+        told = f"{len(self.after.identifiable)} of {len(self.after.parameters)} parameters identifiable"
         return f"Excitation({self.robot!r}, {self.motion.t[-1]:g} s at {1 / self.motion.period:g} Hz, {told})"
 
     def write(self, path: str | PathLike[str]) -> None:
@@ -71,8 +71,8 @@ class Excitation:
             writer.write(ArrowTable(pa.table(as_columns(self.robot, signals, "planned motion")), "planned motion"))
 
     def tables(self) -> list[Titled]:
-        """Give the motion and what it tells as tables."""
-        return [self._motion_table(), foreseen_table(self.before, self.after)]
+        """Give the motion, and the standard errors to expect, as tables."""
+        return [self._motion_table(), errors_table(self.before, self.after)]
 
     def to_text(self) -> str:
         """Report in words."""

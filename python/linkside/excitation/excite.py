@@ -1,4 +1,4 @@
-"""Plan a motion from which a calibration can tell what it seeks."""
+"""Plan a motion that makes parameters identifiable."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from linkside.recording.log import Log
 from linkside.robot import Robot
 
 from .excitation import Excitation
-from .foresight import Foreseen, MotorMotion, Sensing, foresee, motion_of
+from .expected import ExpectedErrors, MotorMotion, Sensing, expect, motion_of
 from .limits import Limits
 from .planner import PER_PERIOD, Planner, Progress, Room
 from .series import TERMS, FourierSeries
 
 SHARE, HIGHEST = 0.5, 10.0
-"""Default bandwidth: this share of the lowest frequency of a link on its spring, and at most so many Hz."""
+"""Default bandwidth: this share of the lowest frequency of a link on its spring, and at most this frequency."""
 
 REST = 0.25
 """At rest before and after a motion [s]."""
@@ -29,8 +29,8 @@ RATE = 1000.0
 """Samples a second where robot.yaml does not say [Hz]."""
 
 
-def foretell(robot: Robot, logs: Log | Sequence[Log], free: Iterable[str] | None = None) -> Foreseen:
-    """Say which parameters recordings, or planned motions, can tell, and how well.
+def expected_errors(robot: Robot, logs: Log | Sequence[Log], free: Iterable[str] | None = None) -> ExpectedErrors:
+    """Find which parameters are identifiable from recordings or planned motions, and how well.
 
     Only the motors' positions are looked at: sensors are taken to read what robot.yaml says, with its noise.
 
@@ -49,7 +49,7 @@ def foretell(robot: Robot, logs: Log | Sequence[Log], free: Iterable[str] | None
         The robot has no sensor on its links, or what calibration does not account for.
     """
     logs = [logs] if isinstance(logs, Log) else list(logs)
-    return foresee(Sensing(robot, free), [motion_of(robot, log) for log in logs])
+    return expect(Sensing(robot, free), [motion_of(robot, log) for log in logs])
 
 
 def excite(
@@ -79,7 +79,7 @@ def excite(
     robot
         The robot as robot.yaml has it.
     logs
-        Recordings that it will be calibrated with besides: the motion is to tell what they cannot.
+        Recordings that it will be calibrated with besides: the motion adds what they lack.
     free
         Kinds or names of parameters that calibration will free; those that `calibrate` frees by default.
     limits
@@ -122,7 +122,7 @@ def excite(
     groups = np.split(every, robot.n) if one_by_one else [every]
     series = _series(robot, at, round(rate * duration / len(groups)) / rate, rate, bandwidth)
     recorded = [motion_of(robot, log) for log in logs]
-    before = foresee(sensing, recorded)
+    before = expect(sensing, recorded)
     known, parts = np.eye(len(sensing.free)) + before.information, []
     for group in groups:
         search = Planner(sensing, series, Room(at, room, limits, group), known, rate)
@@ -131,7 +131,7 @@ def excite(
         parts.append(search.motion(x, np.arange(round(series.duration * rate) + 1) / rate))
     motion = _joined(parts, at, round(REST * rate), rate)
     return Excitation(
-        robot, motion, limits, search.elastic_torque(motion), before, foresee(sensing, [*recorded, motion])
+        robot, motion, limits, search.elastic_torque(motion), before, expect(sensing, [*recorded, motion])
     )
 
 

@@ -11,13 +11,13 @@ from linkside.figures import COLOURS, finish
 from linkside.figures.style import legend_below, line_style, plain_log
 from linkside.robot import Robot
 
-from .foresight import Foreseen, MotorMotion
+from .expected import ExpectedErrors, MotorMotion
 
 MOST = 24
-"""Parameters that are drawn: those that the motion tells best about."""
+"""Parameters that are drawn: those with the smallest standard errors."""
 
 
-def excitation_figure(robot: Robot, motion: MotorMotion, before: Foreseen, after: Foreseen) -> Figure:
+def excitation_figure(robot: Robot, motion: MotorMotion, before: ExpectedErrors, after: ExpectedErrors) -> Figure:
     """Draw the motion of each joint, and the standard errors that a calibration will have."""
     figure = Figure(figsize=(13, 5.6), layout="constrained")
     figure.suptitle(f"{robot.model.name}: a motion to calibrate by")
@@ -32,7 +32,7 @@ def excitation_figure(robot: Robot, motion: MotorMotion, before: Foreseen, after
     return figure
 
 
-def _errors(axes: Any, before: Foreseen, after: Foreseen) -> None:
+def _errors(axes: Any, before: ExpectedErrors, after: ExpectedErrors) -> None:
     """Draw standard errors before and after, in tolerances of robot.yaml."""
     order = np.argsort(np.array([p.name in after.reasons for p in after.parameters]) + after.std)[:MOST][::-1]
     rows = np.arange(len(order))
@@ -44,4 +44,4 @@ def _errors(axes: Any, before: Foreseen, after: Foreseen) -> None:
     axes.set(xlabel="standard error, in tolerances of robot.yaml")
     plain_log(axes.xaxis)
     finish(axes, legend=False)
-    axes.legend(loc="lower left", fontsize="small", frameon=False)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, fontsize="small", frameon=False)

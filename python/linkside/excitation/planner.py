@@ -17,7 +17,7 @@ from linkside.calibration.problem import bare
 from linkside.calibration.response import ResponseProblem
 from linkside.errors import EstimatorError
 
-from .foresight import MotorMotion, Sensing
+from .expected import MotorMotion, Sensing
 from .limits import Limits
 from .series import FourierSeries
 
@@ -28,7 +28,7 @@ RATE, PER_PERIOD = 200.0, 16.0
 """Least rate of samples during the search [Hz], and least number a period of the highest frequency."""
 
 FIRST = 3
-"""One in so many of the motions that are tried is at random."""
+"""Of this number of motions that are tried, one is at random."""
 
 STEP = 0.3
 """First step of the search in a coefficient, of joints that go to their limits at length 1."""

@@ -1,4 +1,4 @@
-"""What a calibration will be able to tell from a motion, by its own information, before anything is recorded."""
+"""Standard errors that a calibration will have, by its own information, before anything is recorded."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class MotorMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class Foreseen:
+class ExpectedErrors:
     """Standard errors that a calibration will have if the robot is as robot.yaml says.
 
     Attributes
@@ -78,8 +78,8 @@ class Foreseen:
         return float(self.std[index] * self.parameters[index].slope(0.0))
 
     @property
-    def told(self) -> tuple[str, ...]:
-        """Names of the parameters that the motion tells."""
+    def identifiable(self) -> tuple[str, ...]:
+        """Names of the parameters that are identifiable."""
         return tuple(p.name for p in self.parameters if p.name not in self.reasons)
 
 
@@ -115,7 +115,7 @@ class Sensing:
             chosen = [p for p in chosen if p.kind not in BY_LINK_ENCODERS]
         self.free = tuple(p for p in chosen if p.kind not in NOISE)
         if not self.free:
-            raise EstimatorError("free: none of these parameters can be told from what sensors on links read")
+            raise EstimatorError("free: none of these parameters is identifiable from sensors on links")
 
     def log(self, t: FloatArray, theta: FloatArray) -> Log:
         """Give a recording of a motion in which the sensors read nothing yet."""
@@ -151,11 +151,11 @@ def motion_of(robot: Robot, log: Log) -> MotorMotion:
     return MotorMotion(**motors(robot, log))
 
 
-def foresee(sensing: Sensing, motions: Sequence[MotorMotion]) -> Foreseen:
+def expect(sensing: Sensing, motions: Sequence[MotorMotion]) -> ExpectedErrors:
     """Find what a calibration by recordings of some motions would tell; of none, what robot.yaml's tolerances say."""
     free, p = sensing.free, len(sensing.free)
     if not motions:
-        return Foreseen(free, np.ones(p), {q.name: "nothing is recorded" for q in free}, np.zeros((p, p)))
+        return ExpectedErrors(free, np.ones(p), {q.name: "nothing is recorded" for q in free}, np.zeros((p, p)))
     recordings = [sensing.recorded(motion, seed) for seed, motion in enumerate(motions)]
     blank = sensing.problem(recordings)
     z = sensing.start(blank)
@@ -170,13 +170,13 @@ def foresee(sensing: Sensing, motions: Sequence[MotorMotion]) -> Foreseen:
     found = uncertainty(_of(evidence, kept), min(recording.period for recording in recordings)).std
     std[kept] = np.minimum(found, 1.0)
     hidden = _hidden(free, std, untold)
-    return Foreseen(free, std, untold.reasons | hidden, evidence.information)
+    return ExpectedErrors(free, std, untold.reasons | hidden, evidence.information)
 
 
 def _hidden(free: Sequence[Parameter], std: FloatArray, untold: Untold) -> dict[str, str]:
-    """Parameters that would be told if others were known, and why they are not."""
+    """Parameters that are not identifiable unless others are known."""
     left_out = [q.name for q in free if q.name in untold.reasons and not (q.name in untold.considered or stands_in(q))]
-    reason = f"it could be told only if {' and '.join(left_out)} were known"
+    reason = f"it is identifiable only if {' and '.join(left_out)} {'is' if len(left_out) == 1 else 'are'} known"
     return {q.name: reason for q, s in zip(free, std, strict=True) if q.name not in untold.reasons and s > enough(q)}
 
 
