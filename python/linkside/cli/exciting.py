@@ -10,10 +10,11 @@ import click
 
 from linkside.files.writing import check_writable
 from linkside.recording.log import Log
+from linkside.report import inputs
 from linkside.robot import Robot
 
 from .group import main
-from .options import check_figure, draw, example, named_number, no_check, refuse_clashes
+from .options import check_figure, check_report, draw, example, named_number, no_check, refuse_clashes, report
 from .terminal import bar, show
 
 
@@ -37,8 +38,11 @@ from .terminal import bar, show
 @click.option("--evaluations", type=click.IntRange(2), default=200, show_default=True, help="Motions to try.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed, the same motion.")
 @click.option("--figure", type=click.Path(), help="Draw the motion: a .png, .pdf or .svg file.")
+@report
 @no_check
-def excite(robot: str, logs: tuple[str, ...], out: str | None, figure: str | None, **options: Any) -> None:
+def excite(
+    robot: str, logs: tuple[str, ...], out: str | None, figure: str | None, report: str | None, **options: Any
+) -> None:
     """Plan a motion that makes springs, masses and sensor poses of ROBOT identifiable.
 
     With LOGs, recorded or planned, it adds what they lack. Without --out, report what is identifiable from LOGs.
@@ -52,12 +56,13 @@ def excite(robot: str, logs: tuple[str, ...], out: str | None, figure: str | Non
 
     if out is None and not logs:
         raise click.UsageError("--out is missing: the motion, a file that ends in .parquet or .csv; or give a LOG")
-    if out is None and figure is not None:
-        raise click.UsageError("--figure is for --out")
+    if out is None and (figure or report):
+        raise click.UsageError("--figure and --report are for --out")
     if out is not None:
         check_writable(out)
         refuse_clashes([Path(out)], [robot, *logs])
     check_figure(figure, [robot, *logs, out])
+    check_report(report, [robot, *logs, out, figure])
     loaded = Robot.load(robot)
     recorded = [Log.read(log, loaded, check=not options["no_check"]) for log in logs]
     free = None if options["free"] is None else options["free"].split(",")
@@ -87,6 +92,11 @@ def excite(robot: str, logs: tuple[str, ...], out: str | None, figure: str | Non
     click.echo(f"motion: {out}")
     if figure is not None:
         draw(planned.figure(), figure)
+    if report is not None:
+        from linkside.excitation.page import page
+
+        page(planned, inputs([("robot", robot), *(("log", log) for log in logs), ("motion", out)])).write(report)
+        click.echo(f"report: {report}")
 
 
 def _named(what: str, texts: tuple[str, ...]) -> dict[str, float]:
