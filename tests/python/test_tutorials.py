@@ -1,5 +1,6 @@
 """Tutorials do what they say: each is followed from top to bottom in an empty folder."""
 
+import json
 import re
 import runpy
 from pathlib import Path
@@ -69,3 +70,19 @@ def test_urdf(tmp_path):
     for (true, stiffness), error in zip({8e4: "shoulder", 4.5e4: "elbow"}.items(), (2700, 1000), strict=True):
         assert springs[f"stiffness_{stiffness}"] == pytest.approx(true, abs=3 * error)
     assert found.accelerometers[0].xyz[0] == pytest.approx(0.504, abs=0.002)
+
+
+def test_bag(tmp_path):
+    names = walk(DOCS / "tutorials/bag.md", tmp_path)
+    assert names["estimate"].status_summary()["good"] == 1501
+    assert (tmp_path / "motion.mcap").stat().st_size > 10_000
+    assert "No row, channel or finding contradicts" in (tmp_path / "report.html").read_text()
+
+
+def test_batch(tmp_path):
+    names = walk(DOCS / "tutorials/batch.md", tmp_path)
+    assert names["worst"] == ["repeat_17"]
+    assert "49 of 50 estimates" in (tmp_path / "batch.html").read_text()
+    spread = json.loads((tmp_path / "repeats.json").read_text())["spread"]
+    assert 1e-4 < spread["tool"] < 1e-3
+    assert all((tmp_path / page).stat().st_size <= 2e6 for page in ("batch.html", "repeats.html"))
