@@ -10,6 +10,7 @@ from importlib import import_module
 
 SCRIPTS = (
     "tool_error",
+    "choose",
     "transmissions",
     "trust",
     "record",
