@@ -13,6 +13,7 @@ SCRIPTS = (
     "choose",
     "transmissions",
     "trust",
+    "two_peaks",
     "record",
     "learning",
     "papers.pictures",
