@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import re
 
 import numpy as np
 import pytest
@@ -119,6 +120,13 @@ def test_repeats_have_a_mean_and_a_spread():
     assert only(found, estimate="mean of repeats", signal="q_a").rms < 1e-12
     assert found.spread["q_a"] == pytest.approx(1e-3)
     assert found.spread["q_b"] < 1e-12
+
+
+def test_of_many_repeats_joints_are_told_of_the_worst_and_the_mean():
+    repeats = {f"run {i}": motion(T, offset=1e-4 * (i == 7) + 1e-5) for i in range(20)}
+    text = compare(motion(T), repeats, repeats=True).to_text()
+    assert re.findall(r"^(.*), joints", text, re.MULTILINE) == ["run 7", "mean of repeats"]
+    assert "The joints of 19 more estimates" in text
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from linkside.robot.workspace import prismatic
 
 from . import output
 from .alignment import ALIGNMENTS, find_shift, sampled
-from .measures import Difference, Measure
+from .measures import MEAN, Difference, Measure
 from .reading import read_motion
 from .result import ComparisonResult
 from .segments import Segment, between_rests
@@ -206,7 +206,7 @@ def _repeats(differences: Sequence[Difference]) -> tuple[Difference, dict[str, f
         size = (scatter**2).sum(axis=1)
         if np.isfinite(size).any():
             spread[signal] = float(np.sqrt(np.nanmean(size)))
-    return Difference("mean of repeats", first.t, 0.0, signals), spread
+    return Difference(MEAN, first.t, 0.0, signals), spread
 
 
 def _measures(difference: Difference, segments: Sequence[Segment], units: dict[str, str]) -> list[Measure]:

@@ -4,9 +4,8 @@ import os
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +25,11 @@ from .tree import Tree
 from .units import Unit
 from .urdf import Urdf
 from .wrenches import WrenchConfig
+
+if TYPE_CHECKING:  # pyright does not take a cached property for the property of a protocol
+    cached_property = property
+else:
+    from functools import cached_property
 
 Array = NDArray[np.float64]
 Scalar = TypeVar("Scalar", bound=np.generic)
