@@ -10,13 +10,13 @@ import click
 
 from linkside.errors import LogError, RecordingWarning
 from linkside.files.writing import check_writable
+from linkside.fleet.task import naming
 from linkside.recording.checks import verdicts
 from linkside.recording.log import Log
 from linkside.report import inputs
 from linkside.robot import Robot
 
 from .error_tables import tool_table
-from .estimate_logs import naming
 from .group import main
 from .options import Shift, check_figure, check_report, draw, example, named_number, no_check, refuse_clashes, report
 from .terminal import show
