@@ -50,14 +50,19 @@ def estimate_page(outcome: Outcome, made: Recipe, robot_file: str, settings: Seq
         ("The robot", [_robot(made.robot)]),
     ]
     tuning = dict(settings).get("tuning")
-    files = [("robot", robot_file), ("URDF", urdf_of(robot_file, made.robot)), ("log", job.log)]
+    files: list[tuple[str, str | Path | None]] = [
+        ("robot", robot_file),
+        ("URDF", urdf_of(robot_file, made.robot)),
+        ("log", job.log),
+    ]
+    files += [("tuning", tuning), ("truth", job.truth), ("estimate", job.output)]
     return Page(
         f"Estimate of {Path(job.log).name}",
         verdict(outcome),
         list(_facts(outcome, view)),
         list(dict.fromkeys(_next_steps(outcome))),
         [(heading, parts) for heading, parts in sections if parts],
-        inputs([*files, ("tuning", tuning), ("truth", job.truth), ("estimate", job.output)]),
+        inputs(files),
         list(settings),
     )
 

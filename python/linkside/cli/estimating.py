@@ -141,14 +141,13 @@ def _run(
     with bar(total) as advance:
 
         def hear(outcome: Outcome) -> None:
+            if outcome.error is not None and len(jobs) == 1:
+                raise outcome.error
             if on is not None:
                 advance(outcome.job.log, 1)
             tell(outcome)
 
-        outcomes = run_all(made, jobs, on, workers, hear, advance, **settings, note=partial(click.echo, err=True))
-    if on is not None and len(jobs) == 1 and outcomes[0].error is not None:
-        raise outcomes[0].error
-    return outcomes
+        return run_all(made, jobs, on, workers, hear, advance, **settings, note=partial(click.echo, err=True))
 
 
 def _write_report(

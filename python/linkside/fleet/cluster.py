@@ -27,6 +27,9 @@ from .task import EstimateJob, Outcome, Recipe, run
 HERE = "dask"
 """Stands for processes of this machine."""
 
+PATIENCE = 10.0
+"""How long a scheduler may take to answer [s]."""
+
 
 def on_dask(
     recipe: Recipe,
@@ -121,15 +124,13 @@ def _client(distributed: Any, address: str, workers: int) -> Iterator[Any]:
     """Connect to a scheduler; one of this machine is there as long as its client."""
     if address != HERE:
         try:
-            client = distributed.Client(address, timeout=10)
+            client = distributed.Client(address, timeout=PATIENCE)
         except (OSError, ValueError) as error:
             raise EstimatorError(f"no scheduler of Dask at {address}: {error}") from error
         with client:
             yield client
         return
     settings = {"n_workers": workers, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
-    if not find_spec("bokeh"):
-        settings["dashboard_address"] = None
     cluster = distributed.LocalCluster(**settings, silence_logs=logging.CRITICAL)
     with cluster, distributed.Client(cluster) as client:
         yield client

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from linkside.arguments import whole
 from linkside.errors import EstimatorError, OutputError
 from linkside.files.writing import check_writable
 from linkside.recording.opening import stem
@@ -94,7 +95,14 @@ def estimate(
         jobs = [EstimateJob(log, place) for log, place in zip(names, places, strict=True)]
         check_places(jobs, [str(robot)], keep=skip_existing)
         return run_all(
-            made, jobs, on, workers, tell, keep=skip_existing, manifest=manifest and str(manifest), note=note
+            made,
+            jobs,
+            on,
+            workers,
+            tell,
+            keep=skip_existing,
+            manifest=None if manifest is None else str(manifest),
+            note=note,
         )
 
 
@@ -110,9 +118,9 @@ def recipe(robot: str, method: str, *, rate: float | None, check: bool, out: str
     files = [robot, urdf_of(robot, loaded), *([tuning] if tuning else [])]
     if tuning is not None:
         options["tuning"] = own.read_tuning(tuning)
-    whole = Options(**options, spill=_spill(out))
-    settings = method, rate, not check, {name: getattr(whole, name) for name in own.takes}
-    make = partial(own.build, loaded, whole)
+    chosen = Options(**options, spill=_spill(out))
+    settings = method, rate, not check, {name: getattr(chosen, name) for name in own.takes}
+    make = partial(own.build, loaded, chosen)
     with naming(robot):
         make()  # what is wrong with the robot or the options is said before any log is read
     rows = WHOLE if own.whole(loaded) else ROWS
@@ -133,15 +141,15 @@ def run_all(
 ) -> list[Outcome]:
     """Estimate each log where ``on`` says; the manifest is written whatever ends this."""
     table = None if manifest is None else Manifest(plain(manifest))
-    done: list[Outcome] = []
 
     def hear(outcome: Outcome) -> None:
-        done.append(outcome)
+        if table is not None:
+            table.add(outcome)
         tell(outcome)
 
     if table is not None:
         jobs = [replace(job, seen=table.seen(job.output, job.log)) for job in jobs]
-    workers = min(workers or cores(), len(jobs))
+    workers = min(cores() if workers is None else whole("workers", workers, 1), len(jobs))
     try:
         if on is None:
             return on_threads(recipe, jobs, workers, hear, progress, keep=keep)
@@ -150,7 +158,6 @@ def run_all(
         if on is not None:
             clear_parts(jobs)
         if table is not None:
-            table.add(done)
             table.write()
 
 
@@ -188,9 +195,7 @@ def check_places(jobs: Sequence[EstimateJob], inputs: Sequence[str | None], *, k
             raise OutputError(f"{output}: {taken[where]}")
         taken[where] = "is the output of two logs; give --out as a name that differs, or run them apart"
         if keep and not output.lower().endswith(".parquet"):
-            raise OutputError(
-                f"{output}: only a Parquet estimate says what it was made from, and can be skipped where that is unchanged"
-            )
+            raise OutputError(f"{output}: only Parquet estimates record their inputs, so that they can be skipped")
         if not is_url(output):
             check_writable(output)
         elif (store := output.rsplit("/", 1)[0]) not in stores:

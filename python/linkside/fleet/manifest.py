@@ -1,8 +1,9 @@
-"""A table of what came of each log: its verdict and figures, digests, and when and where that was worked out."""
+"""A table with a row for each log: verdict, figures, digests, time and worker."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from typing import Any
@@ -39,8 +40,11 @@ SCHEMA = pa.schema(
 )
 """Columns of a manifest; digests are BLAKE2b of 16 bytes."""
 
-ONCE = ("digest", "begun", "elapsed", "method_seconds", "worker")
-"""What an earlier manifest knows of an estimate that is left alone."""
+EVERY = 30.0
+"""Time between two writings of a manifest while logs are estimated [s]."""
+
+ONCE = ("nis_per_reading", "digest", "begun", "elapsed", "method_seconds", "worker")
+"""Columns that a skipped estimate takes from the earlier manifest."""
 
 
 @dataclass(frozen=True)
@@ -57,17 +61,18 @@ class Manifest:
     Parameters
     ----------
     place
-        A Parquet file, or the URL of one. Rows that it has already stay until their output is estimated anew.
+        A Parquet file, or the URL of one. Its rows stay until their output is estimated again.
 
     Raises
     ------
     LogError
-        Where that is there and no manifest.
+        If another file is there.
     """
 
     def __init__(self, place: str) -> None:
         self.place = place
         self.rows = {row["output"]: row for row in _read(place)}
+        self._written = time.monotonic()
 
     def seen(self, output: str, log: str) -> tuple[str, bytes] | None:
         """State and digest of a log in a store when its estimate was made, where they are known."""
@@ -76,14 +81,19 @@ class Manifest:
             return None
         return row["log_state"], bytes.fromhex(row["log_digest"])
 
-    def add(self, outcomes: Iterable[Outcome]) -> None:
-        """Note outcomes; one that was left alone keeps when and where it was worked out."""
-        for outcome in outcomes:
-            output = outcome.job.output
-            self.rows[output] = _row(outcome, self.rows.get(output, {}))
+    def add(self, outcome: Outcome) -> None:
+        """Note an outcome, and from time to time write all rows, so that a killed run loses few.
+
+        A skipped estimate keeps the time and worker of its earlier run.
+        """
+        output = outcome.job.output
+        self.rows[output] = _row(outcome, self.rows.get(output, {}))
+        if time.monotonic() > self._written + EVERY:
+            self.write()
 
     def write(self) -> None:
         """Write all rows, sorted by their output, whole or not at all."""
+        self._written = time.monotonic()
         rows = [self.rows[output] for output in sorted(self.rows)]
         with local_output(self.place) as path, EstimateWriter(path) as file:
             file.write(_ManifestRows(pa.Table.from_pylist(rows, SCHEMA)))
@@ -125,7 +135,7 @@ def _read(place: str) -> list[dict[str, Any]]:
         with local_copy(place) as path:
             table = pq.read_table(path)
     except (OSError, pa.ArrowException) as error:
-        raise failure(place, f"this is there, and no manifest: {error}") from None
+        raise failure(place, f"this file is not a manifest: {error}") from None
     if not table.schema.equals(SCHEMA):
-        raise failure(place, "this is there, and no manifest")
+        raise failure(place, "this file is not a manifest")
     return list(table.to_pylist())

@@ -142,7 +142,7 @@ def _matches(pattern: str) -> Sequence[str]:
 def _store(place: str) -> tuple[Any, str]:
     """The store of a URL, and the path in it."""
     fsspec = _fsspec()
-    store, path = fsspec.core.url_to_fs(place, use_listings_cache=False)
+    store, path = fsspec.core.url_to_fs(place)
     return store, path
 
 

@@ -14,7 +14,7 @@ from .task import EstimateJob, Outcome, Progress, Recipe, run
 
 
 class Stopped(Exception):
-    """The user wants no more of this."""
+    """The user interrupted the run."""
 
 
 class Interruption:
@@ -38,7 +38,7 @@ class Interruption:
 
     @contextmanager
     def estimating(self) -> Iterator[None]:
-        """Let what is done here be stopped."""
+        """Register this thread, so that it can be stopped."""
         thread = get_ident()
         with self._lock:
             if self._stopped:
@@ -75,10 +75,7 @@ def on_threads(
     *,
     keep: bool,
 ) -> list[Outcome]:
-    """Estimate each log, ``workers`` at a time, and tell of each when it is done.
-
-    Of several, one that cannot be used does not keep the others waiting; a single one raises its error.
-    """
+    """Estimate each log, ``workers`` at a time, and report each when it is done; on an error the others go on."""
     interruption = Interruption()
     outcomes: list[Outcome] = []
     with ThreadPoolExecutor(workers) as pool:
@@ -90,8 +87,6 @@ def on_threads(
         waiting = {pool.submit(run, recipe, job, advance, interruption.estimating, keep=keep) for job in jobs}
         try:
             for outcome in _as_completed(waiting):
-                if outcome.error is not None and len(jobs) == 1:
-                    raise outcome.error
                 outcomes.append(outcome)
                 tell(outcome)
         except BaseException:  # an interruption, above all
