@@ -24,7 +24,7 @@ LAYERS = (
     ("observers", "kalman", "observability", "velocity"),
     ("particle", "scene", "comparison", "consistency", "control"),
     ("tuning", "calibration", "simulation", "learning", "demo"),
-    ("papers", "excitation"),
+    ("papers", "excitation", "fleet"),
     ("linkside", "cli"),
 )
 """Packages and modules of `linkside` from the ground up; those of one line do not import each other."""
