@@ -9,21 +9,22 @@ RUSTDOC := RUSTDOCFLAGS="-D warnings -A rustdoc::broken-intra-doc-links" cargo d
 
 PREFIX ?= /usr/local
 
-.PHONY: demo test lint bench latency header install-c docs figures lock clean
+.PHONY: demo checked test lint bench latency header install-c docs figures lock clean
 
 demo: $(VENV) ## build, install, run the main job on the recording inside the package
 	$(PIP) .
 	$(BIN)/linkside demo
 
-test: $(VENV) ## everything that must hold
+checked: $(VENV) # installed once for `make lint test`
 	$(PIP) ".[test,lint]"
+
+test: checked ## everything that must hold
 	RUSTFLAGS="--cfg one_level" cargo test --locked -p linkside-core -p linkside-bag -p linkside-compiled -p linkside-capi
 	cargo test --locked --workspace --release --features linkside-capi/header --test '*' # of the workspace: with the wheel's features, on its build of the core
 	$(BIN)/python -m mypy.stubtest linkside._core
 	LINKSIDE_CAPI=target/release/deps OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile # a worker a core, not two
 
-lint: $(VENV)
-	$(PIP) ".[test,lint]"
+lint: checked
 	cargo fmt --all --check
 	cargo clippy --locked --workspace --all-targets -- -D warnings
 	$(RUSTDOC)
