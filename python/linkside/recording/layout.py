@@ -230,6 +230,20 @@ def signal_columns(robot: RobotColumns) -> dict[str, tuple[str, ...]]:
     return {signal: tuple(renamed.get(c, c) for c in columns) for signal, columns in _our_columns(robot).items()}
 
 
+def as_columns(robot: RobotColumns, signals: Mapping[str, FloatArray], source: str) -> dict[str, FloatArray]:
+    """Give time ``t`` (T,) and signals (T, k), in SI units and behind the gears, as the columns of a recording."""
+    columns = signal_columns(robot)
+    driven = {s: ~robot.passive if s in OF_MOTORS else np.ones(len(columns[s]), bool) for s in signals}
+    there = [column for s, own in driven.items() for column, kept in zip(columns[s], own, strict=True) if kept]
+    recorded = Layout.of(robot, there, source).as_recorded(dict(signals))
+    return {
+        column: np.ascontiguousarray(values)
+        for signal, array in recorded.items()
+        for column, values in zip(columns[signal], np.atleast_2d(array.T), strict=True)
+        if column in there
+    }
+
+
 def currents(robot: RobotColumns) -> dict[str, tuple[str, float]]:
     """By the column of a motor's torque that of its current, as recordings call both, and the torque of an ampere."""
     renamed, tau = robot.columns.names, signal_columns(robot)["tau"]

@@ -19,10 +19,11 @@ from linkside.arrays import FloatArray
 from linkside.channels import CHANNELS
 from linkside.control.controllers import Controller, State, law_of
 from linkside.errors import EstimatorError
+from linkside.files.tables import ArrowTable
 from linkside.files.writing import writing
 from linkside.kalman.elastic_joint import ElasticJointFilter
 from linkside.observers.acceleration import AccelerationObserver
-from linkside.recording.layout import OF_MOTORS, Layout, signal_columns
+from linkside.recording.layout import as_columns
 from linkside.recording.log import Log
 from linkside.recording.motors import encoder_readings
 from linkside.recording.writer import EstimateWriter
@@ -113,22 +114,12 @@ class Simulation:
         paths = (Path(folder) / f"{name}{suffix}" for name in ("log", "truth"))
         log, truth = map(EstimateWriter, paths)
         with log, truth:
-            log.write(_Columns(self._table))
-            truth.write(_Columns(columns))
+            log.write(ArrowTable(pa.table(self._table), "simulation"))
+            truth.write(ArrowTable(pa.table(columns), "simulation"))
 
     def __repr__(self) -> str:
         """Robot, log and truth in one line."""
         return f"Simulation({self.robot!r}, {self.log!r}, truth: {' '.join(self.truth)})"
-
-
-@dataclass(frozen=True)
-class _Columns:
-    """Columns as they are written."""
-
-    columns: dict[str, FloatArray]
-
-    def to_arrow(self) -> pa.Table:
-        return pa.table(self.columns)
 
 
 def simulate(
@@ -281,16 +272,7 @@ def _assemble(robot: Robot, result: Truth, lines: Lines, *, left_out: set[str]) 
     for kind in left_out:
         del signals[kind]
     signals |= encoder_readings(signals, lines)
-    columns = signal_columns(robot)
-    driven = {s: ~robot.passive if s in OF_MOTORS else np.ones(len(columns[s]), bool) for s in ("t", *signals)}
-    there = [column for s, own in driven.items() for column, kept in zip(columns[s], own, strict=True) if kept]
-    signals = Layout.of(robot, there, "simulation").as_recorded({"t": result["t"], **signals})
-    table = {
-        column: np.ascontiguousarray(values)
-        for signal, array in signals.items()
-        for column, values in zip(columns[signal], np.atleast_2d(array.T), strict=True)
-        if column in there
-    }
+    table = as_columns(robot, {"t": result["t"], **signals}, "simulation")
     known = State(*np.split(result.pop("known"), 4, axis=1))
     return Simulation(robot, Log.from_table(table, robot, "simulation", check=False), result, known, table)
 

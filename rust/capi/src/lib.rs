@@ -2,6 +2,15 @@
 //!
 //! Each function checks its pointers, lets no panic through, and is otherwise a call of
 //! [`linkside_compiled::Estimator`].
+// Nothing a user gives makes a panic: what cannot fail says why where it is.
+#![deny(
+    clippy::expect_used,
+    clippy::panic,
+    clippy::todo,
+    clippy::unimplemented,
+    clippy::unreachable,
+    clippy::unwrap_used
+)]
 #![allow(unsafe_code)] // pointers from C
 
 mod guard;

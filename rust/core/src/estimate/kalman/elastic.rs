@@ -285,6 +285,18 @@ impl ElasticProcess {
         }
     }
 
+    /// A sampled torque may have changed at any time between two samples: its mean is off by as much as a uniform time has it.
+    #[inline(always)]
+    fn doubt_between_samples(&mut self) {
+        if !self.held {
+            for (variance, (before, after)) in
+                self.transition.torque.iter_mut().zip(self.before.iter().zip(&self.after))
+            {
+                *variance += (after - before) * (after - before) / 12.0;
+            }
+        }
+    }
+
     /// Whether a disturbance is again what it was before its torque's outage.
     #[inline(always)]
     fn is_replaced(&self, state: usize) -> bool {
@@ -391,6 +403,7 @@ impl Process for ElasticProcess {
     fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
         self.expect_torques(belief, sample.inputs.tau, sample.dt);
         self.take_torques(sample.inputs.tau);
+        self.doubt_between_samples();
         // A held torque is in the log at the end of the step in which it acted.
         let before = if self.held { &self.after } else { &self.before };
         self.transition.advance(&self.robot, belief, (before, &self.after), sample.dt);
