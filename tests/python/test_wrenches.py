@@ -244,7 +244,7 @@ def test_files_have_wrenches_by_name(tmp_path):
 
 
 def test_units_of_forces_and_moments():
-    robot = arm(measured(), units={"press_fx": "kN", "press_mz": "Nmm"})
+    robot = arm(measured(), units={"press_fx": "kN", "press_tz": "Nmm"})
     table = {name: np.ones(3) for name in robot.wrench_channels}
     table |= {"t": np.arange(3.0), "theta_shoulder": np.zeros(3), "theta_elbow": np.zeros(3)}
     assert_allclose(Log.from_table(table, robot, check=False).wrench[0], [1e3, 1, 1, 1, 1, 1e-3])
@@ -270,8 +270,8 @@ def test_what_cannot_be_is_refused_by_name(wrench, message):
 
 def test_missing_columns_and_wrong_shapes_are_named():
     robot, run = pressed()
-    without = {name: values for name, values in columns(run.log).items() if name != "press_mz"}
-    with pytest.raises(LogError, match="column 'press_mz' is missing"):
+    without = {name: values for name, values in columns(run.log).items() if name != "press_tz"}
+    with pytest.raises(LogError, match="column 'press_tz' is missing"):
         ExtendedKalmanFilter(robot).run(Log.from_table(without, robot))
     with pytest.raises(EstimatorError, match=r"wrench has shape \(5,\), expected \(6,\) or \(11, 6\)"):
         simulate(robot, lambda t, state: np.zeros(2), 0.01, 1000.0, wrench=np.zeros(5))

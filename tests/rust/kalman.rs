@@ -5,11 +5,12 @@ mod arm;
 use arm::{Mounting, arm, drive};
 use linkside_core::estimate::kalman::{
     ExtendedKalmanFilter, FilterSettings, Gaussian, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanRecording,
-    KalmanSample, Keep, LinkDisturbance, Measurement, Model, Smoother,
+    KalmanSample, Keep, LinkDisturbance, Measurement, Model, Smoother, WrenchLaw,
 };
 use linkside_core::estimate::measurement::{Evaluation, Kind};
 use linkside_core::robot::{
-    Drive, Friction, FrictionElement, Harmonic, Hysteresis, LoadFriction, Ripple, Robot, Sensor, SoftWindup,
+    Acting, Drive, Friction, FrictionElement, Harmonic, Hysteresis, LoadFriction, Ripple, Robot, Sensor, SoftWindup,
+    WRENCH, Wrench,
 };
 use linkside_core::scalar::Dual;
 use linkside_core::spatial::{Mat3, Vec3};
@@ -56,7 +57,7 @@ fn model(disturbed: bool) -> JerkDriven {
     let mut model = JerkModel::new(Arc::new(robot()), ALL, &[true; CHANNELS]).unwrap();
     if disturbed {
         let law = LinkDisturbance { initial: vec![5.0; JOINTS], walk: vec![20.0; JOINTS], time: 0.7 };
-        model = model.with_disturbances(law).unwrap();
+        model = model.with_disturbances(Some(law), WrenchLaw::default()).unwrap();
     }
     JerkDriven::new(model, noise(), true).unwrap()
 }
@@ -72,26 +73,46 @@ fn linearised(state: &[f64]) -> JerkDriven {
     model
 }
 
+/// States with torques on links and a wrench.
+const PUSHED: usize = 4 * JOINTS + WRENCH;
+
+fn pushed_states() -> impl Strategy<Value = Vec<f64>> {
+    (states(), prop::collection::vec(-50.0..50.0, WRENCH)).prop_map(|(links, wrench)| [links, wrench].concat())
+}
+
+/// The robot with a measured wrench on its second link, and a constant one on its third.
+fn pressed(robot: Robot) -> Robot {
+    let turned = Mat3::from_rows([[0.6, 0.0, 0.8], [0.0, 1.0, 0.0], [-0.8, 0.0, 0.6]]);
+    let wrench = |body, acting| {
+        let frame = robot.tree.frame("wrench", body, &turned, &Vec3([0.3, -0.1, 0.2])).unwrap();
+        Wrench { frame, acting }
+    };
+    let held = Acting::Constant([30.0, -20.0, 10.0, 3.0, 1.0, -2.0]);
+    let wrenches = vec![wrench(2, held), wrench(1, Acting::Varying { measured: true })];
+    robot.with_wrenches(wrenches).unwrap()
+}
+
 fn states() -> impl Strategy<Value = Vec<f64>> {
     prop::collection::vec(-1.5..1.5, 4 * JOINTS)
 }
 
 proptest! {
     #[test]
-    fn derivatives_of_channels_are_those_of_dual_numbers(state in states(), share in prop_oneof![Just(0.0), 0.0..0.3_f64]) {
+    fn derivatives_of_channels_are_those_of_dual_numbers(state in pushed_states(), share in prop_oneof![Just(0.0), 0.0..0.3_f64]) {
         let (mut robot, dtheta) = (robot(), [0.3, -0.2, f64::NAN]);
         robot.drives[1].bearing_friction = Friction { coulomb: 9.0, asymmetry: 2.0, ..Friction::default() };
         robot.drives[1].bearing_loss = LoadFriction { driving: share, driven: share, rounding: 5.0 };
-        let channels = JerkModel::new(Arc::new(robot.clone()), ALL, &[true; CHANNELS]).unwrap().channel_list().to_vec();
-        let mut plain = Evaluation::disturbed(&robot, CHANNELS, JOINTS);
+        let robot = pressed(robot);
+        let channels = Kind::all_channels(ALL, &robot);
+        let mut plain = Evaluation::disturbed(&robot, channels.len(), [JOINTS, WRENCH]);
         plain.evaluate(&robot, &channels, &state, &dtheta);
-        let mut dual = Evaluation::<Dual<12>>::disturbed(&robot, CHANNELS, JOINTS);
+        let mut dual = Evaluation::<Dual<PUSHED>>::disturbed(&robot, channels.len(), [JOINTS, WRENCH]);
         let variables: Vec<_> = state.iter().enumerate().map(|(i, &x)| Dual::variable(x, i)).collect();
         dual.evaluate(&robot, &channels, &variables, &dtheta);
         for (i, h) in dual.prediction.iter().enumerate() {
             prop_assert_eq!(h.value, plain.prediction[i]);
-            for k in 0..4 * JOINTS {
-                let (ours, theirs) = (plain.jacobian[i * 4 * JOINTS + k], h.gradient[k]);
+            for k in 0..PUSHED {
+                let (ours, theirs) = (plain.jacobian[i * PUSHED + k], h.gradient[k]);
                 prop_assert!((ours - theirs).abs() <= 1e-11 * (1.0 + theirs.abs()), "{:?} {k}: {ours} {theirs}", channels[i]);
             }
         }

@@ -15,7 +15,7 @@ from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
 from linkside.robot.compiled import Compiles
-from linkside.robot.considered import considered, core_settings
+from linkside.robot.considered import Uncertain, considered, core_settings
 from linkside.robot.requirements import refuse_unsupported
 
 from .filtering import KalmanEstimate, KalmanMethod
@@ -27,6 +27,9 @@ from .start import Moving, Readings, Start
 from .starting import DecidingFilter, first_readings, in_pieces
 
 Arrays = tuple[FloatArray, FloatArray, FloatArray]
+
+RELAXED = 0.05
+"""Part of their way within which friction elements that start relaxed are."""
 
 TORQUE_TIME = 0.5
 """Times over which a log is asked how far its torques wander end here [s]."""
@@ -143,7 +146,17 @@ class ElasticJoint(KalmanMethod):
         self._begin(core, first, kinds, noise, jerk_scale(first), law)
         return core
 
-    def _state(self, moving: Moving, arrays: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
+    def _counts(self, one: Uncertain, kinds: tuple[str, ...]) -> bool:
+        """Whether a parameter is one of known tolerance: not the past of friction elements that is estimated."""
+        return one.kind != "hysteresis" or self._relaxed(kinds)
+
+    def _relaxed(self, kinds: tuple[str, ...]) -> bool:
+        """Whether friction elements start relaxed: no sensor tells where links are, so that noise would move them."""
+        return "q" not in kinds
+
+    def _state(
+        self, moving: Moving, arrays: Mapping[str, Any], kinds: tuple[str, ...]
+    ) -> tuple[FloatArray, FloatArray]:
         elastic = self.robot.elastic
         disturbance = np.array(arrays["initial"])[2 * self.robot.n :]
         mean = [moving.q, moving.dq, moving.theta[elastic], moving.dtheta[elastic]]
@@ -151,7 +164,8 @@ class ElasticJoint(KalmanMethod):
         std = [moving.q_std, moving.dq_std, motors[elastic], moving.dtheta_std[elastic]]
         reach = [element.reach for drive in self.robot.drives for element in drive.hysteresis]
         mean.append(np.zeros(len(reach)))
-        std.append(np.array(reach) / np.sqrt(3))  # anywhere between the limits
+        gone = RELAXED if self._relaxed(kinds) else 1.0
+        std.append(gone * np.array(reach) / np.sqrt(3))  # anywhere between the limits, or near the middle
         if self._disturbances:
             mean.append(np.zeros(self.robot.n))
             std.append(disturbance)
@@ -187,13 +201,14 @@ class ElasticJoint(KalmanMethod):
         return {
             **self._channels(kinds),
             "disturbances": self._disturbances,
+            "relaxed": self._relaxed(kinds),
             "first_order": self._transition == "first-order",
             "held": held,
             "noise": noise.arrays(self.robot, kinds),
             "gate": self._gate,
             "iterations": self._iterations,
             "late": inside(self.robot, kinds, period),
-            **core_settings(self.robot, self._uncertain),
+            **core_settings(self.robot, [one for one in self._uncertain if self._counts(one, kinds)]),
             "losses": self._loss_names(kinds),
             "link_disturbance": None if law is None else law.arrays,
             "wrenches": self._wrench_law,

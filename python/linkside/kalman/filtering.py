@@ -299,7 +299,7 @@ class KalmanMethod(Described, ABC):
         moving = find_start(self.robot, first, spread)
         if moving is None:
             return None
-        mean, std = self._state(moving, arrays)
+        mean, std = self._state(moving, arrays, kinds)
         dense, std = len(std), np.concatenate([std, bias])
         start = np.concatenate([mean, np.zeros(len(bias))]), self._tied(np.diag(std**2))
         return Outside(law, self.robot).widened(start, dense, first.wrench, arrays["reading"])
@@ -324,7 +324,9 @@ class KalmanMethod(Described, ABC):
         return covariance
 
     @abstractmethod
-    def _state(self, moving: Moving, arrays: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
+    def _state(
+        self, moving: Moving, arrays: Mapping[str, Any], kinds: tuple[str, ...]
+    ) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviations of the state without biases, of a robot that is moving."""
 
     @abstractmethod

@@ -195,7 +195,9 @@ class JerkDriven(KalmanMethod):
         """Tell a filter of the core where the ``first`` samples say that it starts."""
         self._begin(core, first, kinds, noise, np.array(noise.arrays(self.robot, kinds)["jerk"]), law)
 
-    def _state(self, moving: Moving, arrays: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
+    def _state(
+        self, moving: Moving, arrays: Mapping[str, Any], kinds: tuple[str, ...]
+    ) -> tuple[FloatArray, FloatArray]:
         mean = np.concatenate([moving.q, moving.dq, moving.ddq])
         return mean, np.concatenate([moving.q_std, moving.dq_std, moving.ddq_std])
 

@@ -92,7 +92,7 @@ class Estimate:
         ``d_<joint>`` and ``d_std_<joint>``.
     wrench, wrench_std : (T, 6k), optional
         Force [N] and moment [N m] of each of the wrenches from outside that vary, and standard deviations; columns
-        ``<wrench>_fx`` to ``<wrench>_mz`` and ``<wrench>_fx_std`` to ``<wrench>_mz_std``.
+        ``<wrench>_fx`` to ``<wrench>_tz`` and ``<wrench>_fx_std`` to ``<wrench>_tz_std``.
     wrenches : tuple of str
         Their names.
     covariance : (T, k, k), optional

@@ -154,7 +154,7 @@ def column_units(tree: Tree, config: RobotConfig) -> tuple[dict[str, units.Unit]
     shafts = MOTOR_SIGNALS if config.columns.motor_side else ()
     of_joints = [kind for kind in columns if kind not in ("t", "acceleration", "rate", "wrench")]
     turning = {c: kind in shafts or not s for kind in of_joints for c, s in zip(columns[kind], slides, strict=True)}
-    turning |= {column: column[-2] == "m" for column in columns["wrench"]}
+    turning |= {column: column[-2] == "t" for column in columns["wrench"]}
     return units.column_units(config.units, columns, turning)
 
 

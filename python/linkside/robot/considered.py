@@ -48,12 +48,12 @@ def considered(robot: Robot, *, motors: bool = False) -> list[Uncertain]:
 
     Those that ``tolerances.calibrated`` names have the standard errors that a calibration found.
     Stiffness, and damping and hardening where they are declared, of elastic joints; how much a joint that is taken as
-    rigid gives way; lost motion of transmissions; masses of links; friction of links; the past of friction elements,
-    which ``motors`` leaves out, as they are then states; mounting of accelerometers.
+    rigid gives way; lost motion of transmissions; masses of links; friction of links; the past of friction elements;
+    mounting of accelerometers.
     """
     found = [
         *_of_joints(robot),
-        *(() if motors else _of_pasts(robot)),
+        *_of_pasts(robot),
         *_of_sensors(robot),
         *(_of_motors(robot) if motors else ()),
     ]

@@ -16,7 +16,7 @@ from .section import Name, Section
 from .sensors import FrameConfig
 from .values import NonNegative, Positive, Vector3
 
-AXES = ("fx", "fy", "fz", "mx", "my", "mz")
+AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
 """Numbers of a wrench: force along x, y and z [N], moment about them [N m]."""
 
 UNKNOWN_STD, UNKNOWN_WALK = (1e3, 1e2), (1e4, 1e3)
@@ -67,7 +67,7 @@ class WrenchConfig(FrameConfig):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Columns of its numbers, ``<name>_fx`` to ``<name>_mz``."""
+        """Columns of its numbers, ``<name>_fx`` to ``<name>_tz``."""
         return tuple(f"{self.name}_{axis}" for axis in AXES)
 
     @property

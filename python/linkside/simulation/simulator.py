@@ -79,7 +79,7 @@ class Simulation:
     truth
         Columns ``t`` (T,), ``q``, ``dq``, ``ddq``, ``theta``, ``dtheta`` (T, n), ``tool`` (T, 3) if there is one, and
         ``push`` (T, n) where links were pushed, ``d_<joint>`` in files, ``wrench`` (T, 6k) where robot.yaml has
-        wrenches that vary, ``<wrench>_fx`` to ``<wrench>_mz`` in files.
+        wrenches that vary, ``<wrench>_fx`` to ``<wrench>_tz`` in files.
         Accelerations are those just before the torque changes.
     known
         What the controller knew of the robot, (T, n) each.

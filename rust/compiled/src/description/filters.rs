@@ -61,6 +61,9 @@ pub struct ElasticFilter {
     pub kinds: Vec<String>,
     /// Whether each motor has a disturbance torque.
     pub disturbances: bool,
+    /// Whether friction elements start relaxed.
+    #[serde(default)]
+    pub relaxed: bool,
     pub biased: Vec<bool>,
     /// Whether the covariance moves by 1 + A h, not by the exponential.
     pub first_order: bool,
@@ -185,6 +188,7 @@ impl ElasticFilter {
             disturbances: self.disturbances,
             biased: self.biased.clone(),
             held: self.held,
+            relaxed: self.relaxed,
             discretization: if self.first_order { Discretization::FirstOrder } else { Discretization::Exact },
         };
         let links = self.link_disturbance.clone().map(Into::into);

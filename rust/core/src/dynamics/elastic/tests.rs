@@ -1,7 +1,7 @@
 //! Both rows of the model, and derivatives against differences.
 
 use super::*;
-use crate::robot::{BodySpec, Drive, Friction, JointKind, SoftWindup, Tree};
+use crate::robot::{Acting, BodySpec, Drive, Friction, JointKind, SoftWindup, Tree, Wrench};
 use crate::spatial::{Mat3, Vec3};
 
 /// Four joints, one of them sliding, one rigid, coupled, with everything nonlinear.
@@ -39,9 +39,22 @@ fn geared() -> Robot {
     robot.with_gearing(vec![0, 1, 3], &[1.0, 0.2, 0.0, -0.3, 0.8, 0.1, 0.5, -0.4, 1.1]).unwrap()
 }
 
+/// The same with a wrench on its third link, and a constant one on its last.
+fn pressed() -> Robot {
+    let robot = robot();
+    let turned = Mat3::from_rows([[0.6, 0.0, 0.8], [0.0, 1.0, 0.0], [-0.8, 0.0, 0.6]]);
+    let wrench = |body, acting| {
+        let frame = robot.tree.frame("wrench", body, &turned, &Vec3([0.3, -0.1, 0.2])).unwrap();
+        Wrench { frame, acting }
+    };
+    let held = Acting::Constant([30.0, -20.0, 10.0, 3.0, 1.0, -2.0]);
+    let wrenches = vec![wrench(3, held), wrench(2, Acting::Varying { measured: false })];
+    robot.with_wrenches(wrenches).unwrap()
+}
+
 #[test]
 fn derivatives_are_those_of_differences() {
-    for robot in [robot(), geared()] {
+    for robot in [robot(), geared(), pressed()] {
         compare_with_differences(&robot);
     }
 }
@@ -50,7 +63,10 @@ fn compare_with_differences(robot: &Robot) {
     let layout = ElasticLayout::new(robot, true).with_link_disturbances(0.7);
     let d = layout.dense;
     assert_eq!(layout.link_disturbance, Some(18));
-    assert_eq!((d, &layout.theta[..], &layout.dtheta[..]), (22, &[8, 9, 2, 10][..], &[11, 12, 6, 13][..]));
+    assert_eq!(
+        (d, &layout.theta[..], &layout.dtheta[..]),
+        (22 + robot.wrench_states(), &[8, 9, 2, 10][..], &[11, 12, 6, 13][..])
+    );
     let x: Vec<f64> = (0..d).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
     let tau = [5.0, -3.0, 2.0, 1.0];
     let mut dynamics = ElasticDynamics::new(robot, &layout);

@@ -74,6 +74,9 @@ pub struct ElasticSettings {
     pub held: bool,
     /// Of the covariance.
     pub discretization: Discretization,
+    /// Whether friction elements start relaxed, but for a small part of their way: where nothing tells where links are, noise
+    /// alone would move what is estimated of them. [`Uncertain::Hysteresis`](super::Uncertain::Hysteresis) has the rest.
+    pub relaxed: bool,
 }
 
 /// State (q, q̇, θ, θ̇, deflections of friction elements, disturbance torques of motors, of links, varying wrenches, biases) of an elastic-joint robot under measured motor torques
@@ -95,6 +98,7 @@ pub struct ElasticSettings {
 ///     biased: vec![false],
 ///     held: true, // the amplifier holds its torque between samples
 ///     discretization: Discretization::Exact,
+///     relaxed: true,
 /// };
 /// let noise = ElasticNoise {
 ///     link: vec![3e-3],
@@ -174,6 +178,7 @@ impl ElasticModel {
             after: vec![0.0; n],
             outage: vec![(0.0, 0.0); n],
             held: settings.held,
+            gone: if settings.relaxed { RELAXED } else { 1.0 },
             rest: Rest::new(&robot),
             robot,
             biases,
@@ -221,6 +226,8 @@ pub struct ElasticProcess {
     /// Mean and variance of each disturbance before its torque's readings were missing.
     outage: Vec<(f64, f64)>,
     held: bool,
+    /// Part of their way that friction elements may have gone at the first sample.
+    gone: f64,
     /// Finds where links hang at a first sample.
     rest: Rest,
 }
@@ -316,9 +323,9 @@ impl ElasticProcess {
                 set(first + j, 0.0, disturbance[j]);
             }
         }
-        // A friction element may be anywhere between its limits.
+        // A friction element may be anywhere between its limits, or near the middle if that is said.
         for (_, k, element) in layout.elements(&self.robot) {
-            set(k, 0.0, element.reach() / 3.0_f64.sqrt());
+            set(k, 0.0, self.gone * element.reach() / 3.0_f64.sqrt());
         }
         for (bias, s) in self.biases.iter().zip(&self.noise.initial_bias) {
             if let Some(b) = *bias {
@@ -450,6 +457,9 @@ impl Process for ElasticProcess {
         self.transition.retreat(memory, lambda, big);
     }
 }
+
+/// Part of their way within which friction elements that start relaxed are.
+const RELAXED: f64 = 0.05;
 
 /// Where nothing drives a joint, the fixed end of its spring is known so much better than a motor at the start.
 const FIXED: f64 = 1e-6;

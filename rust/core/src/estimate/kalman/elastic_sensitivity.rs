@@ -85,6 +85,13 @@ impl ElasticSensitivity {
             for torques in [&self.links, &self.transmitted] {
                 linear::add_scaled(&mut columns[j * p..][..p], compliance, &torques[j * p..][..p]);
             }
+            // What friction elements hold the spring need not.
+            let past = |one: &Tolerance| one.parameter == Uncertain::Hysteresis(j);
+            let Some(column) = self.tolerances.iter().position(past) else { continue };
+            for (i, element) in drive.hysteresis.elements.iter().enumerate() {
+                columns[(layout.deflections[j] + i) * p + column] += element.reach();
+                columns[j * p + column] += compliance * element.limit;
+            }
         }
     }
 
@@ -319,6 +326,7 @@ mod tests {
             biased: vec![false; channels],
             held: true,
             discretization: Discretization::Exact,
+            relaxed: false,
         };
         ElasticModel::new(Arc::new(robot), &settings, noise).unwrap()
     }

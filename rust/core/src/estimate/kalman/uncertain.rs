@@ -38,7 +38,7 @@ pub enum Uncertain {
     EncoderLine(usize, usize),
     /// How far a joint's transmission is from its spring's curve [rad]: hysteresis, play, teeth. It changes as the robot moves.
     LostMotion(usize),
-    /// Where a joint's friction elements were at the start, as a share of their way; a state of the elastic-joint model.
+    /// Where a joint's friction elements were at the start, as a share of their way.
     Hysteresis(usize),
     /// Rotation of an accelerometer about one of its own axes [rad].
     Rotation(usize, usize),
