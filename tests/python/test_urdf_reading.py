@@ -75,7 +75,7 @@ def chain(count, kind="revolute"):
     return f'<robot name="r">{links}{"".join(joint.format(i, i + 1) for i in range(count))}</robot>'
 
 
-@pytest.mark.parametrize(("count", "kind"), [(257, "revolute"), (6000, "fixed"), (6000, "revolute"), (20_000, "fixed")])
+@pytest.mark.parametrize(("count", "kind"), [(257, "revolute"), (6000, "fixed"), (6000, "revolute")])
 def test_a_chain_beyond_all_bounds_is_a_message(count, kind):
     with pytest.raises(ConfigError, match=r"expected at most .* got \d+"):
         Robot.from_urdf(chain(count, kind), [spring("j0")])
@@ -102,7 +102,7 @@ def numbers(joint):
 
 def assert_same(ours, theirs):
     """Same joints and links in the same order, to the rounding of rotations: both compute them in ways of their own."""
-    for kind in ("name", "kind", "parent", "limits"):
+    for kind in ("name", "kind", "parent", "limits", "velocity", "torque"):
         assert [getattr(j, kind) for j in ours.joints] == [getattr(j, kind) for j in theirs.joints]
     for kind in ("name", "joint"):
         assert [getattr(link, kind) for link in ours.links] == [getattr(link, kind) for link in theirs.links]

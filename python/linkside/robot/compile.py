@@ -16,6 +16,7 @@ from .rigid import Body
 from .sensors import FrameConfig, SensorConfig
 from .tree import SINGLE_AXIS, Joint, Tree
 from .urdf import impossible
+from .wrenches import WrenchConfig
 
 MOTOR_SIGNALS = ("theta", "dtheta", "tau")  # those of its shaft, where a log is of the motor's side
 NO_TORSION = 1e-5
@@ -74,6 +75,7 @@ def describe(config: RobotConfig, tree: Tree) -> dict[str, Any]:
         "tool": None if config.tool is None else _frame(tree, config.tool),
         "rotors": [_rotor(tree, config, motor, rotor) for motor, rotor in config.rotors.items()],
         "counterbalances": [_counterbalance(tree, names, balance) for balance in config.counterbalances],
+        "wrenches": [_wrench(tree, wrench) for wrench in config.wrenches],
         "gearing": _gearing(config, names),
         "followers": [(names.index(one.follows), one.ratio, one.offset) for one in config.linkages.values()],
     }
@@ -117,7 +119,7 @@ def _refuse_unknown_joints(tree: Tree, config: RobotConfig, source: Source) -> N
 
 
 def _refuse_unknown_links(tree: Tree, config: RobotConfig, source: Source) -> None:
-    for kind in ("accelerometers", "gyroscopes"):
+    for kind in ("accelerometers", "gyroscopes", "wrenches"):
         for index, sensor in enumerate(getattr(config, kind)):
             _refuse_unknown_link(tree, sensor, source.where(kind, index, "link"))
     for motor, rotor in config.rotors.items():
@@ -150,8 +152,9 @@ def column_units(tree: Tree, config: RobotConfig) -> tuple[dict[str, units.Unit]
     columns = config.columns_by_kind
     slides = [tree.joint(joint.name).slides for joint in config.joints]
     shafts = MOTOR_SIGNALS if config.columns.motor_side else ()
-    of_joints = [kind for kind in columns if kind not in ("t", "acceleration", "rate")]
+    of_joints = [kind for kind in columns if kind not in ("t", "acceleration", "rate", "wrench")]
     turning = {c: kind in shafts or not s for kind in of_joints for c, s in zip(columns[kind], slides, strict=True)}
+    turning |= {column: column[-2] == "m" for column in columns["wrench"]}
     return units.column_units(config.units, columns, turning)
 
 
@@ -236,6 +239,14 @@ def _anchor(tree: Tree, end: Anchor) -> tuple[int, list[float]]:
 def _counterbalance(tree: Tree, names: list[str], balance: Counterbalance) -> dict[str, Any]:
     ends = [_anchor(tree, end) for end in balance.ends]
     return balance.compiled(ends, [names.index(joint) for joint in balance.joints])
+
+
+def _wrench(tree: Tree, wrench: WrenchConfig) -> dict[str, Any]:
+    return {
+        "place": _frame(tree, wrench),
+        "constant": wrench.constant,
+        "measured": wrench.kind == "measured",
+    }
 
 
 def _sensor(tree: Tree, sensor: SensorConfig) -> dict[str, Any]:

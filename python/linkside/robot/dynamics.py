@@ -35,9 +35,29 @@ class Dynamics(ABC):
     def require_masses(self, purpose: str, *, elastic_only: bool = False) -> None:
         """Require links with masses, for a method that needs them."""
 
-    def inverse_dynamics(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
-        """Torque on the links, M(q) q̈ + C(q, q̇) q̇ + g(q), (T, n) [N m]."""
-        return self._rows(self.core.inverse_dynamics, q=q, dq=dq, ddq=ddq)
+    def inverse_dynamics(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike, wrench: ArrayLike | None = None) -> Array:
+        """Torque that transmissions give the links, M(q) q̈ + C(q, q̇) q̇ + g(q) less that of wrenches, (T, n) [N m].
+
+        Constant wrenches of robot.yaml count; those that vary are `wrench`, (T, 6k), and none unless given.
+        """
+        torque = self._rows(self.core.inverse_dynamics, q=q, dq=dq, ddq=ddq)
+        return torque if wrench is None else torque - self.wrench_torque(q, wrench)
+
+    def wrench_torque(self, q: ArrayLike, wrench: ArrayLike) -> Array:
+        """Torque that wrenches which vary give the joints, Jᵀ w, (T, n) [N m].
+
+        `wrench`, (T, 6k): of each of the k wrenches of robot.yaml that are not constant, in their order, force along
+        x, y and z [N] and moment about them [N m], in the axes of its frame.
+        """
+        jacobian, values = self.wrench_map(q), numbers("wrench", wrench)
+        expected = (*jacobian.shape[:-2], jacobian.shape[-1])
+        if values.shape != expected:
+            raise EstimatorError(f"wrench: expected shape {expected}, got {values.shape}")
+        return np.asarray((jacobian @ values[..., None])[..., 0])
+
+    def wrench_map(self, q: ArrayLike) -> Array:
+        """What each number of wrenches that vary adds to the joints' torques, (T, n, 6k): Jᵀ of `wrench_torque`."""
+        return self._rows(self.core.wrench_map, q=q)
 
     def inverse_dynamics_derivatives(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> tuple[Array, Array, Array]:
         """Derivatives of `inverse_dynamics` by q, q̇ and q̈ (the last: mass matrix), three of (T, n, n)."""

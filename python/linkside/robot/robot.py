@@ -4,9 +4,8 @@ import os
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +24,12 @@ from .sensors import AccelerometerConfig, FrameConfig, GyroscopeConfig
 from .tree import Tree
 from .units import Unit
 from .urdf import Urdf
+from .wrenches import WrenchConfig
+
+if TYPE_CHECKING:  # pyright does not take a cached property for the property of a protocol
+    cached_property = property
+else:
+    from functools import cached_property
 
 Array = NDArray[np.float64]
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -274,6 +279,16 @@ class Robot(Dynamics):
     def gyroscope_channels(self) -> tuple[str, ...]:
         """Columns of angular rate, `<gyroscope>_wx` and so on."""
         return self.config.gyroscope_channels
+
+    @property
+    def varying_wrenches(self) -> tuple[WrenchConfig, ...]:
+        """Wrenches from outside that are not constant, which filters have in their state."""
+        return tuple(wrench for wrench in self.config.wrenches if wrench.kind != "constant")
+
+    @property
+    def wrench_channels(self) -> tuple[str, ...]:
+        """Columns of force sensors, `<wrench>_fx` and so on."""
+        return self.config.wrench_channels
 
     @cached_property
     def encoder_readings(self) -> dict[str, dict[int, EncoderReading]]:
