@@ -2,6 +2,8 @@
 
 import os
 import platform
+import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -31,3 +33,20 @@ def library():
     if LIBRARIES[0]:
         pytest.fail(f"LINKSIDE_CAPI={LIBRARIES[0]} has no {name}")
     pytest.skip(f"no {name}: cargo test --release -p linkside-capi builds it")
+
+
+@pytest.fixture(scope="session")
+def build(library, tmp_path_factory):
+    """Compile a C++ program with the library."""
+    compiler = shutil.which("c++") or pytest.skip("no C++ compiler")
+    folder = tmp_path_factory.mktemp("cpp")
+
+    def build(*sources, include=()):
+        program = folder / sources[0].stem
+        flags = ["-std=c++17", "-O1", "-Wall", "-Wextra", "-Werror"]
+        flags += [f"-I{ROOT / path}" for path in ("rust/capi/include", *include)]
+        link = [f"-L{library}", "-llinkside", f"-Wl,-rpath,{library}"]
+        subprocess.run([compiler, *flags, *sources, "-o", program, *link], check=True)
+        return program
+
+    return build

@@ -1,7 +1,6 @@
 """Compiled estimators: what a controller gets from a file are the bits that `step` gives here."""
 
 import platform
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -36,22 +35,6 @@ def robot():
 @pytest.fixture(scope="module")
 def log(robot):
     return linkside.Log.read(linkside.demo.LOG, robot)[:SAMPLES]
-
-
-@pytest.fixture(scope="module")
-def build(library, tmp_path_factory):
-    """Compile a C++ program with the library."""
-    compiler = shutil.which("c++") or pytest.skip("no C++ compiler")
-    folder = tmp_path_factory.mktemp("cpp")
-
-    def build(source):
-        program = folder / source.stem
-        flags = ["-std=c++17", "-O1", "-Wall", "-Wextra", "-Werror", f"-I{ROOT / 'rust/capi/include'}"]
-        link = [f"-L{library}", "-llinkside", f"-Wl,-rpath,{library}"]
-        subprocess.run([compiler, *flags, source, "-o", program, *link], check=True)
-        return program
-
-    return build
 
 
 def given(robot, log):

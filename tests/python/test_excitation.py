@@ -157,7 +157,7 @@ def test_what_is_foretold_is_what_a_calibration_finds(robot, planned):
         d.model_copy(update={"stiffness": d.stiffness * factors[d.name][0], "damping": d.damping * factors[d.name][1]})
         for d in robot.drives
     ]
-    true = Robot(robot.config.model_copy(update={"joints": tuple(joints)}), robot.model)
+    true = Robot(robot.config.model_copy(update={"joints": tuple(joints)}), robot.tree)
     found = calibrate(robot, recorded(true, planned.motion, 1))
     assert found.accepted
     told = [e for e in found.estimates if e.parameter.name in planned.after.identifiable]

@@ -102,7 +102,7 @@ def numbers(joint):
 
 def assert_same(ours, theirs):
     """Same joints and links in the same order, to the rounding of rotations: both compute them in ways of their own."""
-    for kind in ("name", "kind", "parent", "limits"):
+    for kind in ("name", "kind", "parent", "limits", "velocity", "torque"):
         assert [getattr(j, kind) for j in ours.joints] == [getattr(j, kind) for j in theirs.joints]
     for kind in ("name", "joint"):
         assert [getattr(link, kind) for link in ours.links] == [getattr(link, kind) for link in theirs.links]

@@ -19,12 +19,14 @@ const FILES: [&[u8]; 4] = [
     include_bytes!("../data/compiled/velocity.lsr"),
 ];
 
-/// Numbers of a sample: ten signals of at most eight each.
-const NUMBERS: usize = 80;
+const SIGNALS: usize = 11;
+
+/// Numbers of a sample: eleven signals of at most eight each.
+const NUMBERS: usize = 8 * SIGNALS;
 
 #[derive(Clone, Debug)]
 enum Call {
-    Step { dt: f64, there: [bool; 10], numbers: Vec<f64> },
+    Step { dt: f64, there: [bool; SIGNALS], numbers: Vec<f64> },
     Reset,
     Covariance { short: bool },
 }
@@ -42,7 +44,7 @@ fn call() -> impl Strategy<Value = Call> {
     let dt = prop_oneof![10 => Just(1e-3), 1 => number(), 1 => Just(0.0), 1 => Just(1e-300), 1 => Just(1e300)];
     // Either plain numbers, so that runs of good samples come about, or any.
     let numbers = prop_oneof![prop::collection::vec(-2.0..2.0f64, NUMBERS), prop::collection::vec(number(), NUMBERS),];
-    let there = prop::array::uniform10(prop::bool::weighted(0.9));
+    let there = prop::array::uniform11(prop::bool::weighted(0.9));
     prop_oneof![
         20 => (dt, there, numbers).prop_map(|(dt, there, numbers)| Call::Step { dt, there, numbers }),
         1 => Just(Call::Reset),
@@ -64,12 +66,12 @@ impl Held {
         Self(made)
     }
 
-    fn step(&self, dt: f64, there: &[bool; 10], numbers: &[f64]) -> LinksideResult {
+    fn step(&self, dt: f64, there: &[bool; SIGNALS], numbers: &[f64]) -> LinksideResult {
         for name in [c"theta", c"tau", c"acceleration", c"ddqref"] {
             // SAFETY: an estimator and a name.
-            assert!(unsafe { linkside_width(self.0, name.as_ptr()) } <= NUMBERS / 10);
+            assert!(unsafe { linkside_width(self.0, name.as_ptr()) } <= 8);
         }
-        let at = |i: usize| if there[i] { numbers[NUMBERS / 10 * i..].as_ptr() } else { ptr::null() };
+        let at = |i: usize| if there[i] { numbers[8 * i..].as_ptr() } else { ptr::null() };
         let sample = LinksideSample {
             dt,
             theta: at(0),
@@ -82,6 +84,7 @@ impl Held {
             ddq: at(7),
             torque: at(8),
             ddqref: at(9),
+            wrench: at(10),
         };
         // SAFETY: each signal has as many numbers as any is wide.
         unsafe { linkside_step(self.0, &raw const sample) }
@@ -137,7 +140,7 @@ proptest! {
         prop_assert_eq!(estimator.call(&Call::Reset), LinksideResult::LinksideOk);
         let rest = vec![0.1; NUMBERS];
         for _ in 0..20 {
-            prop_assert_eq!(estimator.step(1e-3, &[true; 10], &rest), LinksideResult::LinksideOk);
+            prop_assert_eq!(estimator.step(1e-3, &[true; SIGNALS], &rest), LinksideResult::LinksideOk);
         }
     }
 }

@@ -55,9 +55,8 @@ class Limits:
             if not low < high:
                 raise EstimatorError(f"range of '{name}': {low:g} to {high:g} leave no position")
             position[:, _index(robot, name, "range")] = low, high
-        own = [robot.model.getJointId(name) for name in robot.names]
-        columns = [robot.model.joints[joint].idx_v for joint in own]
-        stated = {"velocity": robot.model.velocityLimit[columns], "torque": robot.model.effortLimit[columns]}
+        joints = [robot.tree.joint(name) for name in robot.names]
+        stated = {kind: np.array([getattr(joint, kind) for joint in joints]) for kind in ("velocity", "torque")}
         limits = {
             "velocity": _given(robot, "velocity", _plausible(stated["velocity"]), velocity),
             "acceleration": _given(robot, "acceleration", np.full(robot.n, np.inf), acceleration),

@@ -73,16 +73,18 @@ def _joint(model: Any, index: int) -> Joint:
     joint, inertia = model.joints[index], model.inertias[index]
     called = joint.shortname().removeprefix("JointModel")
     kind = next((kind for kind, name in KINDS.items() if name.fullmatch(called)), "")
-    limits = (model.lowerPositionLimit, model.upperPositionLimit)
+    at, single = joint.idx_q, joint.nq == 1 and joint.nv == 1
     return Joint(
-        model.names[index],
-        kind or called.replace("FreeFlyer", "Floating").lower(),
-        model.parents[index] - 1,
-        _pose(model.jointPlacements[index]),
-        _axis(joint) if kind else np.zeros(3),
-        UNLIMITED if joint.nq != 1 else (float(limits[0][joint.idx_q]), float(limits[1][joint.idx_q])),
-        joint.nv,
-        Body(inertia.mass, np.array(inertia.lever), np.array(inertia.inertia)),
+        name=model.names[index],
+        kind=kind or called.replace("FreeFlyer", "Floating").lower(),
+        parent=model.parents[index] - 1,
+        placement=_pose(model.jointPlacements[index]),
+        axis=_axis(joint) if kind else np.zeros(3),
+        limits=(float(model.lowerPositionLimit[at]), float(model.upperPositionLimit[at])) if single else UNLIMITED,
+        velocity=float(model.velocityLimit[joint.idx_v]),
+        torque=float(model.effortLimit[joint.idx_v]),
+        freedom=joint.nv,
+        body=Body(inertia.mass, np.array(inertia.lever), np.array(inertia.inertia)),
     )
 
 
@@ -105,10 +107,10 @@ def _model(pin: Any, joint: Joint) -> Any:
 
 
 def _limits(joint: Joint) -> tuple[Any, ...]:
-    """No limit of torque and velocity, and those of position; none where Pinocchio's own are right."""
-    if joint.limits == UNLIMITED:
-        return ()
-    return tuple(np.full(1, limit) for limit in (np.inf, np.inf, *joint.limits))
+    """Limits as `addJoint` takes them: torque, velocity, least and largest position."""
+    if joint.kind != CONTINUOUS:
+        return tuple(np.full(1, limit) for limit in (joint.torque, joint.velocity, *joint.limits))
+    return (*(np.full(1, limit) for limit in (joint.torque, joint.velocity)), np.full(2, -1.01), np.full(2, 1.01))
 
 
 def _inertia(pin: Any, body: Body) -> Any:

@@ -43,6 +43,8 @@ class Joint:
         Of length one.
     limits : tuple of float
         Least and largest position [rad or m], as they were given.
+    velocity, torque : float
+        Largest magnitudes, as they were given; infinite where they are not [rad/s, N m; m/s, N].
     freedom : int
         Degrees of freedom.
     body : Body
@@ -55,6 +57,8 @@ class Joint:
     placement: Pose
     axis: FloatArray
     limits: tuple[float, float] = UNLIMITED
+    velocity: float = np.inf
+    torque: float = np.inf
     freedom: int = 1
     body: Body = field(default_factory=Body.nothing)
 

@@ -77,16 +77,17 @@ def _hung(element: ET.Element, parent: Link, joints: list[Joint]) -> Link:
     kind = element.get("type", "")
     if kind == "fixed":
         return Link(child, parent.joint, placement)
-    limits = UNLIMITED if kind == CONTINUOUS else _limits(element.find("limit"))
+    limit = element.find("limit")
     joint = Joint(
-        element.get("name", ""),
-        kind,
-        parent.joint,
-        placement,
-        _axis(element),
-        limits,
-        FREEDOM.get(kind, 1),
-        Body.nothing(),
+        name=element.get("name", ""),
+        kind=kind,
+        parent=parent.joint,
+        placement=placement,
+        axis=_axis(element),
+        limits=UNLIMITED if kind == CONTINUOUS else (_given(limit, "lower"), _given(limit, "upper")),
+        velocity=np.inf if limit is None else _given(limit, "velocity"),
+        torque=np.inf if limit is None else _given(limit, "effort"),
+        freedom=FREEDOM.get(kind, 1),
     )
     joints.append(joint)
     return Link(child, len(joints) - 1, Pose.neutral())
@@ -114,10 +115,9 @@ def _axis(joint: ET.Element) -> FloatArray:
     return np.array([x, y, z]) / math.hypot(x, y, z)
 
 
-def _limits(limit: ET.Element | None) -> tuple[float, float]:
-    """Least and largest position; zero for what is not given, as the standard has it."""
-    lower, upper = ("0", "0") if limit is None else (limit.get("lower", "0"), limit.get("upper", "0"))
-    return float(lower), float(upper)
+def _given(limit: ET.Element | None, key: str) -> float:
+    """A limit; zero where it is not given, as the standard has it."""
+    return 0.0 if limit is None else float(limit.get(key, "0"))
 
 
 def _vector(text: str) -> list[float]:

@@ -43,7 +43,7 @@ mod tests {
         let mut handle = Handle::new(Estimator::new(demo::observer()).unwrap());
         assert_eq!(outcome(&mut handle, |_| Ok(())), LinksideResult::LinksideOk);
         assert_eq!(outcome(&mut handle, |_| panic!("a test's")), LinksideResult::LinksideFault);
-        assert_eq!(outcome(&mut handle, |_| unreachable!()), LinksideResult::LinksideFault);
+        assert_eq!(outcome(&mut handle, |_| panic!("not called")), LinksideResult::LinksideFault);
         assert!(guarded(|| panic!("another")).is_none());
     }
 }
