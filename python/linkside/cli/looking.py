@@ -10,13 +10,13 @@ import click
 
 from linkside.errors import LogError, RecordingWarning
 from linkside.files.writing import check_writable
+from linkside.fleet.task import naming
 from linkside.recording.checks import verdicts
 from linkside.recording.log import Log
 from linkside.report import inputs
 from linkside.robot import Robot
 
 from .error_tables import tool_table
-from .estimate_logs import naming
 from .group import main
 from .options import Shift, check_figure, check_report, draw, example, named_number, no_check, refuse_clashes, report
 from .terminal import show
@@ -98,7 +98,9 @@ def check(
     "--shift", type=Shift(), default="0", show_default=True, help="Delay of the estimates [s]; auto finds it."
 )
 @click.option("--segments", help="A CSV file with start, end, name; or `rests`, for the parts between rests.")
-@click.option("--repeats", is_flag=True, help="The estimates repeat one motion: report their mean and spread too.")
+@click.option(
+    "--repeats", is_flag=True, help="The estimates repeat one motion: report mean, spread, trend and outliers."
+)
 @click.option("--out", type=click.Path(), help="Write the result: a .json, .csv, .tex or .txt file.")
 @click.option("--figure", type=click.Path(), help="Draw a figure: a .png, .pdf or .svg file.")
 @report

@@ -15,6 +15,7 @@ from linkside.files.writing import check_writable, write_text
 from linkside.text import Titled, as_text
 
 from .measures import MEAN, Measure
+from .repeats import Repeats
 from .result import ComparisonResult
 
 SUFFIXES = (".json", ".csv", ".tex", ".txt")
@@ -50,13 +51,27 @@ def tables(comparison: ComparisonResult) -> Iterator[RenderableType]:
     for difference in comparison.differences:
         if difference.shift:
             yield f"{difference.name}: its clock is {1e3 * difference.shift:.4g} ms late, which is corrected."
-    if comparison.spread:
-        spread = Titled("standard deviation between repeats, RMS over time", ("signal", "spread", "unit"))
-        units = {m.signal: m.unit for m in comparison.measures}
-        for signal, value in comparison.spread.items():
-            scale, unit = SCALES.get(units[signal], (1.0, units[signal]))
-            spread.add_row(signal, f"{scale * value:.4g}", unit)
-        yield spread
+    if comparison.repeats is not None:
+        yield from _repeats(comparison.repeats, {m.signal: m.unit for m in comparison.measures})
+
+
+def _repeats(repeats: Repeats, units: dict[str, str]) -> Iterator[RenderableType]:
+    """The spread between repeats, the distance of each to the others, and their trend."""
+    spread = Titled("standard deviation between repeats, RMS over time", ("signal", "spread", "unit"))
+    for signal, value in repeats.spread.items():
+        scale, unit = SCALES.get(units[signal], (1.0, units[signal]))
+        spread.add_row(signal, f"{scale * value:.4g}", unit)
+    yield spread
+    if not repeats.signals:
+        return
+    scale, unit = SCALES[units[repeats.signals[0]]]
+    distances = Titled(f"distance of each repeat to the others [{unit}]", ("repeat", "distance", ""))
+    for name, distance in repeats.distances.items():
+        distances.add_row(name, f"{scale * distance:.4g}", "outlier, left out" if name in repeats.outliers else "")
+    yield distances
+    if repeats.has_trend:
+        sizes = ", ".join(f"{signal} {scale * size:.4g} {unit}" for signal, size in repeats.trend.items())
+        yield f"The repeats drift, from one to the next by {sizes} (p = {repeats.p_value:.2g})."
 
 
 def _shown(comparison: ComparisonResult) -> list[str]:
@@ -91,9 +106,15 @@ def to_json(comparison: ComparisonResult) -> str:
         "shifts": {d.name: d.shift for d in comparison.differences},
         "segments": [asdict(segment) for segment in comparison.segments],
         "measures": [asdict(measure) for measure in comparison.measures],
-        "spread": comparison.spread or {},
+        "spread": comparison.spread,
+        **({} if comparison.repeats is None else {"repeats": _of_repeats(comparison.repeats)}),
     }
     return json.dumps(whole, indent=1, ensure_ascii=False) + "\n"
+
+
+def _of_repeats(repeats: Repeats) -> dict[str, object]:
+    names = ("signals", "distances", "outliers", "trend", "p_value")
+    return {name: getattr(repeats, name) for name in names}
 
 
 def to_csv(comparison: ComparisonResult) -> str:

@@ -70,6 +70,10 @@ class RobotColumns(Protocol):
         """Gyroscope columns, such as ``gyro_wx``."""
 
     @property
+    def wrench_channels(self) -> tuple[str, ...]:
+        """Columns of force sensors, such as ``press_fx``."""
+
+    @property
     def gear_ratio(self) -> FloatArray:
         """Turns of the motor for one of the link, (n,)."""
 
@@ -146,8 +150,9 @@ class Layout:
         if signal not in self.wanted:
             raise EstimatorError(f"{signal!r} is no signal of a log; there are {', '.join(self.wanted)}")
         columns = self.wanted[signal]
-        if signal in ("acceleration", "rate") and not columns:
-            sensor = "accelerometer" if signal == "acceleration" else "gyroscope"
+        sensors = {"acceleration": "accelerometer", "rate": "gyroscope", "wrench": "force sensor"}
+        if signal in sensors and not columns:
+            sensor = sensors[signal]
             raise failure(source, f"the robot has no {sensor} to read a column of (needed for {purpose})")
         kept = [True] * len(columns)
         if signal in ("tau", "ddq"):
