@@ -62,7 +62,7 @@ def draw_all() -> None:
     for (name, share), marker in zip(SHARES.items(), ("o-", "s--"), strict=True):
         found = {joint: [] for joint in JOINTS}
         for seconds in DURATIONS:
-            result = calibrate(guess, record(robot, seconds, share), ["stiffness", "damping"])
+            result = calibrate(guess, record(robot, seconds, share))
             cells = []
             for joint in JOINTS:
                 estimates = {e.parameter.name: e for e in result.estimates}

@@ -20,7 +20,7 @@ MOST = 24
 def excitation_figure(robot: Robot, motion: MotorMotion, before: ExpectedErrors, after: ExpectedErrors) -> Figure:
     """Draw the motion of each joint, and the standard errors that a calibration will have."""
     figure = Figure(figsize=(13, 5.6), layout="constrained")
-    figure.suptitle(f"{robot.model.name}: a motion to calibrate by")
+    figure.suptitle(f"{robot.tree.name}: a motion to calibrate by")
     left, right = figure.subplots(1, 2, width_ratios=(1.3, 1))
     start = motion.theta[0]
     for j, name in enumerate(robot.names):

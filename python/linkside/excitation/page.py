@@ -13,7 +13,7 @@ def page(planned: Excitation, inputs: Sequence[Input] = ()) -> Page:
     """Lay out the report; ``inputs`` are the files it was made from."""
     motion, errors = planned.tables()
     return Page(
-        f"A motion to calibrate {planned.robot.model.name} by",
+        f"A motion to calibrate {planned.robot.tree.name} by",
         _verdict(planned),
         [
             ("duration", f"{planned.motion.t[-1]:g} s at {1 / planned.motion.period:g} Hz"),

@@ -16,7 +16,7 @@ def page(placement: Placement, inputs: Sequence[Input] = ()) -> Page:
     for s in placement.chosen:
         sensors.add_row(s.name, s.link, s.axes, *(" ".join(f"{x:.4g}" for x in v) for v in (s.xyz, s.rpy)))
     return Page(
-        f"Accelerometers for {placement.robot.model.name}",
+        f"Accelerometers for {placement.robot.tree.name}",
         _verdict(placement),
         [("chosen", str(len(placement.chosen))), ("candidates", str(len(placement.links)))],
         ["Mount them as listed, then check the robot: linkside check robot.yaml"],

@@ -83,6 +83,7 @@ def _joint(model: Any, index: int) -> Joint:
         UNLIMITED if joint.nq != 1 else (float(limits[0][joint.idx_q]), float(limits[1][joint.idx_q])),
         joint.nv,
         Body(inertia.mass, np.array(inertia.lever), np.array(inertia.inertia)),
+        *(float(most[joint.idx_v]) for most in (model.velocityLimit, model.effortLimit)),
     )
 
 
@@ -105,10 +106,10 @@ def _model(pin: Any, joint: Joint) -> Any:
 
 
 def _limits(joint: Joint) -> tuple[Any, ...]:
-    """No limit of torque and velocity, and those of position; none where Pinocchio's own are right."""
+    """Limits of effort, velocity and position; none where Pinocchio's own are right."""
     if joint.limits == UNLIMITED:
         return ()
-    return tuple(np.full(1, limit) for limit in (np.inf, np.inf, *joint.limits))
+    return tuple(np.full(1, limit) for limit in (joint.effort, joint.velocity, *joint.limits))
 
 
 def _inertia(pin: Any, body: Body) -> Any:

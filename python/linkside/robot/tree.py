@@ -47,6 +47,8 @@ class Joint:
         Degrees of freedom.
     body : Body
         In the joint's own frame.
+    velocity, effort : float
+        Greatest speed [rad/s or m/s] and torque or force [N m or N]; zero or infinite where none is given.
     """
 
     name: str
@@ -57,6 +59,8 @@ class Joint:
     limits: tuple[float, float] = UNLIMITED
     freedom: int = 1
     body: Body = field(default_factory=Body.nothing)
+    velocity: float = np.inf
+    effort: float = np.inf
 
     @property
     def slides(self) -> bool:

@@ -77,7 +77,8 @@ def _hung(element: ET.Element, parent: Link, joints: list[Joint]) -> Link:
     kind = element.get("type", "")
     if kind == "fixed":
         return Link(child, parent.joint, placement)
-    limits = UNLIMITED if kind == CONTINUOUS else _limits(element.find("limit"))
+    limit = element.find("limit")
+    limits = UNLIMITED if kind == CONTINUOUS else _limits(limit)
     joint = Joint(
         element.get("name", ""),
         kind,
@@ -87,6 +88,7 @@ def _hung(element: ET.Element, parent: Link, joints: list[Joint]) -> Link:
         limits,
         FREEDOM.get(kind, 1),
         Body.nothing(),
+        *(0.0 if limit is None else float(limit.get(key, "0")) for key in ("velocity", "effort")),
     )
     joints.append(joint)
     return Link(child, len(joints) - 1, Pose.neutral())
