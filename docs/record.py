@@ -18,6 +18,7 @@ POSTURES = np.array([[-0.9, 1.2], [-0.3, 0.4], [-1.1, 1.5], [-0.7, 0.9]])
 DURATIONS = (0.3, 0.6, 1.2, 2.0)
 SHARES = {"up to 0.8 and 1.1 rad": 1.0, "up to 0.12 and 0.17 rad": 0.15}
 JOINTS = ("shoulder", "elbow")
+PERCENT = (0.5, 1, 2, 5, 10)
 
 
 def record(robot: Robot, seconds: float, share: float = 1.0, noise: bool = True) -> Log:
@@ -74,6 +75,7 @@ def draw_all() -> None:
             errors.loglog(DURATIONS, found[joint], marker, color=colour, label=f"{joint}, {name}")
     errors.set(title="standard error of a calibrated spring", xlabel="duration of a motion [s]", ylabel="[%]")
     errors.set_xticks(DURATIONS, [f"{seconds:g}" for seconds in DURATIONS])
+    errors.set_yticks(PERCENT, [f"{value:g}" for value in PERCENT])
     errors.minorticks_off()
     errors.legend(frameon=False, fontsize="x-small")
     for axes in (readings, errors):

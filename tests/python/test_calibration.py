@@ -243,6 +243,7 @@ def test_the_report_is_one_file(calibrated, tmp_path):
     assert "stiffness_axis2" in text
     assert "log-likelihood" in text
     assert text.count("at its bound") == sum(e.at_bound for e in calibrated.estimates)
+    assert "linkside excite robot.yaml log.parquet --out motion.parquet" in page
 
 
 def test_a_profile_is_of_two_estimates(calibrated):

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import scipy.optimize
 from click.testing import CliRunner
@@ -266,6 +267,17 @@ def starter_robot(folder, file, links):
     sensors = "\n".join(f"- {{name: acc{i}, link: {link}, xyz: [0.05, 0.04, 0.1]}}" for i, link in enumerate(links))
     (folder / "robot.yaml").write_text(text.replace("accelerometers: []", f"accelerometers:\n{sensors}"))
     return Robot.load(folder / "robot.yaml")
+
+
+def test_limits_are_those_that_pinocchio_reads(tmp_path):
+    file = "ur_description/urdf/ur10_robot.urdf"
+    robot, model = starter_robot(tmp_path, file, ["wrist_3_link"]), pin.buildModelFromUrdf(str(EXAMPLES / file))
+    for of in (robot, Robot.from_pinocchio(model, robot.config.joints, accelerometers=robot.accelerometers)):
+        limits = Limits.of(of)
+        assert limits.velocity == pytest.approx(model.velocityLimit)
+        assert limits.torque == pytest.approx(model.effortLimit)
+    assert robot.model.velocityLimit == pytest.approx(model.velocityLimit)
+    assert robot.model.effortLimit == pytest.approx(model.effortLimit)
 
 
 @pytest.mark.slow

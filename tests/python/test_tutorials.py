@@ -83,6 +83,10 @@ def test_batch(tmp_path):
     names = walk(DOCS / "tutorials/batch.md", tmp_path)
     assert names["worst"] == ["repeat_17"]
     assert "49 of 50 estimates" in (tmp_path / "batch.html").read_text()
-    spread = json.loads((tmp_path / "repeats.json").read_text())["spread"]
-    assert 1e-4 < spread["tool"] < 1e-3
+    compared = json.loads((tmp_path / "repeats.json").read_text())
+    distances = compared["repeats"]["distances"]
+    assert max(distances, key=distances.get) in compared["repeats"]["outliers"]
+    assert sorted(1e6 * distance for distance in distances.values())[-2:] == pytest.approx([28.5, 3187], rel=0.05)
+    assert len(compared["repeats"]["outliers"]) == 7
+    assert 1e-6 < compared["spread"]["tool"] < 1e-4
     assert all((tmp_path / page).stat().st_size <= 2e6 for page in ("batch.html", "repeats.html"))

@@ -20,10 +20,12 @@ sys.meta_path.insert(0, Blocked())
 
 ROBOT, LOG = str(FOLDER / "robot.yaml"), str(FOLDER / "log.parquet")
 
+LIMITS = ["--velocity", "axis2=2", "--velocity", "axis3=2", "--torque", "axis2=6000", "--torque", "axis3=3000"]
 COMMANDS = [
     ["demo"],
     ["check", ROBOT],
     ["estimate", ROBOT, LOG, "--out", "estimate.parquet"],
+    ["excite", ROBOT, *LIMITS, "--duration", "3", "--evaluations", "2", "--rate", "500", "--out", "motion.csv"],
     ["compile", ROBOT, "--rate", "2000", "--out", "robot.lsr"],
 ]
 
@@ -67,7 +69,12 @@ def run(code, folder):
 
 def test_commands_need_no_pinocchio(tmp_path):
     run(EACH, tmp_path)
-    assert {file.name for file in tmp_path.iterdir()} == {"estimate.parquet", "linkside-demo.png", "robot.lsr"}
+    assert {file.name for file in tmp_path.iterdir()} == {
+        "estimate.parquet",
+        "linkside-demo.png",
+        "motion.csv",
+        "robot.lsr",
+    }
 
 
 def test_calibration_simulation_and_paths_need_no_pinocchio(tmp_path):

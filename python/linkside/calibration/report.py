@@ -62,17 +62,14 @@ def _foretold(calibration: Result) -> list[tuple[str, str]]:
 
 
 def _next_steps(calibration: Result) -> list[str]:
+    excite = "linkside excite robot.yaml log.parquet --out motion.parquet"
     if not calibration.accepted:
-        return [
-            "Record a faster motion of all joints, with the tool's load as it is in robot.yaml, and calibrate again."
-        ]
-    steps = ["Estimate with the new robot.yaml a recording that was not used here, and look at its verdict."]
-    bounds = [e.parameter.name for e in calibration.estimates if e.at_bound]
-    return (
-        [*steps, f"At their bounds: {', '.join(bounds)}. Widen them (--bound), or hold them fixed."]
-        if bounds
-        else steps
-    )
+        steps = ["Record a faster motion of all joints, with the tool's load as in robot.yaml, and calibrate again."]
+    else:
+        steps = ["Estimate with the new robot.yaml a recording that was not used here, and look at its verdict."]
+        if bounds := [e.parameter.name for e in calibration.estimates if e.at_bound]:
+            steps.append(f"At their bounds: {', '.join(bounds)}. Widen them (--bound), or hold them fixed.")
+    return [*steps, f"Plan a motion for what is not estimated: {excite}"] if calibration.refused else steps
 
 
 def _estimates(calibration: Result) -> Titled:

@@ -123,6 +123,8 @@ def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **optio
     with bar(None) as advance:
         result = calibrate_logs.run(robot, logs, out, resume, advance, **options)
     click.echo(result.to_text(), nl=False)
+    if result.refused:
+        click.echo("linkside excite ROBOT LOG... --out motion.parquet plans a motion for what is not estimated")
     for output in outputs if result.accepted or options["force"] else outputs[1:]:
         click.echo(f"written: {output}")
     if not (result.accepted or options["force"]):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,11 +56,10 @@ class Limits:
                 raise EstimatorError(f"range of '{name}': {low:g} to {high:g} leave no position")
             position[:, _index(robot, name, "range")] = low, high
         joints = [robot.tree.joint(name) for name in robot.names]
-        stated = {kind: np.array([getattr(joint, kind) for joint in joints]) for kind in ("velocity", "torque")}
         limits = {
-            "velocity": _given(robot, "velocity", _plausible(stated["velocity"]), velocity),
+            "velocity": _given(robot, "velocity", _plausible([joint.velocity for joint in joints]), velocity),
             "acceleration": _given(robot, "acceleration", np.full(robot.n, np.inf), acceleration),
-            "torque": _given(robot, "torque", _plausible(stated["torque"]), torque),
+            "torque": _given(robot, "torque", _plausible([joint.torque for joint in joints]), torque),
         }
         for j, name in enumerate(robot.names):
             if np.isinf(limits["velocity"][j]):
@@ -72,8 +71,9 @@ class Limits:
         return cls(position, **limits)
 
 
-def _plausible(values: FloatArray) -> FloatArray:
+def _plausible(limits: Sequence[float]) -> FloatArray:
     """Limits of a URDF; zero and what is too large stand for none."""
+    values = np.array(limits)
     return np.where((values > 0) & (values < ABSURD), values, np.inf)
 
 
