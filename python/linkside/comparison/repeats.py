@@ -110,7 +110,7 @@ def _gram(paths: FloatArray) -> FloatArray:
     """Mean over time of the products of deviations from the mean, (R, R); rows that one repeat lacks are left out."""
     known = paths[:, np.isfinite(paths).all(axis=(0, 2))]
     deviations = (known - known.mean(axis=0)).reshape(len(paths), -1) if known.size else np.zeros((len(paths), 1))
-    return np.asarray(deviations @ deviations.T) / max(known.shape[1], 1)
+    return np.asarray(deviations @ deviations.T / max(known.shape[1], 1))
 
 
 def _without_trend(gram: FloatArray, order: npt.NDArray[np.intp]) -> FloatArray:
@@ -156,7 +156,7 @@ def _chance(gram: FloatArray, order: npt.NDArray[np.intp]) -> float:
 def _trend(stack: FloatArray, order: npt.NDArray[np.intp]) -> FloatArray:
     """Change from one repeat to the next by least squares, (T, k)."""
     steps = order - order.mean()
-    return np.tensordot(steps, stack, 1) / max(float(steps @ steps), 1.0)
+    return np.asarray(np.tensordot(steps, stack, 1) / max(float(steps @ steps), 1.0))
 
 
 def _sizes(signals: dict[str, FloatArray]) -> dict[str, float]:
