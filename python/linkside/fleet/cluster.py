@@ -130,8 +130,12 @@ def _client(distributed: Any, address: str, workers: int) -> Iterator[Any]:
         with client:
             yield client
         return
+    import dask
+
     settings = {"n_workers": workers, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
-    cluster = distributed.LocalCluster(**settings, silence_logs=logging.CRITICAL)
+    # A worker's profiler looks at its stack a hundred times a second, which small logs feel.
+    with dask.config.set({"distributed.worker.profile.enabled": False}):
+        cluster = distributed.LocalCluster(**settings, silence_logs=logging.CRITICAL)
     with cluster, distributed.Client(cluster) as client:
         yield client
 
