@@ -157,6 +157,7 @@ class _Everywhere:
 class _Reduced:
     """What is left of all logs' evidence when what each has for itself is eliminated.
 
+    ``lasting`` and ``between`` are variances of the gradient, by its course within logs and by its sums over logs.
     ``within`` is the covariance of a log's own parameters where all else is known, ``pull`` how these follow what logs
     share.
     """
@@ -164,6 +165,7 @@ class _Reduced:
     gradient: FloatArray
     curvature: FloatArray
     lasting: FloatArray
+    between: FloatArray
     within: list[FloatArray]
     pull: list[FloatArray]
 
@@ -217,12 +219,14 @@ class Rounds:
     def uncertainty(self) -> tuple[FloatArray, list[FloatArray]]:
         """Standard errors, in tolerances: of what logs share (d,), and of what each has (o,).
 
-        As in `linkside.calibration.uncertainty`, the larger of those by the information and by the long-run variance.
+        As in `linkside.calibration.uncertainty`, the larger of those by the information and by the variance of the
+        gradient: its long-run variance within logs, and its variance between logs (K.-Y. Liang and S. L. Zeger,
+        Biometrika 73, 1986), whose errors of the model differ with the motion.
         """
         reduced = self._reduced(self.here)
         plain = np.linalg.inv(reduced.curvature)
-        robust = plain @ (reduced.lasting + np.eye(len(plain))) @ plain
-        wider = np.sqrt(np.maximum(1.0, np.diag(robust) / np.diag(plain)))
+        larger = [plain @ (slow + np.eye(len(plain))) @ plain for slow in (reduced.lasting, reduced.between)]
+        wider = np.sqrt(np.maximum(1.0, np.max([np.diag(one) for one in larger], axis=0) / np.diag(plain)))
         covariance = plain * np.outer(wider, wider)
         of_logs = []
         for found, within, pull in zip(self.here.found, reduced.within, reduced.pull, strict=True):
@@ -274,21 +278,23 @@ class Rounds:
 
     def _reduced(self, here: _Everywhere) -> _Reduced:
         own, common, d = self.layout.own, self.layout.common, len(here.a)
-        gradient, curvature, lasting = -here.a, np.eye(d), np.zeros((d, d))
+        gradient, curvature, lasting, between = -here.a, np.eye(d), np.zeros((d, d)), np.zeros((d, d))
         all_within: list[FloatArray] = []
         all_pull: list[FloatArray] = []
         for found, x, by in zip(here.found, here.own, self.layout.by, strict=True):
-            between = found.information[np.ix_(own, common)]
+            cross = found.information[np.ix_(own, common)]
             within = np.asarray(np.linalg.inv(found.information[np.ix_(own, own)] + np.eye(len(own))), np.float64)
-            follow = within @ between
-            gradient = gradient + by.T @ (found.gradient[common] - follow.T @ (found.gradient[own] - x))
-            curvature += by.T @ (found.information[np.ix_(common, common)] - between.T @ follow) @ by
+            follow = within @ cross
+            pulled = by.T @ (found.gradient[common] - follow.T @ (found.gradient[own] - x))
+            gradient = gradient + pulled
+            between += np.outer(pulled, pulled)
+            curvature += by.T @ (found.information[np.ix_(common, common)] - cross.T @ follow) @ by
             effective = np.zeros((len(common), len(self.layout.free)))
             effective[:, common], effective[:, own] = np.eye(len(common)), -follow.T
             lasting += by.T @ effective @ found.lasting @ effective.T @ by
             all_within.append(within)
             all_pull.append(follow @ by)
-        return _Reduced(gradient, curvature, lasting, all_within, all_pull)
+        return _Reduced(gradient, curvature, lasting, between, all_within, all_pull)
 
     @property
     def _bounds(self) -> tuple[FloatArray, FloatArray]:
