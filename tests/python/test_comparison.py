@@ -3,11 +3,12 @@
 import csv
 import io
 import json
+import re
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import permutation_test
 
@@ -59,6 +60,7 @@ def test_measures_of_a_sine():
     assert found.max == pytest.approx(3e-3, rel=1e-9)
 
 
+@settings(max_examples=15)
 @given(late=st.floats(-0.2, 0.2), rate=st.sampled_from([200.0, 333.0, 1000.0]))
 def test_a_shift_is_found(late, rate):
     t = np.arange(int(2 * rate)) / rate
@@ -119,6 +121,13 @@ def test_repeats_have_a_mean_and_a_spread():
     assert only(found, estimate="mean of repeats", signal="q_a").rms < 1e-12
     assert found.spread["q_a"] == pytest.approx(1e-3)
     assert found.spread["q_b"] < 1e-12
+
+
+def test_of_many_repeats_joints_are_told_of_the_worst_and_the_mean():
+    repeats = {f"run {i}": motion(T, offset=1e-4 * (i == 7) + 1e-5) for i in range(20)}
+    text = compare(motion(T), repeats, repeats=True).to_text()
+    assert re.findall(r"^(.*), joints", text, re.MULTILINE) == ["run 7", "mean of repeats"]
+    assert "The joints of 19 more estimates" in text
 
 
 def drifting(count, drift=0.0, odd=None, seed=0):

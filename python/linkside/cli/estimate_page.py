@@ -180,7 +180,7 @@ def _suspicions(outcome: Outcome) -> list[Titled]:
 
 
 def _robot(robot: Robot) -> Titled:
-    table = Titled(robot.model.name, ("joint", "stiffness", "damping", "motor inertia", "gear ratio"))
+    table = Titled(robot.tree.name, ("joint", "stiffness", "damping", "motor inertia", "gear ratio"))
     for drive in robot.drives:
         values = (drive.stiffness, drive.damping, drive.motor_inertia) if drive.elastic else ("rigid", "–", "–")
         table.add_row(drive.name, *(v if isinstance(v, str) else f"{v:.4g}" for v in values), f"{drive.gear_ratio:g}")

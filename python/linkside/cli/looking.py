@@ -154,15 +154,17 @@ def compare(reference: str, estimates: tuple[str, ...], **options: Any) -> None:
 @click.option("--out", type=click.Path(), help="Write the chosen `accelerometers` to this YAML file.")
 @no_check
 @click.option("--figure", type=click.Path(), help="Draw singular postures: a .png, .pdf or .svg file.")
+@report
 def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: Any) -> None:
     """Choose accelerometers that observe the joints of ROBOT best along LOGs, or in the whole workspace."""
     from linkside.observability import placement
 
-    out, inputs = options["out"], [robot, *logs, options["candidates"]]
+    out, told, files = options["out"], options["report"], [robot, *logs, options["candidates"]]
     if out is not None:
         check_writable(out, (".yaml", ".yml"))
-        refuse_clashes([Path(out)], inputs)
-    check_figure(options["figure"], [*inputs, out])
+        refuse_clashes([Path(out)], files)
+    check_figure(options["figure"], [*files, out])
+    check_report(told, [*files, out, options["figure"]])
     loaded = Robot.load(robot)
     sensors = [] if options["candidates"] is None else list(placement.read_candidates(options["candidates"]))
     kinds = options["axes"].split(",")
@@ -177,6 +179,12 @@ def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: 
         click.echo(f"accelerometers: {out}")
     if options["figure"] is not None:
         draw(found.figure(), options["figure"])
+    if told is not None:
+        from linkside.observability.placement_page import page
+
+        read = [("robot", robot), *(("log", log) for log in logs), ("candidates", options["candidates"])]
+        page(found, inputs(read)).write(told)
+        click.echo(f"report: {told}")
 
 
 @main.command(epilog=example("linkside demo --figure demo.png"))

@@ -64,7 +64,8 @@ def _verdict(outcome: Outcome) -> str:
     if outcome.kept:
         return "up to date" if outcome.believable else "up to date, contradicted"
     if outcome.tally.findings:
-        return f"{len(outcome.tally.findings)} contradictions"
+        count = len(outcome.tally.findings)
+        return f"{count} contradiction{'s' if count > 1 else ''}"
     return "believable" if outcome.believable else "NIS outside its bounds"
 
 

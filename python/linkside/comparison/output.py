@@ -14,7 +14,7 @@ from rich.console import RenderableType
 from linkside.files.writing import check_writable, write_text
 from linkside.text import Titled, as_text
 
-from .measures import Measure
+from .measures import MEAN, Measure
 from .repeats import Repeats
 from .result import ComparisonResult
 
@@ -28,18 +28,26 @@ SCALES = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "rad/s": (1e3, "mrad/s"), "m/s
 
 WIDTH = 160
 
+FEW = 8
+"""Of up to this many estimates, each has a table of its joints."""
+
 
 def tables(comparison: ComparisonResult) -> Iterator[RenderableType]:
-    """A table of the tool, then one of the joints for each estimate, then the spread of repeats."""
+    """A table of the tool, then one of the joints for each estimate, then the spread of repeats.
+
+    Of many estimates, tables of the joints are those of the worst estimate and of the mean.
+    """
     tool = [m for m in comparison.measures if m.signal == "tool"]
     if tool:
         yield _table(f"tool, distance from {comparison.reference} [mm]", tool, lambda m: (m.estimate, m.segment))
-    for difference in comparison.differences:
-        joints = [m for m in comparison.measures if m.estimate == difference.name and m.signal.startswith("q_")]
+    names = _shown(comparison)
+    for name in names:
+        joints = [m for m in comparison.measures if m.estimate == name and m.signal.startswith("q_")]
         if joints:
             unit = SCALES[joints[0].unit][1]
-            title = f"{difference.name}, joints [{unit}]"
-            yield _table(title, joints, lambda m: (m.signal.removeprefix("q_"), m.segment))
+            yield _table(f"{name}, joints [{unit}]", joints, lambda m: (m.signal.removeprefix("q_"), m.segment))
+    if left := len(comparison.differences) - len(names):
+        yield f"The joints of {left} more estimates, none of them worse, are in files (.json, .csv)."
     for difference in comparison.differences:
         if difference.shift:
             yield f"{difference.name}: its clock is {1e3 * difference.shift:.4g} ms late, which is corrected."
@@ -64,6 +72,16 @@ def _repeats(repeats: Repeats, units: dict[str, str]) -> Iterator[RenderableType
     if repeats.has_trend:
         sizes = ", ".join(f"{signal} {scale * size:.4g} {unit}" for signal, size in repeats.trend.items())
         yield f"The repeats drift, from one to the next by {sizes} (p = {repeats.p_value:.2g})."
+
+
+def _shown(comparison: ComparisonResult) -> list[str]:
+    """Estimates whose joints have a table."""
+    names = [difference.name for difference in comparison.differences]
+    if len(names) <= FEW:
+        return names
+    joints = [m for m in comparison.measures if m.signal.startswith("q_")]
+    worst = max(joints, key=lambda m: m.rms).estimate if joints else names[0]
+    return [name for name in names if name in (worst, MEAN)]
 
 
 def _table(title: str, measures: list[Measure], names: Callable[[Measure], tuple[str, str]]) -> Titled:

@@ -14,10 +14,7 @@ from linkside.arrays import FloatArray
 from linkside.statistics import rms
 
 from .alignment import sampled
-from .measures import Difference
-
-MEAN = "mean of repeats"
-"""What the mean is called in tables."""
+from .measures import MEAN, Difference
 
 LEAST = 5
 """Repeats from which on one of them can be an outlier."""
@@ -110,7 +107,7 @@ def _gram(paths: FloatArray) -> FloatArray:
     """Mean over time of the products of deviations from the mean, (R, R); rows that one repeat lacks are left out."""
     known = paths[:, np.isfinite(paths).all(axis=(0, 2))]
     deviations = (known - known.mean(axis=0)).reshape(len(paths), -1) if known.size else np.zeros((len(paths), 1))
-    return np.asarray(deviations @ deviations.T / max(known.shape[1], 1))
+    return np.asarray(deviations @ deviations.T / max(known.shape[1], 1), np.float64)
 
 
 def _without_trend(gram: FloatArray, order: npt.NDArray[np.intp]) -> FloatArray:

@@ -196,6 +196,7 @@ class ElasticJoint(KalmanMethod):
             **core_settings(self.robot, self._uncertain),
             "losses": self._loss_names(kinds),
             "link_disturbance": None if law is None else law.arrays,
+            "wrenches": self._wrench_law,
         }
 
     def arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:

@@ -168,6 +168,7 @@ class JerkDriven(KalmanMethod):
             "iterations": self._iterations,
             "losses": self._loss_names(kinds),
             "link_disturbance": None if law is None else law.arrays,
+            "wrenches": self._wrench_law,
         }
 
     def started_core(
