@@ -133,8 +133,8 @@ def _client(distributed: Any, address: str, workers: int) -> Iterator[Any]:
     import dask
 
     settings = {"n_workers": workers, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
-    # A worker's profiler looks at its stack a hundred times a second. Dask's trimming of freed memory makes every large
-    # array fault its pages in again. Together they would take a third of the time of a log.
+    # A worker's profiler looks at its stack a hundred times a second, which costs a fifth of the time of a small log.
+    # Dask's limit on freed memory would return that of every large array to the system, to be faulted in again.
     environment = "distributed.nanny.pre-spawn-environ"
     kept = {name: value for name, value in dask.config.get(environment).items() if "MALLOC" not in name}
     with dask.config.set({"distributed.worker.profile.enabled": False, environment: kept}):
