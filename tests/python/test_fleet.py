@@ -1,6 +1,7 @@
 """Fleets of logs: the same bits on threads and clusters, from files and object stores, and nothing done twice."""
 
 import hashlib
+import os
 import shutil
 
 import pyarrow as pa
@@ -125,7 +126,11 @@ def test_a_cluster_gives_the_same_bits_by_an_object_store_that_is_slow_and_busy(
         ({"out": "logs/{stem}.parquet"}, OutputError, "would be written over what is read"),
         ({"manifest": "robot.yaml"}, LogError, "a manifest is a .parquet file"),
         ({"manifest": "logs/log000.parquet"}, LogError, "not a manifest"),
-        ({"on": "tcp://127.0.0.1:9"}, EstimatorError, "no scheduler of Dask at tcp://127.0.0.1:9"),
+        (
+            {"on": "tcp://127.0.0.1:9", "manifest": "all.parquet"},
+            EstimatorError,
+            "no scheduler of Dask at tcp://127.0.0.1:9",
+        ),
         ({"out": "{stem}.csv", "skip_existing": True}, OutputError, "only Parquet estimates"),
         ({"workers": 0}, EstimatorError, "workers"),
     ],
@@ -133,9 +138,10 @@ def test_a_cluster_gives_the_same_bits_by_an_object_store_that_is_slow_and_busy(
 def test_mistakes_are_named_before_any_log_is_read(folder, monkeypatch, options, error, words):
     before = contents(folder / "logs")
     monkeypatch.chdir(folder)
+    names = set(os.listdir())
     monkeypatch.setattr(cluster, "PATIENCE", 0.5)
     with pytest.raises(error) as caught:
         estimate(folder, **options)
     assert words in str(caught.value)
     assert contents(folder / "logs") == before
-    assert not (folder / "out").exists()
+    assert set(os.listdir()) == names

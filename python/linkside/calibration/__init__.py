@@ -4,6 +4,17 @@ from .calibrate import calibrate
 from .calibration import Calibration
 from .result import Estimated, Fit
 from .search import Step
+from .together import Shared, Together, calibrate_together
 from .uncertainty import Contradiction
 
-__all__ = ["Calibration", "Contradiction", "Estimated", "Fit", "Step", "calibrate"]
+__all__ = [
+    "Calibration",
+    "Contradiction",
+    "Estimated",
+    "Fit",
+    "Shared",
+    "Step",
+    "Together",
+    "calibrate",
+    "calibrate_together",
+]

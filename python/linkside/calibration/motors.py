@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import scipy.interpolate
 import scipy.signal
@@ -99,11 +101,17 @@ def _smooth(values: FloatArray, corner: float, rate: float) -> FloatArray:
     """Filter one motor's positions forwards and backwards."""
     if len(values) < SHORTEST or corner > CORNERS[0] * rate:
         return values
-    sections = scipy.signal.butter(3, corner, fs=rate, output="sos")
+    sections = _butterworth(corner, rate)
     padding = min(len(values) - 1, round(3 * rate / corner))
     # The filter goes on beyond the ends as if motion were turned round there: what moves is taken off before.
     moving = _through_ends(values, max(SHORTEST, round(rate / corner)))
     return np.asarray(moving + scipy.signal.sosfiltfilt(sections, values - moving, padtype="odd", padlen=padding))
+
+
+@lru_cache(256)
+def _butterworth(corner: float, rate: float) -> FloatArray:
+    """Design the filter, once for each corner: the same are tried for every motor and every log."""
+    return np.asarray(scipy.signal.butter(3, corner, fs=rate, output="sos"))
 
 
 def _through_ends(values: FloatArray, window: int) -> FloatArray:

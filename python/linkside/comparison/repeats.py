@@ -153,7 +153,7 @@ def _chance(gram: FloatArray, order: npt.NDArray[np.intp]) -> float:
 def _trend(stack: FloatArray, order: npt.NDArray[np.intp]) -> FloatArray:
     """Change from one repeat to the next by least squares, (T, k)."""
     steps = order - order.mean()
-    return np.tensordot(steps, stack, 1) / max(float(steps @ steps), 1.0)
+    return np.asarray(np.tensordot(steps, stack, 1) / max(float(steps @ steps), 1.0))
 
 
 def _sizes(signals: dict[str, FloatArray]) -> dict[str, float]:

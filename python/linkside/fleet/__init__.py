@@ -1,8 +1,8 @@
-"""Many logs: estimated side by side, on the threads of a process, its processes, or a cluster of Dask.
+"""Many logs, estimated on threads, on processes of this machine, or on the workers of a Dask cluster.
 
 Logs are named by paths, globs and URLs of object stores; results are written whole or not at all to the same kind of
-place, with a manifest of them. Results are the same bits however they were worked out, and a second run does what is
-missing or changed.
+place, with a manifest. Results are bit-identical in all of these, and a second run does only what is missing or
+changed.
 """
 
 from .estimating import estimate

@@ -1,7 +1,7 @@
 """Estimating logs on Dask: processes of this machine, or the workers of any scheduler.
 
-A task is one log. What it leaves is a file that is whole and the same bits wherever it ran, so that a task whose worker
-was lost runs again elsewhere, and one that ran twice has done no harm.
+A task is one log. Its result is a whole file with the same bits wherever it runs, so that a task whose worker was lost
+can be repeated elsewhere, and a task that ran twice does no harm.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .provenance import installed
 from .task import EstimateJob, Outcome, Recipe, run
 
 HERE = "dask"
-"""Stands for processes of this machine."""
+"""The address that means processes of this machine."""
 
 PATIENCE = 10.0
 """How long a scheduler may take to answer [s]."""
@@ -41,7 +41,7 @@ def on_dask(
     *,
     keep: bool,
 ) -> list[Outcome]:
-    """Estimate each log as a task, and tell of each when it is done.
+    """Estimate each log as a task, and report each when it is done.
 
     Parameters
     ----------
@@ -52,16 +52,16 @@ def on_dask(
     workers
         Processes of this machine, for `HERE`.
     tell
-        Hears of each outcome, in the order in which they come.
+        Called with each outcome, in the order in which they come.
     note
-        Hears where the cluster's dashboard is, if it has one.
+        Called with the address of the dashboard, if there is one.
     keep
-        Whether estimates that are there and were made from the same are left alone.
+        Whether existing estimates that were made from the same inputs are skipped.
 
     Raises
     ------
     EstimatorError
-        Without Dask, without a scheduler at the address, or where that is lost.
+        Dask is not installed, there is no scheduler at the address, or it was lost.
     """
     distributed = _distributed()
     pickled = distributed.protocol.pickle.dumps(recipe)
@@ -77,8 +77,8 @@ def on_dask(
                 tell(outcomes[-1])
         except (CancelledError, OSError) as error:
             raise EstimatorError(
-                f"the scheduler {address} was lost after {len(outcomes)} of {len(jobs)} logs: {error}; what is "
-                "written is whole, and the same run with those skipped that are there goes on"
+                f"the scheduler {address} was lost after {len(outcomes)} of {len(jobs)} logs: {error}; "
+                "estimates that were written are whole: the same run with existing ones skipped does the rest"
             ) from error
         finally:
             client.cancel(list(futures))
@@ -86,7 +86,7 @@ def on_dask(
 
 
 def _on_worker(pickled: bytes, job: EstimateJob, keep: bool) -> tuple[dict[str, Any], list[LinksideWarning]]:
-    """Estimate a log; all of its outcome but the job, which the client has, and what was warned of."""
+    """Estimate a log; gives its outcome without the job, which the client has, and its warnings."""
     recipe = _recipe(pickled)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", LinksideWarning)
@@ -110,7 +110,7 @@ def _outcome(distributed: Any, future: Any, job: EstimateJob) -> Outcome:
     try:
         found, told = future.result()
     except distributed.scheduler.KilledWorker as error:
-        lost = f"{job.log}: {error.allowed_failures + 1} workers died while they estimated this; out of memory?"
+        lost = f"{job.log}: {error.allowed_failures + 1} workers died while they estimated this log; out of memory?"
         return Outcome(job, error=EstimatorError(lost))
     except LinksideError as error:
         return Outcome(job, error=error)
@@ -121,7 +121,7 @@ def _outcome(distributed: Any, future: Any, job: EstimateJob) -> Outcome:
 
 @contextmanager
 def _client(distributed: Any, address: str, workers: int) -> Iterator[Any]:
-    """Connect to a scheduler; one of this machine is there as long as its client."""
+    """Connect to a scheduler; that of this machine lives as long as its client."""
     if address != HERE:
         try:
             client = distributed.Client(address, timeout=PATIENCE)
@@ -130,14 +130,21 @@ def _client(distributed: Any, address: str, workers: int) -> Iterator[Any]:
         with client:
             yield client
         return
+    import dask
+
     settings = {"n_workers": workers, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
-    cluster = distributed.LocalCluster(**settings, silence_logs=logging.CRITICAL)
+    # A worker's profiler looks at its stack a hundred times a second, which costs a fifth of the time of a small log.
+    # Dask's limit on freed memory would return that of every large array to the system, to be faulted in again.
+    environment = "distributed.nanny.pre-spawn-environ"
+    kept = {name: value for name, value in dask.config.get(environment).items() if "MALLOC" not in name}
+    with dask.config.set({"distributed.worker.profile.enabled": False, environment: kept}):
+        cluster = distributed.LocalCluster(**settings, silence_logs=logging.CRITICAL)
     with cluster, distributed.Client(cluster) as client:
         yield client
 
 
 def clear_parts(jobs: Sequence[EstimateJob]) -> None:
-    """Remove what workers that were killed have left beside their outputs."""
+    """Remove temporary files that killed workers have left beside their outputs."""
     for folder in {Path(job.output).resolve().parent for job in jobs if not is_url(job.output)}:
         clear(folder)
 

@@ -49,7 +49,7 @@ def estimate(
     note: Callable[[str], None] = lambda text: None,
     **options: Any,
 ) -> list[Outcome]:
-    """Estimate logs into files, several at a time; the same bits however many, and wherever.
+    """Estimate logs into files, several at a time, with results that do not depend on how many or where.
 
     Parameters
     ----------
@@ -60,14 +60,14 @@ def estimate(
     out
         A folder or its URL; results are ``<log>.estimate.parquet`` there. Or a name with ``{stem}``.
     method
-        As ``linkside estimate --with`` has them.
+        Of `METHODS`, as ``linkside estimate --with``.
     on
         None for the threads of this process, ``"dask"`` for processes of this machine, or the address of a scheduler
         of Dask, whose workers reach the same paths or URLs.
     workers
         Logs at a time, on this machine; one a core by default.
     skip_existing
-        Leave those estimates alone that were made from the same log, robot, settings and version.
+        Skip existing estimates that were made from the same log, robot, settings and version.
     manifest
         A Parquet file for a row of each log, see `Manifest`.
     rate
@@ -75,19 +75,19 @@ def estimate(
     check
         Whether recordings are checked.
     tell, note
-        Hear of each outcome, and where the cluster's dashboard is.
+        Called with each outcome, and with the address of the cluster's dashboard.
     **options
         Of the method, as `linkside.fleet.Options` has them; ``tuning`` as the path of a file.
 
     Returns
     -------
     list of Outcome
-        In the order in which they came. A log that cannot be used has an error, and does not keep others waiting.
+        In the order in which they came. The outcome of a log that cannot be used has an error; the others go on.
 
     Raises
     ------
     LinksideError
-        What is wrong with the robot, the settings or the places, before any log is read.
+        The robot, the settings or the places are wrong; raised before any log is read.
     """
     names = logs_of([str(log) for log in ([logs] if isinstance(logs, (str, Path)) else logs)])
     made = recipe(str(robot), method, rate=rate, check=check, out=str(out), **options)
@@ -107,7 +107,7 @@ def estimate(
 
 
 def recipe(robot: str, method: str, *, rate: float | None, check: bool, out: str, **options: Any) -> Recipe:
-    """How to estimate by a method; `LinksideError` says what is wrong with the robot or the options."""
+    """Check robot and options, and say how to estimate with them; `LinksideError` where they are wrong."""
     if method not in METHODS:
         raise EstimatorError(f"method is {method!r}, expected one of {', '.join(METHODS)}")
     own = METHODS[method]
@@ -139,7 +139,7 @@ def run_all(
     manifest: str | None = None,
     note: Callable[[str], None] = lambda text: None,
 ) -> list[Outcome]:
-    """Estimate each log where ``on`` says; the manifest is written whatever ends this."""
+    """Estimate each log where ``on`` says; the manifest is also written if the run is interrupted."""
     table = None if manifest is None else Manifest(plain(manifest))
 
     def hear(outcome: Outcome) -> None:
@@ -164,7 +164,8 @@ def run_all(
 @contextmanager
 def outputs(out: str, logs: Sequence[str]) -> Iterator[list[str]]:
     """Name the output of each log; a directory that had to be made for them is gone again if it stays empty."""
-    one = len(logs) == 1 and not (Path(out).is_dir() or (is_url(out) and Path(out).suffix not in (".parquet", ".csv")))
+    file = Path(out).suffix in (".parquet", ".csv") if is_url(out) else Path(out).suffix and not Path(out).is_dir()
+    one = len(logs) == 1 and file
     if "{stem}" in out or one:
         yield [out.replace("{stem}", stem(log)) for log in logs]
         return

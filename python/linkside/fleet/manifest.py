@@ -72,7 +72,7 @@ class Manifest:
     def __init__(self, place: str) -> None:
         self.place = place
         self.rows = {row["output"]: row for row in _read(place)}
-        self._written = time.monotonic()
+        self._written, self._changed = time.monotonic(), False
 
     def seen(self, output: str, log: str) -> tuple[str, bytes] | None:
         """State and digest of a log in a store when its estimate was made, where they are known."""
@@ -88,12 +88,15 @@ class Manifest:
         """
         output = outcome.job.output
         self.rows[output] = _row(outcome, self.rows.get(output, {}))
+        self._changed = True
         if time.monotonic() > self._written + EVERY:
             self.write()
 
     def write(self) -> None:
-        """Write all rows, sorted by their output, whole or not at all."""
-        self._written = time.monotonic()
+        """Write all rows, sorted by their output, whole or not at all; nothing if no row is new."""
+        if not self._changed:
+            return
+        self._written, self._changed = time.monotonic(), False
         rows = [self.rows[output] for output in sorted(self.rows)]
         with local_output(self.place) as path, EstimateWriter(path) as file:
             file.write(_ManifestRows(pa.Table.from_pylist(rows, SCHEMA)))

@@ -1,8 +1,8 @@
 """Where logs are read from and results are written to: paths, and URLs of object stores.
 
-A log in a store is copied to a file of this machine while it is worked on, and a result is put into its store when it
-is whole. Stores are those of fsspec; ``s3://``, ``gs://`` and ``az://`` go by obstore, which tries again when a store
-is busy, and find their keys and endpoints in the environment, as other tools do (``AWS_ENDPOINT_URL`` and so on).
+A log in a store is copied to a temporary file while it is estimated, and a result is put into its store when it is
+whole. Stores are those of fsspec; ``s3://``, ``gs://`` and ``az://`` use obstore, which repeats requests that a busy
+store refuses, and reads keys and endpoints from the environment as other tools do (``AWS_ENDPOINT_URL``).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from linkside.errors import EstimatorError, LinksideError, LogError, OutputError
 from linkside.files.parts import spill_folder
 
 OBJECTS = ("s3", "gs", "az")
-"""Protocols that go by obstore."""
+"""Protocols of obstore."""
 
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://")
 
@@ -37,7 +37,7 @@ def is_url(place: str) -> bool:
 
 
 def plain(place: str) -> str:
-    """The path that a URL ``file://…`` means; any other place as it is."""
+    """The path of a URL ``file://…``; any other place as it is."""
     return url2pathname(urlsplit(place).path) if place.startswith("file://") else place
 
 
@@ -47,7 +47,7 @@ def logs_of(patterns: Iterable[str]) -> list[str]:
     Raises
     ------
     LogError
-        A glob that nothing matches, or a store that does not answer.
+        A glob without a match, or a store that does not answer.
     """
     found: dict[str, None] = {}
     for pattern in map(plain, patterns):
@@ -65,7 +65,7 @@ def joined(folder: str, name: str) -> str:
 
 @contextmanager
 def local_copy(place: str) -> Iterator[str]:
-    """Give a path to read from: the place itself, or for a URL that of a copy, which errors do not name."""
+    """Give a path to read from: the place itself, or for a URL that of a copy."""
     if not is_url(place):
         yield place
         return
@@ -80,7 +80,7 @@ def local_copy(place: str) -> Iterator[str]:
 
 @contextmanager
 def local_output(place: str) -> Iterator[Path]:
-    """Give a path to write to: the place itself, or for a URL one whose file is put there at the end, whole."""
+    """Give a path to write to: the place itself, or for a URL a temporary file that is uploaded at the end."""
     if not is_url(place):
         yield Path(place)
         return
@@ -94,7 +94,7 @@ def local_output(place: str) -> Iterator[Path]:
 
 
 def parquet_metadata(place: str) -> dict[bytes, bytes] | None:
-    """What the metadata of a Parquet file say; None where it is not there, or not whole."""
+    """Metadata of a Parquet file; None if it is missing or not whole."""
     try:
         if not is_url(place):
             return pq.read_metadata(place).metadata or {}
@@ -106,7 +106,7 @@ def parquet_metadata(place: str) -> dict[bytes, bytes] | None:
 
 
 def state(place: str) -> str | None:
-    """What changes whenever an object of a store does, told without reading it; None for a path, or if it is gone."""
+    """A text that changes whenever an object of a store does; None for a path, or if there is no object."""
     if not is_url(place):
         return None
     with _answering(place, LogError, "cannot be read"):
@@ -159,7 +159,7 @@ def _fsspec() -> Any:
 
 @contextmanager
 def _answering(place: str, kind: type[LinksideError], what: str) -> Iterator[None]:
-    """Say what a store says in one line; each kind of store has exceptions of its own, without a common ancestor."""
+    """Report errors of a store in one line; each kind of store has exceptions of its own, without a common base."""
     try:
         yield
     except LinksideError:
@@ -172,7 +172,7 @@ def _answering(place: str, kind: type[LinksideError], what: str) -> Iterator[Non
 
 @contextmanager
 def _instead_of(copy: str, place: str) -> Iterator[None]:
-    """Let errors name the place, not its copy."""
+    """Let errors name the place instead of its copy."""
     try:
         yield
     except LinksideError as error:

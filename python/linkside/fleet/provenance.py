@@ -21,7 +21,7 @@ BLOCK = 1 << 20
 
 @dataclass(frozen=True)
 class MadeFrom:
-    """What all estimates of a run are made from: the version of linkside, files by their digests, and settings."""
+    """Common inputs of the estimates of a run: the version of linkside, digests of files, and settings."""
 
     version: str
     settings: str
@@ -29,11 +29,11 @@ class MadeFrom:
 
     @classmethod
     def of(cls, files: Iterable[str | Path], settings: object) -> MadeFrom:
-        """Digest files once for all logs; what cannot be read is for others to complain about."""
+        """Digest files once for all logs; unreadable files are reported elsewhere."""
         return cls(installed(), repr(settings), tuple(file_digest(path) for path in files))
 
     def with_log(self, log: bytes) -> str:
-        """Digest all that the estimate of a log is made from, by the log's own digest."""
+        """Digest all inputs of a log's estimate, given the log's own digest."""
         whole = hashlib.blake2b(f"{self.version} {self.settings}".encode(), digest_size=16)
         for own in (*self.files, log):
             whole.update(own)

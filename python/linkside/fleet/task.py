@@ -1,4 +1,4 @@
-"""One log: from a file to a file, in bounded memory, wherever that runs."""
+"""The estimation of one log, from a file to a file in bounded memory: what threads and workers of a cluster run."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from .provenance import METADATA, MadeFrom, file_digest, is_up_to_date
 from .tally import Tally
 
 Progress: TypeAlias = Callable[[str, int], None]
-"""Hears of a log and of how many rows more of it are done."""
+"""Called with a log and the number of its rows that have been estimated since the last call."""
 
 Stoppable: TypeAlias = Callable[[], AbstractContextManager[None]]
 """Inside, an estimate may be stopped by another thread."""
@@ -39,7 +39,7 @@ class Recipe:
     """How all logs of a run are estimated.
 
     ``make`` builds the method, one for each log, which gets ``rows`` at a time; ``uneven`` says whether it takes steps
-    of time of any length; at ``rate`` [Hz] logs are resampled; ``made_from`` is what all estimates depend on.
+    of time of any length; at ``rate`` [Hz] logs are resampled; ``made_from`` records their common inputs.
     """
 
     robot: Robot
@@ -55,7 +55,7 @@ class Recipe:
 class EstimateJob:
     """A log to estimate, the place of its estimate, and a truth to compare it with.
 
-    ``seen`` is what an earlier manifest says of a log in a store: its state, and its digest as long as it has that.
+    ``seen`` is what an earlier manifest says of a log in a store: its state, and its digest in that state.
     """
 
     log: str
@@ -66,7 +66,7 @@ class EstimateJob:
 
 @dataclass
 class Outcome:
-    """What came of a log.
+    """The outcome of a log.
 
     Attributes
     ----------
@@ -77,15 +77,15 @@ class Outcome:
     error : LinksideError, optional
         Why there is no estimate.
     kept : bool
-        Whether its estimate was there already.
+        Whether an earlier estimate was kept.
     errors : tuple of EstimateError
         Against the truth, where there is one: of the estimate, and where possible of motors alone.
     conversions, suspicions
         Of the log's units, in words; of the checks of recordings.
     log_digest, made_from, digest : str
-        Digests of the log, of all the estimate is made from, and of its file.
+        Digests of the log, of all inputs of the estimate, and of its file.
     log_state : str, optional
-        Of a log in a store: what tells a change without reading it.
+        Of a log in a store: changes whenever the log does, and needs no reading of it.
     begun, elapsed : float
         When work on it began [s since 1970], and how long it took with reading and writing [s].
     worker : str
@@ -114,7 +114,7 @@ class Outcome:
 
     @property
     def verdict(self) -> str:
-        """In a word or some."""
+        """In words."""
         if self.error is not None:
             return "not estimated"
         if self.tally.findings or self.tally.status["contradicted"]:
@@ -125,7 +125,7 @@ class Outcome:
 def run(
     recipe: Recipe, job: EstimateJob, progress: Progress, stoppable: Stoppable = nullcontext, *, keep: bool
 ) -> Outcome:
-    """Estimate a log; with ``keep``, an estimate that is there and was made from the same is left alone."""
+    """Estimate a log; with ``keep``, an existing estimate that was made from the same inputs is skipped."""
     outcome = Outcome(job, begun=time.time(), worker=f"{socket.gethostname()}:{os.getpid()}")
     clock = time.perf_counter()
     try:
@@ -140,13 +140,13 @@ def run(
 
 
 def _seen(recipe: Recipe, outcome: Outcome) -> bool:
-    """Whether the estimate of a log in a store can be left alone without reading the log."""
+    """Whether the estimate of a log in a store can be skipped without reading the log."""
     seen = outcome.job.seen
     return seen is not None and seen[0] == outcome.log_state and _recalled(recipe, seen[1], outcome)
 
 
 def _recalled(recipe: Recipe, digest: bytes, outcome: Outcome) -> bool:
-    """Recall an estimate that is there and was made from the same."""
+    """Recall the outcome of an existing estimate that was made from the same inputs; whether there is one."""
     outcome.log_digest, outcome.made_from = digest.hex(), recipe.made_from.with_log(digest)
     told = None
     if is_up_to_date(outcome.job.output, {METADATA: outcome.made_from}):
@@ -193,7 +193,7 @@ def _estimate(
 
 
 def _errors(robot: Robot, estimate: Estimate, known: Estimate) -> Iterator[EstimateError]:
-    """How far off the estimate is, and the tool where links are taken to follow their motors, if both are known."""
+    """Errors of the estimate, and of a tool whose links follow their motors, if both are known."""
     yield estimate.error_against(known)
     if robot.tool is not None and known.tool_position is not None and not np.isnan(estimate.theta).any():
         yield replace(estimate, tool_position=robot.tool_position(estimate.theta)).error_against(known)
