@@ -6,7 +6,7 @@ use arm::{Mounting, arm, drive};
 use linkside_core::estimate::kalman::{
     Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterSettings,
     FixedLagSmoother, Gaussian, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanRecording, KalmanSample, Keep,
-    Lateness, LinkDisturbance, Measurement, Model, Phases, SigmaRule, Smoother,
+    Lateness, LinkDisturbance, Measurement, Model, Phases, Smoother,
 };
 use linkside_core::estimate::measurement::{Evaluation, Kind};
 use linkside_core::robot::{
@@ -249,11 +249,11 @@ fn check_lag<M: Phases>(filter: &ExtendedKalmanFilter<M>, recording: impl Fn(usi
     let joined = |count: usize| -> [Vec<f64>; 5] {
         core::array::from_fn(|k| rows[..count].iter().flat_map(|row| row[k].clone()).collect())
     };
-    for lag in [1, 2, 3, 4, 5, 8, 19] {
+    for lag in [1, 2, 3, 4, 7, 12] {
         let mut lagged = FixedLagSmoother::new(filter, lag).unwrap();
         for (now, row) in rows.iter().enumerate() {
             let Some((_, found)) = lagged.step(sample(row)).unwrap() else { continue };
-            if now % 7 != 0 && now + 1 < COUNT {
+            if now % 11 != 0 && now + 1 < COUNT {
                 continue;
             }
             let [dt, readings, dtheta, jerk, tau] = &joined(now + 1);
@@ -302,28 +302,4 @@ fn a_fixed_lag_is_the_smoother_up_to_now() {
     check_lag(&plain(model(true)), jerk_rows);
     check_lag(&late(), jerk_rows);
     check_lag(&elastic(), elastic_rows);
-}
-
-/// Far from where noise makes a curve of a function, values at a few points say what derivatives do.
-#[test]
-fn sigma_points_of_small_noise_are_derivatives() {
-    for rule in [SigmaRule::Unscented, SigmaRule::Cubature] {
-        let mut points = elastic();
-        points.set_points(Some(rule));
-        let (mut with, mut without) = (FixedLagSmoother::new(&points, 5).unwrap(), elastic());
-        for [dt, readings, _, _, tau] in &elastic_rows(30) {
-            let inputs = Inputs { tau, ..Inputs::default() };
-            let sample = KalmanSample { dt: dt[0], readings, inputs };
-            without.step(sample).unwrap();
-            with.step(sample).unwrap();
-        }
-        let (_, found) = with.flush().unwrap();
-        let (last, states) = (found.q.len() / JOINTS - 1, without.model().states());
-        for (j, q) in found.q[last * JOINTS..].iter().enumerate() {
-            let (other, std) = (without.belief().mean[j], without.covariance().at(j, j).sqrt());
-            assert!((q - other).abs() < 0.05 * std, "{j}: {q} {other} {std}");
-            let own = found.covariance[(last * states + j) * states + j].sqrt();
-            assert!((own / std - 1.0).abs() < 0.02, "{j}: {own} {std}");
-        }
-    }
 }
