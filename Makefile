@@ -7,7 +7,9 @@ PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c co
 # Units stand in brackets, as links do.
 RUSTDOC := RUSTDOCFLAGS="-D warnings -A rustdoc::broken-intra-doc-links" cargo doc --locked --no-deps -p linkside-core -p linkside-bag -p linkside-compiled --target-dir target
 
-.PHONY: demo test lint bench latency header docs figures lock clean
+PREFIX ?= /usr/local
+
+.PHONY: demo test lint bench latency header install-c docs figures lock clean
 
 demo: $(VENV) ## build, install, run the main job on the recording inside the package
 	$(PIP) .
@@ -15,7 +17,7 @@ demo: $(VENV) ## build, install, run the main job on the recording inside the pa
 
 test: $(VENV) ## everything that must hold
 	$(PIP) ".[test,lint]"
-	RUSTFLAGS="--cfg one_level" cargo test --locked -p linkside-core -p linkside-bag -p linkside-compiled
+	RUSTFLAGS="--cfg one_level" cargo test --locked -p linkside-core -p linkside-bag -p linkside-compiled -p linkside-capi
 	cargo test --locked --workspace --release --features linkside-capi/header --test '*' # of the workspace: with the wheel's features, on its build of the core
 	$(BIN)/python -m mypy.stubtest linkside._core
 	LINKSIDE_CAPI=target/release/deps OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile # a worker a core, not two
@@ -40,6 +42,10 @@ latency: $(VENV) ## the slowest of 10⁶ steps of a controller's loop, for 3, 6 
 
 header: ## rust/capi/include/linkside.h, of the functions that are there
 	LINKSIDE_WRITE_HEADER=1 cargo test --locked -p linkside-capi --features header --test header
+
+install-c: ## the C library, its headers, CMake package and pkg-config file, below PREFIX
+	cargo build --locked --release -p linkside-capi
+	rust/capi/install/install.sh target/release $(PREFIX)
 
 docs: $(VENV) ## the pages, and the API reference of both languages beside them, into site
 	$(PIP) ".[docs]"

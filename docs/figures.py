@@ -10,8 +10,10 @@ from importlib import import_module
 
 SCRIPTS = (
     "tool_error",
+    "choose",
     "transmissions",
     "trust",
+    "two_peaks",
     "record",
     "learning",
     "papers.pictures",

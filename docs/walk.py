@@ -13,6 +13,7 @@ import os
 import re
 import shlex
 from collections.abc import Iterator
+from glob import glob
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,8 @@ def walk(page: Path, folder: Path) -> dict[str, Any]:
 def run_commands(block: str) -> None:
     """Run each line of a block in this process."""
     for line in block.splitlines():
-        program, *arguments = shlex.split(line, comments=True)
+        program, *words = shlex.split(line, comments=True)
+        arguments = [name for word in words for name in (sorted(glob(word)) or [word])]
         assert program == "linkside", line
         promised = re.search(r"# exit status (\d)", line)
         try:

@@ -1,6 +1,7 @@
 """The first session of README.md and of docs/kalman.md, as type checkers see it."""
 
 # ruff: noqa: B905, E402
+# pyright: reportDuplicateImport=false
 
 import linkside
 from linkside import AccelerationObserver, Log, Robot

@@ -10,6 +10,7 @@ from drawing import save, style
 from walk import walk
 
 from linkside import Estimate, ExtendedKalmanFilter, Log, Robot
+from linkside.excitation import expected_errors
 from linkside.figures.style import COLOURS, finish
 
 HERE = Path(__file__).parent
@@ -118,7 +119,79 @@ def draw_repeats(names: dict[str, Any], folder: Path) -> None:
     save(figure, HERE / "repeats.svg")
 
 
+def draw_excitation(names: dict[str, Any], folder: Path) -> None:
+    """The planned motion and its standard errors, of the journey from a URDF alone."""
+    motion, robot = names["motion"], Robot.load(folder / "robot.yaml")
+    before, after = expected_errors(robot, []), expected_errors(robot, motion)
+    figure, (path, errors) = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained", width_ratios=(1.3, 1))
+    for j, name in enumerate(robot.names):
+        (line,) = path.plot(motion.t[::8], motion.theta[::8, j], color=COLOURS[j], label=name)
+        line.get_path().should_simplify = False
+    path.set(title="planned motion", xlabel="time [s]", ylabel="[rad]")
+    path.legend(frameon=False)
+    chosen = [
+        i for i, p in enumerate(after.parameters) if p.kind in ("stiffness", "damping", "translation", "rotation")
+    ]
+    rows = np.arange(len(chosen))
+    errors.hlines(rows, after.std[chosen], before.std[chosen], color="0.6")
+    errors.semilogx(before.std[chosen], rows, "o", color=COLOURS[1], label="without the motion")
+    errors.semilogx(after.std[chosen], rows, "o", color=COLOURS[0], label="with it")
+    errors.set_yticks(rows, [after.parameters[i].name for i in chosen], fontsize="x-small")
+    errors.set(title="standard errors, in tolerances", ylim=(len(rows) + 0.8, -0.5))
+    errors.legend(frameon=False, fontsize="small", loc="lower right", ncols=2)
+    for axes in (path, errors):
+        finish(axes, legend=False)
+    save(figure, HERE / "urdf.svg")
+
+
+def draw_bag(names: dict[str, Any], folder: Path) -> None:
+    """When the sensors of the bag are read, and the error of the tool."""
+    merged, robot, estimate = names["merged"], names["robot"], names["estimate"]
+    truth = Estimate.read(folder / "run/truth.parquet")
+    figure, (stamps, error) = plt.subplots(1, 2, figsize=(9, 2.8), layout="constrained", width_ratios=(1, 1.7))
+    rows = merged.t < 0.0101
+    for height, (name, values) in enumerate((("accelerometer", merged.acceleration), ("joints", merged.theta))):
+        read = merged.t[rows & np.isfinite(values[:, 0])]
+        stamps.plot(1e3 * read, np.full(len(read), height), "o", color=COLOURS[1 - height], label=name)
+    stamps.set(title="readings", xlabel="time [ms]", yticks=(0, 1), ylim=(-0.6, 1.6))
+    stamps.set_yticklabels(("accelerometer", "joints"))
+    at = np.stack([np.interp(merged.t, truth.t, x) for x in truth.tool_position.T], axis=1)
+    known = np.isfinite(merged.theta[:, 0])
+    motors = robot.tool_position(merged.theta[known]) - at[known]
+    error.semilogy(merged.t[known], 1e3 * np.linalg.norm(motors, axis=1), color=COLOURS[1], label="motors alone")
+    smoothed = 1e3 * np.linalg.norm(estimate.tool_position - at, axis=1)
+    error.semilogy(merged.t, smoothed, color=COLOURS[0], label="smoother")
+    error.set(title="error of the tool", xlabel="time [s]", ylabel="[mm]")
+    error.legend(frameon=False)
+    for axes in (stamps, error):
+        finish(axes, legend=False)
+    stamps.margins(x=0.05)
+    save(figure, HERE / "bag.svg")
+
+
+def draw_batch(names: dict[str, Any], folder: Path) -> None:
+    """Distance of the tool from the command in each repeat, and the NIS of each."""
+    robot, path = names["robot"], names["path"]
+    wanted = robot.tool_position(path.q)
+    figure, (error, nis) = plt.subplots(1, 2, figsize=(9, 2.8), layout="constrained", width_ratios=(1.7, 1))
+    for number, file in enumerate(sorted((folder / "estimates").glob("*.parquet"))):
+        estimate, bad = Estimate.read(file), number == 17
+        look = {"color": COLOURS[1] if bad else COLOURS[0], "linewidth": 1.5 if bad else 0.5, "zorder": 2 + bad}
+        label = {0: "49 repeats", 17: "repeat 17"}.get(number)
+        error.plot(estimate.t, 1e3 * np.linalg.norm(estimate.tool_position - wanted, axis=1), **look, label=label)
+        nis.semilogy(number, np.nanmean(estimate.nis), "o", color=look["color"], markersize=3)
+    error.set(title="tool, distance from the command", xlabel="time [s]", ylabel="[mm]")
+    error.legend(frameon=False)
+    nis.set(title="NIS, mean of a recording", xlabel="repeat")
+    for axes in (error, nis):
+        finish(axes, legend=False)
+    save(figure, HERE / "batch.svg")
+
+
 PICTURES = {
+    "bag.md": (draw_bag,),
+    "batch.md": (draw_batch,),
+    "urdf.md": (draw_excitation,),
     "path.md": (draw_path, draw_fault),
     "calibrate.md": (draw_calibration,),
     "loop.md": (draw_loop,),

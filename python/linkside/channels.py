@@ -26,6 +26,10 @@ class Carriers(Protocol):
     def gyroscope_channels(self) -> tuple[str, ...]:
         """Gyroscope columns, such as ``gyro_wx``."""
 
+    @property
+    def wrench_channels(self) -> tuple[str, ...]:
+        """Columns of force sensors, such as ``press_fx``."""
+
 
 @dataclass(frozen=True)
 class Channel:
@@ -40,7 +44,7 @@ class Channel:
     unit : str
         Of a reading.
     carrier : str
-        What has one: a joint, or each axis of an accelerometer or a gyroscope.
+        What has one: a joint, or each axis of an accelerometer, a gyroscope or a wrench from outside.
     noise : str
         Attribute of `Noise` that says how uncertain a reading is.
     biased : bool
@@ -54,7 +58,7 @@ class Channel:
     kind: str
     signal: str
     unit: str
-    carrier: Literal["joint", "accelerometer", "gyroscope"]
+    carrier: Literal["joint", "accelerometer", "gyroscope", "wrench"]
     noise: str
     biased: bool = False
     outliers: bool = False
@@ -64,7 +68,12 @@ class Channel:
         """Names of its columns in a log, as they are called unless robot.yaml renames them."""
         if self.carrier == "joint":
             return joint_columns(self.signal, robot.names)
-        return robot.acceleration_channels if self.carrier == "accelerometer" else robot.gyroscope_channels
+        of_sensors = {
+            "accelerometer": robot.acceleration_channels,
+            "gyroscope": robot.gyroscope_channels,
+            "wrench": robot.wrench_channels,
+        }
+        return of_sensors[self.carrier]
 
     def width(self, robot: Carriers) -> int:
         """Channels of this kind."""
@@ -81,6 +90,7 @@ CHANNELS = {
         Channel("q", "q", "rad", "joint", "link", outliers=True, extra=True),
         Channel("torque", "torque", "N m", "joint", "joint_torque", outliers=True, extra=True),
         Channel("dq", "dq", "rad/s", "joint", "link_velocity", extra=True),
+        Channel("wrench", "wrench", "N, N m", "wrench", "wrench", outliers=True),
     )
 }
 """By kind, in the core's order."""

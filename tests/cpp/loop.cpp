@@ -44,11 +44,12 @@ int main(int count, char **arguments) {
         die(linkside_last_error());
     }
     LinksideSample sample = {};
-    const char *const names[] = {"theta", "dtheta", "tau", "acceleration", "rate", "q", "dq", "ddq", "torque", "ddqref"};
+    const char *const names[] = {"theta", "dtheta", "tau", "acceleration", "rate", "q", "dq", "ddq", "torque", "ddqref", "wrench"};
     const double **const fields[] = {&sample.theta, &sample.dtheta, &sample.tau, &sample.acceleration, &sample.rate,
-                                     &sample.q,     &sample.dq,     &sample.ddq, &sample.torque,       &sample.ddqref};
+                                     &sample.q,     &sample.dq,     &sample.ddq, &sample.torque,       &sample.ddqref,
+                                     &sample.wrench};
     size_t width = 1;
-    for (int s = 0; s < 10; ++s) {
+    for (int s = 0; s < 11; ++s) {
         width += linkside_width(e, names[s]);
     }
     std::vector<double> samples;
@@ -75,7 +76,7 @@ int main(int count, char **arguments) {
         for (size_t i = 0; i < rows; ++i) {
             const double *row = &samples[i * width];
             sample.dt = *row++;
-            for (int s = 0; s < 10; ++s) {
+            for (int s = 0; s < 11; ++s) {
                 const size_t own = linkside_width(e, names[s]);
                 *fields[s] = own == 0 ? nullptr : row;
                 row += own;

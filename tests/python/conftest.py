@@ -1,7 +1,10 @@
-"""How Hypothesis runs here: no clock decides, and on CI the same examples every time."""
+"""How Hypothesis runs here: no clock decides, and on CI the same examples every time; and where the C library is."""
 
 import os
+import platform
+from pathlib import Path
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 settings.register_profile(
@@ -12,3 +15,19 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 settings.load_profile("linkside")
+
+ROOT = Path(__file__).parents[2]
+LIBRARIES = (os.environ.get("LINKSIDE_CAPI", ""), ROOT / "target/release/deps", ROOT / "target/release")
+"""Where `cargo test --release` leaves the C library; the first one must have it where it is given."""
+
+
+@pytest.fixture(scope="session")
+def library():
+    """The folder of the C library."""
+    name = "liblinkside.dylib" if platform.system() == "Darwin" else "liblinkside.so"
+    for folder in filter(None, LIBRARIES):
+        if (Path(folder) / name).is_file():
+            return Path(folder)
+    if LIBRARIES[0]:
+        pytest.fail(f"LINKSIDE_CAPI={LIBRARIES[0]} has no {name}")
+    pytest.skip(f"no {name}: cargo test --release -p linkside-capi builds it")

@@ -30,7 +30,7 @@ FREE = ["stiffness", "damping", "sensor_noise"]
 def load(folder, **changes):
     robot = Robot.load(folder / "robot.yaml")
     if changes:
-        robot = Robot(robot.config.model_copy(update=changes), robot.model)
+        robot = Robot(robot.config.model_copy(update=changes), robot.tree)
     return robot, Log.read(folder / "log.parquet", robot)
 
 
@@ -87,7 +87,7 @@ def test_a_wrong_robot_is_put_right_from_its_recording_alone(calibrated, tmp_pat
 
 def misjudged(robot, factor):
     joints = tuple(j.model_copy(update={"stiffness": factor * j.stiffness}) for j in robot.drives)
-    return Robot(robot.config.model_copy(update={"joints": joints}), robot.model)
+    return Robot(robot.config.model_copy(update={"joints": joints}), robot.tree)
 
 
 @pytest.mark.parametrize("factor", [0.6, 1.4])
@@ -228,7 +228,7 @@ def test_standard_errors_are_what_the_filters_reckon_with(calibrated, tmp_path):
     assert np.abs(matrix(robot.config.tolerances.correlations, names) - np.eye(len(names))).max() > 0.2
     log = Log.read(MISMATCH / "log.parquet", robot)[:400]
     guessed = robot.config.model_copy(update={"tolerances": Robot.load(MISMATCH / "robot.yaml").config.tolerances})
-    wide, narrow = (ExtendedKalmanFilter(r).run(log).q_std[0] for r in (Robot(guessed, robot.model), robot))
+    wide, narrow = (ExtendedKalmanFilter(r).run(log).q_std[0] for r in (Robot(guessed, robot.tree), robot))
     assert np.all(narrow < 0.5 * wide)
 
 

@@ -3,12 +3,14 @@
 import csv
 import io
 import json
+import re
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import permutation_test
 
 from linkside import Estimate, EstimatorError, LogError, Robot, cli, demo
 from linkside.comparison import Segment, between_rests, compare, find_shift, read_motion, read_segments
@@ -58,6 +60,7 @@ def test_measures_of_a_sine():
     assert found.max == pytest.approx(3e-3, rel=1e-9)
 
 
+@settings(max_examples=15)
 @given(late=st.floats(-0.2, 0.2), rate=st.sampled_from([200.0, 333.0, 1000.0]))
 def test_a_shift_is_found(late, rate):
     t = np.arange(int(2 * rate)) / rate
@@ -118,6 +121,68 @@ def test_repeats_have_a_mean_and_a_spread():
     assert only(found, estimate="mean of repeats", signal="q_a").rms < 1e-12
     assert found.spread["q_a"] == pytest.approx(1e-3)
     assert found.spread["q_b"] < 1e-12
+
+
+def test_of_many_repeats_joints_are_told_of_the_worst_and_the_mean():
+    repeats = {f"run {i}": motion(T, offset=1e-4 * (i == 7) + 1e-5) for i in range(20)}
+    text = compare(motion(T), repeats, repeats=True).to_text()
+    assert re.findall(r"^(.*), joints", text, re.MULTILINE) == ["run 7", "mean of repeats"]
+    assert "The joints of 19 more estimates" in text
+
+
+def drifting(count, drift=0.0, odd=None, seed=0):
+    """Repeats with some noise and an offset of their own, 0.1 mm each; one of them is 3 mm off."""
+    rng = np.random.default_rng(seed)
+    found = {}
+    for i in range(count):
+        one = motion(T)
+        one.tool_position[:] += rng.normal(0, 1e-4, (len(T), 3)) + rng.normal(0, 1e-4, 3)
+        one.tool_position[:, 0] += drift * i + (3e-3 if i == odd else 0.0)
+        found[f"run {i}"] = one
+    return found
+
+
+def test_an_outlier_among_repeats_is_named_and_left_out():
+    with_it, without = drifting(8, odd=3), drifting(8)
+    del without["run 3"]
+    found = compare(motion(T), with_it, repeats=True)
+    assert found.repeats.outliers == ("run 3",)
+    assert not found.repeats.has_trend
+    assert found.repeats.distances["run 3"] == pytest.approx(3e-3, rel=0.1)
+    alone = compare(motion(T), without, repeats=True)
+    assert found.spread == pytest.approx(alone.spread)
+    assert only(found, estimate="mean of repeats", signal="tool").rms == pytest.approx(
+        only(alone, estimate="mean of repeats", signal="tool").rms
+    )
+    assert "outlier, left out" in found.to_text()
+
+
+def test_a_trend_of_repeats_is_measured_though_one_is_an_outlier():
+    found = compare(motion(T), drifting(9, drift=1e-3, odd=4), repeats=True).repeats
+    assert found.outliers == ("run 4",)
+    assert found.has_trend
+    assert found.trend["tool"] == pytest.approx(1e-3, rel=0.05)
+    assert "drift" in compare(motion(T), drifting(9, drift=1e-3), repeats=True).to_text()
+
+
+def test_trends_and_outliers_by_chance_are_rare():
+    runs = [compare(motion(T), drifting(6, seed=seed), repeats=True).repeats for seed in range(20)]
+    assert sum(run.has_trend for run in runs) <= 2
+    assert sum(bool(run.outliers) for run in runs) <= 3
+
+
+def test_the_chance_of_a_trend_is_that_of_scipy():
+    """For paths of one number the test is SciPy's permutation test of a correlation."""
+    values = np.array([0.1, 0.3, 0.2, 0.5, 0.4, 0.6])
+    repeats = {f"{i}": motion(T[:1] + 0.0, tool=False) for i in range(6)}
+    for one, value in zip(repeats.values(), values, strict=True):
+        one.q[:, 0] += value
+    found = compare(motion(T), repeats, repeats=True).repeats
+    steps = np.arange(6.0)
+    scipys = permutation_test(
+        (values,), lambda x: np.abs(x @ (steps - 2.5)), permutation_type="pairings", alternative="greater"
+    )
+    assert found.p_value == pytest.approx(scipys.pvalue)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """Compiled estimators: what a controller gets from a file are the bits that `step` gives here."""
 
-import os
 import platform
 import shutil
 import subprocess
@@ -23,9 +22,6 @@ from linkside import (
 from linkside.cli import main
 
 ROOT = Path(__file__).parents[2]
-LIBRARIES = (os.environ.get("LINKSIDE_CAPI", ""), ROOT / "target/release/deps", ROOT / "target/release")
-"""Where `cargo test --release` leaves the C library; the first one must have it where it is given."""
-
 SAMPLES = 300
 
 UNWATCHED = 3
@@ -40,17 +36,6 @@ def robot():
 @pytest.fixture(scope="module")
 def log(robot):
     return linkside.Log.read(linkside.demo.LOG, robot)[:SAMPLES]
-
-
-@pytest.fixture(scope="module")
-def library():
-    name = "liblinkside.dylib" if platform.system() == "Darwin" else "liblinkside.so"
-    for folder in filter(None, LIBRARIES):
-        if (Path(folder) / name).is_file():
-            return Path(folder)
-    if LIBRARIES[0]:
-        pytest.fail(f"LINKSIDE_CAPI={LIBRARIES[0]} has no {name}")
-    pytest.skip(f"no {name}: cargo test --release -p linkside-capi builds it")
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +60,7 @@ def given(robot, log):
     state = np.full(3 * n, 0.01), np.diag(np.full(3 * n, 1e-4))
     filters = ("dt", "theta", "acceleration")
     slow = [sensor.model_copy(update={"delay": 1.2e-3, "corner_frequency": 200.0}) for sensor in robot.accelerometers]
-    late = linkside.Robot(robot.config.model_copy(update={"accelerometers": tuple(slow)}), robot.model)
+    late = linkside.Robot(robot.config.model_copy(update={"accelerometers": tuple(slow)}), robot.tree)
     return {
         "observer": (AccelerationObserver(robot, bias=True, period=period), ("theta", "tau", "acceleration")),
         "ekf": (ExtendedKalmanFilter(robot, start="rest"), filters),
@@ -158,7 +143,7 @@ def test_what_a_controller_cannot_know_is_refused(robot, tmp_path):
         ExtendedKalmanFilter(robot).compile(tmp_path / "robot.lsr")
     with pytest.raises(OutputError, match=r"ends in \.lsr"):
         ExtendedKalmanFilter(robot, start="rest").compile(tmp_path / "robot.bin")
-    nameless = linkside.Robot(robot.config.model_copy(update={"rate_hz": None}), robot.model)
+    nameless = linkside.Robot(robot.config.model_copy(update={"rate_hz": None}), robot.tree)
     with pytest.raises(EstimatorError, match="compile needs the sampling period"):
         AccelerationObserver(nameless).compile(tmp_path / "robot.lsr")
     with pytest.raises(EstimatorError, match="expected a positive, finite time"):

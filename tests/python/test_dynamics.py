@@ -256,7 +256,7 @@ JOINT_AXES = {
 
 def reordered(robot: Robot, order: list[int]) -> Robot:
     config = robot.config.model_copy(update={"joints": tuple(robot.drives[i] for i in order)})
-    return Robot(config, robot.model)
+    return Robot(config, robot.tree)
 
 
 @fixed(40)

@@ -79,7 +79,8 @@ def dense(noise, columns, h=1e-3):
     walks = [0, noise.link_acceleration, 0, noise.motor_acceleration, noise.disturbance_walk * drag, 0]
     decay, variance = bias_step(noise.arrays(slide(), ("motor", "acceleration")), h)
     f[5, 5] = decay[1]
-    # White noise all the time, by adaptive quadrature; a torque's reading is wrong by the same all through a step.
+    # White noise all the time, by adaptive quadrature; a torque's reading is wrong by the same all through a step, and
+    # its mean by a change at any time in between.
 
     def spread(s):
         return scipy.linalg.expm(a * s) @ np.diag(np.square(walks)) @ scipy.linalg.expm(a * s).T
@@ -98,7 +99,7 @@ def dense(noise, columns, h=1e-3):
         if i:
             tau = columns["tau_x"][i - 1 : i + 1]
             x = (big @ np.array([*x, tau[0], (tau[1] - tau[0]) / h, 1.0]))[:6]
-            p = f @ p @ f.T + q
+            p = f @ p @ f.T + q + (tau[1] - tau[0]) ** 2 / 12 * np.outer(torque, torque)
         before.append(x)
         p_before.append(p)
         there = ~np.isnan(reading)

@@ -44,7 +44,7 @@ def test_poles_are_where_they_were_asked_for(damping):
 def test_the_linear_model_is_that_of_the_forward_dynamics():
     drives = [joint.model_copy(update={"motor_friction": MotorFriction()}) for joint in ROBOT.drives]
     held = [joint if joint.elastic else joint.model_copy(update={"motor_inertia": 1e9}) for joint in drives]
-    robot = Robot(ROBOT.config.model_copy(update={"joints": tuple(held)}), ROBOT.model)
+    robot = Robot(ROBOT.config.model_copy(update={"joints": tuple(held)}), ROBOT.tree)
     a, b = linearised(robot, START)
     tau = robot.gravity_torque(START)
     rest, stiffness = np.zeros(6), np.array([drive.stiffness or np.inf for drive in robot.drives])

@@ -16,6 +16,9 @@ from linkside.consistency import consistency
 from linkside.demo.figure import demo_figure
 from linkside.demo.run import run as demonstrate
 from linkside.errors import EstimatorError
+from linkside.excitation import expected_errors
+from linkside.excitation.expected import motion_of
+from linkside.excitation.figure import excitation_figure
 from linkside.figures import line_style
 from linkside.observability import analysis, candidates, check, figure, place
 from linkside.observability.result import Observability, Posture, describe
@@ -95,6 +98,13 @@ def test_check(name):
         drawn = holds(report.figure())
         legends = [axes.get_legend() for axes in drawn.axes if axes.get_legend()]
         assert any("lost" in text.get_text() for legend in legends for text in legend.get_texts())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_excitation(name):
+    log = recorded(name)[0]
+    machine, before, after = robot(name), expected_errors(robot(name), []), expected_errors(robot(name), log)
+    holds(excitation_figure(machine, motion_of(machine, log), before, after))
 
 
 def test_a_map_is_cut_where_most_of_it_is_regular():

@@ -24,7 +24,7 @@ LAYERS = (
     ("observers", "kalman", "observability", "velocity"),
     ("particle", "scene", "comparison", "consistency", "control"),
     ("tuning", "calibration", "simulation", "learning", "demo"),
-    ("papers",),
+    ("papers", "excitation", "fleet"),
     ("linkside", "cli"),
 )
 """Packages and modules of `linkside` from the ground up; those of one line do not import each other."""
@@ -154,7 +154,7 @@ def test_the_core_says_what_it_does():
     "item",
     [
         "robot/mod.rs: pub struct Robot",
-        "estimate/observer/run.rs: pub struct AccelerationObserver",
+        "estimate/observer/step.rs: pub struct AccelerationObserver",
         "estimate/kalman/filter.rs: pub struct ExtendedKalmanFilter",
         "estimate/kalman/elastic.rs: pub type ElasticModel",
         "estimate/kalman/smoother.rs: pub struct Smoother",

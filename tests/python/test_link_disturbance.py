@@ -353,8 +353,9 @@ def test_the_elastic_filter_is_that_of_linear_algebra():
     for row in range(len(log)):
         if row:
             torque = log.tau[row - 1, 0]
-            x = (step @ np.concatenate([x, [torque, (log.tau[row, 0] - torque) / h]]))[:5]
-            p = step[:5, :5] @ p @ step[:5, :5].T + driven
+            change = log.tau[row, 0] - torque
+            x = (step @ np.concatenate([x, [torque, change / h]]))[:5]
+            p = step[:5, :5] @ p @ step[:5, :5].T + driven + change**2 / 12 * np.outer(step[:5, 5], step[:5, 5])
         y = np.array([log.theta[row, 0], log.q[row, 0], log.torque[row, 0]])
         there = np.isfinite(y)
         rows = read[there]

@@ -44,6 +44,10 @@ class Robot:
         return np.zeros(len(self.names), bool)
 
     @property
+    def wrench_channels(self) -> tuple[str, ...]:
+        return ()
+
+    @property
     def gearing(self) -> np.ndarray:
         return np.eye(len(self.names))
 

@@ -11,7 +11,6 @@ import linkside
 from linkside import ConfigError, EstimatorError, Log, Robot
 from linkside.cli import main
 from linkside.observability import Observability, Placement, candidates, place, read_candidates
-from linkside.robot import compile as tree
 
 from .robots import ARM, DATA, spring
 
@@ -29,7 +28,7 @@ def placed():
 
 
 def mounted(robot, sensors):
-    return Robot(robot.config.model_copy(update={"accelerometers": tuple(sensors)}), robot.model)
+    return Robot(robot.config.model_copy(update={"accelerometers": tuple(sensors)}), robot.tree)
 
 
 def test_a_better_place_than_the_recordings_sensor_is_found(placed):
@@ -58,10 +57,12 @@ def geometry(placed, q):
     """Points on axes 2 and 3, the sensor, and the direction of both axes, in the base frame."""
     model, data = ROBOT.model, ROBOT.model.createData()
     pin.computeJointJacobians(model, data, ROBOT.to_pinocchio(q))
-    joint, pose = tree.mount(model, placed.chosen[0])
+    sensor = placed.chosen[0]
+    frame = model.frames[model.getFrameId(sensor.link, pin.FrameType.BODY)]
+    place = data.oMi[frame.parentJoint] * frame.placement
     shoulder, elbow = (data.oMi[model.getJointId(name)] for name in ("a2", "a3"))
     axis = data.J[3:, ROBOT.velocity_index[1]]
-    return shoulder.translation, elbow.translation, (data.oMi[joint] * pose).translation, axis
+    return shoulder.translation, elbow.translation, place.act(np.array(sensor.xyz)), axis
 
 
 def test_every_set_is_looked_at_where_they_are_few():

@@ -47,6 +47,9 @@ LIFT = {
     "spring": {"stiffness": 300.0, "length": 0.1},
 }
 
+SIZE = {"force": 30.0, "moment": 3.0}
+CONTACT = {"name": "contact", "kind": "random-walk", "link": "hand", "std": SIZE, "walk": SIZE}
+
 
 def robot(sensor=None, drive=None, elbow=None, **settings):
     joints = [spring("shoulder", **(drive or {})), spring("elbow", **(drive or {}), **(elbow or {}))]
@@ -83,6 +86,8 @@ DECLARED = {
     "asymmetry": {"drive": {"motor_friction": {"coulomb": 30.0, "asymmetry": 9.0}}},
     "bearing_friction": {"drive": {"bearing_friction": {"coulomb": 0.3, "stribeck": 0.2}}},
     "counterbalances": {"counterbalances": [LIFT]},
+    "wrenches": {"wrenches": [{"name": "rope", "kind": "constant", "link": "hand", "force": [0, 0, -30]}]},
+    "varying wrenches": {"wrenches": [CONTACT]},
     "passive": {"elbow": {"passive": True}},
     "link_friction": {"drive": {"link_friction": [0.5, 150.0, 50.0, 2.0, 100.0, 0.5]}},
     "motor_friction": {"drive": {"motor_friction": {"viscous": 40.0, "coulomb": 30.0}}},
@@ -175,13 +180,13 @@ UNCONCERNED = {
     "observer": {"link_friction", "bearing_friction"} | BEHIND_GEARS,
     "feedforward": SENSOR | BEHIND_GEARS | {"encoder_error"},
     "feedback": BEHIND_GEARS,
-    "simulation": {"bias", "encoder_error"},
+    "simulation": {"bias", "encoder_error", "varying wrenches"},
 }
 """What a method has nothing to do with.
 
 Velocity observers read no accelerometer and take joints as rigid, and on the links motors do not matter; the
 jerk-driven model looks at no motor torque, its observer at none of a link and at no link encoder; a simulated
-reading has its bias, which the log takes off.
+reading has its bias, which the log takes off, and a wrench is zero unless it is given.
 """
 
 

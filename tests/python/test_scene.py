@@ -16,8 +16,8 @@ from rerun.chunk import RrdReader
 from linkside import Estimate, EstimatorError, ExtendedKalmanFilter, Log, Robot, cli
 from linkside.errors import OutputError
 from linkside.recording.estimate import Status
+from linkside.robot.kinematics import body_poses
 from linkside.scene import write_scene
-from linkside.scene.kinematics import body_poses
 from linkside.scene.shapes import looks, sticks
 
 from . import gallery
@@ -187,7 +187,8 @@ def test_shapes_of_a_urdf(tmp_path):
     assert {one.body for one in found.shapes} == {ARM.names[-1]}
     frame = ARM.model.frames[ARM.model.getFrameId(links[-1])]
     want = frame.placement * pin.SE3(pin.rpy.rpyToMatrix(0, 0, 1), np.array([0.1, 0, 0]))
-    assert found.shapes[0].placement.isApprox(want)
+    placement = found.shapes[0].placement
+    assert pin.SE3(placement.rotation, placement.translation).isApprox(want)
     write_scene(ARM, LOG, TRUTH, tmp_path / "x.rrd", urdf=tmp_path / "robot.urdf", rate=5)
     entities = columns(tmp_path / "x.rrd")
     for root in ("links", "motors"):

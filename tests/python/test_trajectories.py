@@ -83,10 +83,11 @@ def test_pauses_are_at_rest():
 
 
 def tool(robot, q):
-    joint, pose = linkside.robot.compile.mount(robot.model, robot.tool)
+    frame = robot.model.frames[robot.model.getFrameId(robot.tool.link, pin.FrameType.BODY)]
+    offset = pin.SE3(pin.rpy.rpyToMatrix(*robot.tool.rpy), np.array(robot.tool.xyz))
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, robot.to_pinocchio(q))
-    placed = data.oMi[joint] * pose
+    placed = data.oMi[frame.parentJoint] * frame.placement * offset
     return placed.translation.copy(), placed.rotation.copy()
 
 

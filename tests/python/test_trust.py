@@ -159,6 +159,25 @@ def test_a_sensor_that_repeats_itself_is_stuck_at_once(robot: Robot, log: Log, c
     assert np.flatnonzero(estimate.status & Status.FAULTY)[0] < 610
 
 
+@pytest.mark.parametrize("joint", [0, 1])
+def test_an_encoder_that_stays_while_its_motor_turns_is_stuck(joint: int) -> None:
+    """Without a sensor on the links only the motor's velocity says so; its noise alone, at rest, does not."""
+    blind = Robot.from_urdf(ARM, [spring("shoulder"), spring("elbow")], encoder={"resolution": 1e-5})
+    log = moved(blind, 1.0, 1000.0, sensors={"theta": Sensor(resolution=1e-5), "dtheta": Sensor(noise=1e-3)}).log
+    assert log.dtheta is not None
+    row = 200 + int(np.argmax(np.abs(log.dtheta[200:, joint]) > 0.1))
+    estimate = ExtendedKalmanFilter(blind).run(spoiled(log, "theta", joint, "stuck", row))
+    (found,) = estimate.findings
+    assert found.channel == log.columns("theta")[joint]
+    assert found.kind in ("stuck", "saturated", "dead")
+    assert abs(found.since - row) <= 1
+    assert (estimate.status[row + 100 :] & Status.FAULTY).all()
+    still = replace(log, theta=np.tile(log.theta[:1], (len(log), 1)))
+    for speed in (0.0, 0.01):  # a tachometer's zero
+        noise = speed + 1e-3 * np.random.default_rng(0).standard_normal(log.theta.shape)
+        assert ExtendedKalmanFilter(blind).run(replace(still, dtheta=noise)).findings == ()
+
+
 def test_a_coarse_accelerometer_at_rest_is_not_stuck() -> None:
     """A digit of its readings is larger than its noise: at rest they repeat for good reason."""
     sensors = [{"name": "acc", "link": "hand", "xyz": [0.02, 0.05, 0.1], "noise_std": 0.15}]
@@ -171,14 +190,16 @@ def test_a_coarse_accelerometer_at_rest_is_not_stuck() -> None:
     assert not [f for f in found if f.kind in ("stuck", "saturated", "dead")]
 
 
-def test_a_wrong_model_is_first_of_all_nobodys_fault() -> None:
+def test_a_wrong_model_is_nobodys_fault_and_inside_its_standard_deviations() -> None:
     """Springs, masses and payload of this recording are off; each of its sensors is as it should be."""
     folder = DATA / "arm2_square_mismatch"
     robot = Robot.load(folder / "robot.yaml")
     log = Log.read(folder / "log.parquet", robot)
-    estimate = ExtendedKalmanFilter(robot).run(log)
-    assert estimate.findings[0].channel is None
-    assert not any(f.channel in log.columns("theta") for f in estimate.findings)
+    truth = Estimate.read(folder / "truth.parquet")
+    for method in (ExtendedKalmanFilter, ElasticJointFilter):
+        estimate = method(robot).run(log)
+        assert [f.channel for f in estimate.findings if f.channel is not None] == []
+        assert (np.abs(estimate.q - truth.q[: len(log)]) < 1.5 * estimate.q_std).all()
 
 
 def test_torque_noise_of_motors_behind_rigid_drives_is_no_contradiction() -> None:

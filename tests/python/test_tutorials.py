@@ -1,5 +1,6 @@
 """Tutorials do what they say: each is followed from top to bottom in an empty folder."""
 
+import json
 import re
 import runpy
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from linkside import Robot
+from linkside.robot.starter import starter
 
 DOCS = Path(__file__).parents[2] / "docs"
 walk = runpy.run_path(str(DOCS / "walk.py"))["walk"]
@@ -52,3 +54,35 @@ def test_calibrate(tmp_path):
         written, right = (getattr(robot.drives[robot.names.index(joint)], kind) for robot in (found, true))
         assert abs(written - right) < 3 * spread, (kind, joint)
         assert written == pytest.approx(stated, abs=spread), (kind, joint)
+
+
+def test_urdf(tmp_path):
+    page = DOCS / "tutorials/urdf.md"
+    walk(page, tmp_path)
+    drafted = starter(tmp_path / "robot.urdf", tmp_path / "robot.yaml", gear_ratios={"shoulder": 100, "elbow": 80})
+    filled = (tmp_path / "robot.yaml").read_text().splitlines()
+    asked = ("rate_hz", "joints:", "encoder", "torque:", "tool", "accelerometers", "- {name: tool_acc")
+    assert [line for line in filled if line not in drafted.splitlines() and not line.startswith(asked)] == []
+    found = Robot.load(tmp_path / "robot.calibrated.yaml")
+    table = re.findall(r"^(\w+) +\S+ +([\d.]+) +([\d.e+]+)$", page.read_text(), re.MULTILINE)
+    springs = {f"stiffness_{d.name}": d.stiffness for d in found.drives}
+    assert {name: float(value) for name, value, _ in table if name in springs} == pytest.approx(springs, rel=0.01)
+    for (true, stiffness), error in zip({8e4: "shoulder", 4.5e4: "elbow"}.items(), (2700, 1000), strict=True):
+        assert springs[f"stiffness_{stiffness}"] == pytest.approx(true, abs=3 * error)
+    assert found.accelerometers[0].xyz[0] == pytest.approx(0.504, abs=0.002)
+
+
+def test_bag(tmp_path):
+    names = walk(DOCS / "tutorials/bag.md", tmp_path)
+    assert names["estimate"].status_summary()["good"] == 1501
+    assert (tmp_path / "motion.mcap").stat().st_size > 10_000
+    assert "No row, channel or finding contradicts" in (tmp_path / "report.html").read_text()
+
+
+def test_batch(tmp_path):
+    names = walk(DOCS / "tutorials/batch.md", tmp_path)
+    assert names["worst"] == ["repeat_17"]
+    assert "49 of 50 estimates" in (tmp_path / "batch.html").read_text()
+    spread = json.loads((tmp_path / "repeats.json").read_text())["spread"]
+    assert 1e-4 < spread["tool"] < 1e-3
+    assert all((tmp_path / page).stat().st_size <= 2e6 for page in ("batch.html", "repeats.html"))

@@ -28,6 +28,9 @@ STRETCHES = 12
 LOSS = -3.0
 """An outcome is refused if some sensor's readings are predicted less well than this, in log-likelihood."""
 
+DEVIATIONS = 4
+"""Steps of Gauss and Newton's method to the most probable deviation, at most."""
+
 FAR = 3.0
 """An estimate further from robot.yaml than this, in tolerances, is not one that robot.yaml's tolerance allows for."""
 
@@ -49,7 +52,8 @@ class Foretold:
     worst : float
         Gain of the worst stretch.
     sensors : dict of str to float
-        Gain of each sensor's readings, predicted from the other sensors alone; empty if there is only one sensor.
+        Gain of each sensor's readings, predicted from the other sensors alone, as far as these tell the springs; empty
+        if there is only one sensor.
     """
 
     gain: float
@@ -92,6 +96,26 @@ def foretell(problem: Posterior, nominal: Sequence[FloatArray], z: FloatArray) -
         for ours, theirs, parts in zip(found, nominal, stretches, strict=True):
             gains += [float(np.sum((ours - theirs)[part])) for part in parts]
     return Foretold(sum(gains), float(np.std(gains) * np.sqrt(len(gains))), min(gains))
+
+
+def predictive(problem: Posterior, z: FloatArray, covariance: FloatArray) -> float:
+    """Log-density of readings by parameters that are ``z`` to within ``covariance`` (p, p): Laplace's method.
+
+    At the most probable deviation from ``z``, less what it is worth that readings could choose it (D. J. C. MacKay,
+    Neural Computation 4, 1992).
+    """
+    precision = np.linalg.inv(covariance)
+    away, best = np.zeros_like(z), -np.inf
+    for _ in range(DEVIATIONS):
+        found = problem.evidence(z + away)
+        value = found.log_likelihood - 0.5 * float(away @ precision @ away)
+        if value <= best:
+            break
+        chosen = np.linalg.slogdet(np.eye(len(z)) + covariance @ found.information)[1]
+        best, density = value, value - 0.5 * float(chosen)
+        curvature = precision + found.information
+        away = np.asarray(np.linalg.solve(curvature, found.gradient + found.information @ away), np.float64)
+    return density
 
 
 def filters_gain(robot: Robot, logs: Sequence[Log], noise: Noise, free: Sequence[Parameter], z: FloatArray) -> float:

@@ -17,7 +17,7 @@ OF_BEARINGS = ("viscous", "coulomb", "stribeck")
 def with_links(robot: Robot, found: Mapping[tuple[str, int], float]) -> Robot:
     """Give the robot with play and friction of links as they were ``found``, by kind and joint."""
     joints = tuple(_of_joint(drive, j, found) for j, drive in enumerate(robot.drives))
-    return Robot(robot.config.model_copy(update={"joints": joints}), robot.model)
+    return Robot(robot.config.model_copy(update={"joints": joints}), robot.tree)
 
 
 def _of_joint(drive: JointConfig, joint: int, found: Mapping[tuple[str, int], float]) -> JointConfig:

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
+from scipy.spatial.transform import Rotation
 
 from linkside.files.writing import write_text
 from linkside.files.yaml_source import Source
+from linkside.robot.rigid import roll_pitch_yaw, rotation
 
 from .links import OF_BEARINGS, STRENGTHS
 from .parameters import AXES, OF_LINK_ENCODERS, SHORTEST_FILTER
@@ -160,7 +161,7 @@ def _of_sensor(tree: Any, e: Estimated) -> None:
     if kind in ("bias", "scale"):
         _of_vector(sensor, kind, e, 1.0 if kind == "scale" else 0.0)
     elif kind == "translation":
-        offset = pin.rpy.rpyToMatrix(*map(float, sensor.get("rpy", [0.0] * 3)))[:, e.parameter.core[2]] * e.value
+        offset = rotation(sensor.get("rpy", [0.0] * 3))[:, e.parameter.core[2]] * e.value
         _put(sensor, "xyz", sensor.get("xyz", _flow_seq([0.0] * 3)), "link")
         for axis in range(3):
             sensor["xyz"][axis] = float(round(sensor["xyz"][axis] + offset[axis], 6))
@@ -190,8 +191,8 @@ def _late(sensor: Any, kind: str, e: Estimated) -> None:
 def _write_rotation(sensor: Any, calibration: Result, index: int) -> None:
     found = {e.parameter.core[2]: e for e in calibration.estimates if e.parameter.core[:2] == ("rotation", index)}
     vector = np.array([found[a].value if a in found else 0.0 for a in range(3)])
-    turned = pin.rpy.rpyToMatrix(*map(float, sensor.get("rpy", [0.0] * 3))) @ pin.exp3(vector)
-    _put(sensor, "rpy", _flow_seq([float(round(x, 6)) for x in pin.rpy.matrixToRpy(turned)]), "xyz")
+    turned = rotation(sensor.get("rpy", [0.0] * 3)) @ Rotation.from_rotvec(vector).as_matrix()
+    _put(sensor, "rpy", _flow_seq([float(round(x, 6)) for x in roll_pitch_yaw(turned)]), "xyz")
     _note(sensor, "rpy", "± " + ", ".join(f"{e.std:.2g} about {AXES[a]}" for a, e in sorted(found.items())))
 
 

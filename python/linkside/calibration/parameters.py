@@ -214,7 +214,7 @@ def choose(robot: Robot, free: Iterable[str] | None, torque: bool, bounds: Bound
 def _heaviest(robot: Robot) -> str:
     """The joint that moves the heaviest link: forces and masses that all grow alike show in no motion, so that its mass
     is what others are measured by."""
-    masses = [robot.model.inertias[robot.model.getJointId(name)].mass for name in robot.names]
+    masses = [robot.tree.joint(name).body.mass for name in robot.names]
     return robot.names[int(np.argmax(masses))]
 
 

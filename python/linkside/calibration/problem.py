@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from linkside._core import Likelihood
 from linkside.arrays import FloatArray
 from linkside.kalman.noise import Noise
 from linkside.recording.log import Log
 from linkside.robot import Robot
-from linkside.robot import compile as tree
+from linkside.robot.compile import unloaded
 from linkside.robot.sensors import PayloadConfig
 
 from .parameters import OF_LINK_ENCODERS, TORQUE_ONLY, CoreName, Parameter, catalogue
@@ -220,7 +219,7 @@ def _likelihood(
 
 def _blind(robot: Robot) -> Robot:
     """Take a robot's accelerometers off."""
-    return Robot(robot.config.model_copy(update={"accelerometers": ()}), robot.model)
+    return Robot(robot.config.model_copy(update={"accelerometers": ()}), robot.tree)
 
 
 def _positive(information: FloatArray) -> FloatArray:
@@ -231,16 +230,8 @@ def _positive(information: FloatArray) -> FloatArray:
 
 def bare(robot: Robot) -> Robot:
     """Take a robot's payload off, and the factors off its masses: they are parameters here."""
-    model = pin.Model(robot.model)
-    payload = robot.config.payload
-    if robot.tool is not None and payload.mass:
-        index, pose = tree.mount(model, robot.tool)
-        carried = pin.Inertia(payload.mass, pose.act(np.array(payload.xyz)), np.zeros((3, 3)))
-        rest = model.inertias[index].toDynamicParameters() - carried.toDynamicParameters()
-        model.inertias[index] = pin.Inertia.FromDynamicParameters(rest)
-    for joint in robot.drives:
-        index = model.getJointId(joint.name)
-        unscaled = model.inertias[index].toDynamicParameters() / joint.mass_scale
-        model.inertias[index] = pin.Inertia.FromDynamicParameters(unscaled)
     joints = tuple(joint.model_copy(update={"mass_scale": 1.0}) for joint in robot.drives)
-    return Robot(robot.config.model_copy(update={"joints": joints, "payload": PayloadConfig()}), model)
+    return Robot(
+        robot.config.model_copy(update={"joints": joints, "payload": PayloadConfig()}),
+        unloaded(robot.tree, robot.config),
+    )

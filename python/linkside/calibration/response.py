@@ -183,6 +183,10 @@ class ResponseProblem:
             sum(self._clean(*self._residuals(i, z, sloped=False)).densities.sum() for i in range(len(self.logs)))
         )
 
+    def predicted(self, z: FloatArray) -> list[FloatArray]:
+        """What sensors should read in each recording, (T, m)."""
+        return [self._prediction(i, z, sloped=False)[0] for i in range(len(self.logs))]
+
     def paths(self, z: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
         """Each recording's link positions (T, n), and their derivatives in z (T, n, p)."""
         return [self._path(recording, z) for recording in self.recordings]
@@ -260,7 +264,16 @@ class ResponseProblem:
         Those in z are left out unless ``sloped``.
         """
         recording, band = self._seen[i], self._bands[i]
-        moving = self._moving()
+        prediction, slopes = self._prediction(i, z, sloped)
+        residual = np.where(band.told(recording.missing), band(recording.readings - prediction), np.nan)
+        slopes = band(slopes)
+        slopes /= self.size[:, None]
+        slopes[~np.isfinite(residual)] = 0.0
+        return residual / self.size, slopes
+
+    def _prediction(self, i: int, z: FloatArray, sloped: bool) -> tuple[FloatArray, FloatArray]:
+        """What sensors should read (T, m), and its slopes in z and the start."""
+        recording, moving = self._seen[i], self._moving()
         names, values = [self.free[k].core for k in moving], self.values(z)
         at = [values[k] for k in moving]
         offset = recording.offset[: 2 * self.robot.n].tolist()
@@ -278,11 +291,7 @@ class ResponseProblem:
         self._lag(z, recording.period, prediction, slopes, sloped)
         prediction[:, self._zeros] += recording.offset[2 * self.robot.n :]
         slopes[:, self._zeros, range(at_start, slopes.shape[2])] = 1.0
-        residual = np.where(band.told(recording.missing), band(recording.readings - prediction), np.nan)
-        slopes = band(slopes)
-        slopes /= self.size[:, None]
-        slopes[~np.isfinite(residual)] = 0.0
-        return residual / self.size, slopes
+        return prediction, slopes
 
     def _lag(self, z: FloatArray, period: float, prediction: FloatArray, slopes: FloatArray, sloped: bool) -> None:
         """Let the sensors' own filters and delays act, in place."""

@@ -11,7 +11,7 @@ from linkside.arrays import FloatArray
 from linkside.errors import NumericalError
 from linkside.recording.log import Log
 
-from .acceptance import Foretold, foretell
+from .acceptance import Foretold, foretell, predictive
 from .change import Change, change
 from .parameters import NOISE
 from .prepared import recordings
@@ -20,7 +20,7 @@ from .response import ResponseProblem
 from .result import Fit
 from .run import CalibrationRun, filters
 from .search import GAIN, ROUGH, Progress, Search
-from .uncertainty import EXCITATION
+from .uncertainty import EXCITATION, uncertainty
 
 CORNERS = (5.0, 12.0, 50.0)
 """Bands that are searched in turn [Hz], before the whole band: in lower bands a search converges from further away."""
@@ -115,18 +115,19 @@ class ResponseRun(CalibrationRun[ResponseProblem]):
         return replace(found, sensors=self._by_others(settled, nominal))
 
     def _by_others(self, settled: ResponseProblem, nominal: FloatArray) -> dict[str, float]:
-        """Log-likelihood that each sensor's readings gain by a fit of springs to the others' only, all else kept."""
+        """Log-density that each sensor's readings gain by springs as the others tell them, all else kept."""
         sensors = self.problem.sensors()
-        if len(sensors) < 2:
-            return {}
         drives = [p for p in self.problem.free if p.kind in OF_SPRINGS]
+        if len(sensors) < 2 or not drives:
+            return {}
+        period = min(log.period for log in self.problem.logs)
         gains = {}
         for name, columns in sensors.items():
-            others = self.problem.reading([c for c in range(len(self.problem.channels)) if c not in columns])
-            fitted = Search(others.holding(self.at, drives), gain=ROUGH).maximise(self._at(drives))
-            there = self.at | dict(zip([p.name for p in drives], fitted.tolist(), strict=True))
-            z = np.array([there.get(p.name, 0.0) for p in self.problem.free])
-            after = self.problem.reading(columns).log_likelihood(z)
+            rest = self.problem.reading([c for c in range(len(self.problem.channels)) if c not in columns])
+            others = rest.holding(self.at, drives)
+            told = Search(others, gain=ROUGH).maximise(self._at(drives))
+            spread = uncertainty(others.evidence(told, detail=True), period).covariance
+            after = predictive(self.problem.reading(columns).holding(self.at, drives), told, spread)
             gains[name] = after - settled.reading(columns).log_likelihood(nominal)
         return gains
 

@@ -174,7 +174,7 @@ def unidentifiable(
         covariance = np.asarray(np.linalg.inv(information), np.float64)
         std = np.sqrt(np.diag(covariance))
         chosen = [free[i] for i in kept]
-        excess = [0.0 if p.name in considered else s / _enough(p) for p, s in zip(chosen, std, strict=True)]
+        excess = [0.0 if p.name in considered else s / enough(p) for p, s in zip(chosen, std, strict=True)]
         worst = int(np.argmax(excess))
         if excess[worst] < 1:
             break
@@ -184,7 +184,7 @@ def unidentifiable(
         hidden_by = _hiding(worst, covariance, chosen) if alone < IDENTIFIABLE else None
         if hidden_by is None:
             reasons[name] = _reason(chosen[worst], alone, covariance, worst, chosen)
-            if any(chosen[worst].kind in kinds for kinds in STANDING_IN):
+            if stands_in(chosen[worst]):
                 del kept[worst]
             else:
                 # It stays among what is uncertain: others are no better known for a value that nothing tells.
@@ -196,7 +196,12 @@ def unidentifiable(
     return Untold(reasons, frozenset(considered))
 
 
-def _enough(p: Parameter) -> float:
+def stands_in(p: Parameter) -> bool:
+    """Whether another parameter of the same sensor can take a parameter's place."""
+    return any(p.kind in kinds for kinds in STANDING_IN)
+
+
+def enough(p: Parameter) -> float:
     """Largest standard error, in tolerances, of an identifiable parameter; for noise there is no limit.
 
     A damping or a bias that is half known still keeps springs from making up for a wrong one; masses likewise.

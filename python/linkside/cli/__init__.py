@@ -3,7 +3,18 @@
 Whatever a user can get wrong is one line on standard error and exit status 2, and leaves no file behind.
 """
 
-from . import compiling, estimating, fitting, learn, looking, paper, recordings, viewing
+from . import compiling, estimating, exciting, fitting, learn, looking, paper, recordings, viewing
 from .group import main
 
-__all__ = ["compiling", "estimating", "fitting", "learn", "looking", "main", "paper", "recordings", "viewing"]
+__all__ = [
+    "compiling",
+    "estimating",
+    "exciting",
+    "fitting",
+    "learn",
+    "looking",
+    "main",
+    "paper",
+    "recordings",
+    "viewing",
+]

@@ -10,6 +10,8 @@ import click
 
 from linkside.errors import EstimatorError
 from linkside.files.writing import check_writable
+from linkside.fleet import METHODS
+from linkside.fleet.task import naming
 from linkside.kalman.elastic_joint import ElasticJointFilter
 from linkside.kalman.jerk_driven import ExtendedKalmanFilter
 from linkside.observers.tuning_file import ObserverTuning
@@ -17,9 +19,7 @@ from linkside.robot import Robot
 from linkside.robot.compiled import SUFFIX, Compiles
 from linkside.velocity.observers import NicosiaTomeiObserver, ReducedOrderObserver
 
-from .estimate_logs import naming
 from .group import main
-from .methods import METHODS
 from .options import example, refuse_clashes
 
 Build = Callable[[Robot, Any, float, float | None], Compiles]

@@ -6,19 +6,21 @@ from collections.abc import Iterator
 
 from rich.console import RenderableType
 
+from linkside.fleet import Outcome
 from linkside.recording.estimate import EstimateError
 from linkside.robot import Robot
 from linkside.robot.workspace import prismatic
 from linkside.text import Titled
 
 
-def error_tables(
-    error: EstimateError, motors: EstimateError | None, robot: Robot, title: str
-) -> Iterator[RenderableType]:
-    """Errors of an estimate: of the tool in mm, beside that of motors alone, and of each joint."""
+def error_tables(outcome: Outcome, robot: Robot) -> Iterator[RenderableType]:
+    """Errors against the truth, if there is one: of the tool, beside that of motors alone, and of each joint."""
+    if not outcome.errors:
+        return
+    error, *motors = outcome.errors
     if error.tool_rms_mm is not None:
-        beside = {} if motors is None else {"motors alone": motors}
-        yield tool_table(beside | {"estimate": error}, title)
+        beside = {"motors alone": motors[0]} if motors else {}
+        yield tool_table(beside | {"estimate": error}, str(outcome.job.truth))
     if any(signal.partition("_")[0] in ("q", "dq", "theta", "dtheta") for signal in error.rms):
         yield _joint_errors(error, robot)
 

@@ -6,6 +6,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from linkside._core import largest_nis
+from linkside.fleet.estimating import urdf_of
+from linkside.fleet.tally import STATUS_WORDS
+from linkside.fleet.task import Outcome, Recipe, read_log
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
 from linkside.recording.overview import Overview
@@ -15,10 +18,9 @@ from linkside.report.page import Part, paragraphs
 from linkside.robot import Robot
 from linkside.text import Titled
 
-from .estimate_logs import EstimateJob, Outcome, read_log
+from .error_tables import error_tables
 from .failures import in_words
 from .reporting import all_logs
-from .tally import STATUS_WORDS
 
 REMEDIES = {
     "damped": "Some accelerations are poorly observed: see linkside check robot.yaml log.parquet, and linkside place.",
@@ -33,29 +35,34 @@ ODD = 0.01
 """Share of flagged rows from which on the verdict mentions them."""
 
 
-def estimate_page(outcome: Outcome, robot_file: str, settings: Sequence[tuple[str, str]]) -> Page:
+def estimate_page(outcome: Outcome, made: Recipe, robot_file: str, settings: Sequence[tuple[str, str]]) -> Page:
     """Lay out the report of one log."""
     job, tally = outcome.job, outcome.tally
-    view = Overview.of(job.robot, _beside(job))
+    view = Overview.of(made.robot, _beside(outcome, made))
     used = tally.used / max(tally.rows, 1)
     sections: list[tuple[str, Sequence[Part]]] = [
-        ("Against the truth", paragraphs(outcome.tables)),
+        ("Against the truth", paragraphs(error_tables(outcome, made.robot))),
         ("Tool", list(tool_figures(view))),
         ("Springs", list(torsion_figures(view))),
         ("Readings against the estimate", list(residual_figures(view, used))),
         ("Status", [*_status(outcome), *status_figures(view)]),
         ("The recording", [*_suspicions(outcome), *(f"Converted: {words}." for words in outcome.conversions)]),
-        ("The robot", [_robot(job.robot)]),
+        ("The robot", [_robot(made.robot)]),
     ]
     tuning = dict(settings).get("tuning")
-    files = [("robot", robot_file), ("URDF", _urdf(robot_file, job.robot)), ("log", job.log)]
+    files: list[tuple[str, str | Path | None]] = [
+        ("robot", robot_file),
+        ("URDF", urdf_of(robot_file, made.robot)),
+        ("log", job.log),
+    ]
+    files += [("tuning", tuning), ("truth", job.truth), ("estimate", job.output)]
     return Page(
         f"Estimate of {Path(job.log).name}",
         verdict(outcome),
         list(_facts(outcome, view)),
         list(dict.fromkeys(_next_steps(outcome))),
         [(heading, parts) for heading, parts in sections if parts],
-        inputs([*files, ("tuning", tuning), ("truth", job.truth), ("estimate", job.output)]),
+        inputs(files),
         list(settings),
     )
 
@@ -135,10 +142,10 @@ def _next_steps(outcome: Outcome) -> Iterator[str]:
         yield "Compare with a truth or with another method: linkside compare other.parquet estimate.parquet"
 
 
-def _beside(job: EstimateJob) -> Iterator[tuple[Log, Estimate]]:
+def _beside(outcome: Outcome, made: Recipe) -> Iterator[tuple[Log, Estimate]]:
     """The log and its estimate, piece by piece."""
-    rows = min(job.rows, 65_536)
-    pieces = (whole[first : first + rows] for whole in read_log(job) for first in range(0, len(whole), rows))
+    job, rows = outcome.job, min(made.rows, 65_536)
+    pieces = (whole[first : first + rows] for whole in read_log(made, job.log) for first in range(0, len(whole), rows))
     yield from zip(pieces, Estimate.stream(job.output, rows), strict=True)
 
 
@@ -173,13 +180,8 @@ def _suspicions(outcome: Outcome) -> list[Titled]:
 
 
 def _robot(robot: Robot) -> Titled:
-    table = Titled(robot.model.name, ("joint", "stiffness", "damping", "motor inertia", "gear ratio"))
+    table = Titled(robot.tree.name, ("joint", "stiffness", "damping", "motor inertia", "gear ratio"))
     for drive in robot.drives:
         values = (drive.stiffness, drive.damping, drive.motor_inertia) if drive.elastic else ("rigid", "–", "–")
         table.add_row(drive.name, *(v if isinstance(v, str) else f"{v:.4g}" for v in values), f"{drive.gear_ratio:g}")
     return table
-
-
-def _urdf(robot_file: str, robot: Robot) -> Path | None:
-    urdf = getattr(robot.config, "urdf", None)
-    return None if urdf is None else Path(robot_file).parent / urdf

@@ -2,33 +2,25 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import click
 
 from linkside.errors import EstimatorError
-from linkside.files.writing import check_writable
+from linkside.fleet import METHODS, EstimateJob, Outcome
+from linkside.fleet.estimating import check_places, outputs, recipe, run_all
+from linkside.fleet.places import is_url, logs_of, plain
+from linkside.fleet.task import Recipe
 from linkside.observers import poles as patterns
-from linkside.robot import Robot
-from linkside.robot.config import RobotFile
+from linkside.recording.opening import log_rows
 
 from . import reporting
-from .estimate_logs import EstimateJob, Outcome, cores, estimate_all, naming, output_folder
 from .failures import complain
 from .group import main
-from .methods import METHODS, Options
-from .options import check_report, example, no_check, refuse_clashes, report
-from .provenance import digest
-
-ROWS = 8192
-"""Rows of a log that are in memory at a time."""
-
-WHOLE = 2**62
-"""More rows than a log has."""
+from .options import check_report, example, no_check, report
+from .terminal import bar
 
 PATTERNS: dict[str, Callable[[float], patterns.PolePattern]] = {
     "damped": patterns.damped,
@@ -91,6 +83,8 @@ class Poles(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
 @report
 @click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this truth; one for each log.")
 @click.option("-j", "--jobs", "workers", type=click.IntRange(1), help="Logs at a time.  [default: one per core]")
+@click.option("--on", help="dask: processes of this machine; or a Dask scheduler's address, tcp://host:8786.")
+@click.option("--manifest", help="A row for each log: verdict, figures, digests, time and worker; Parquet.")
 @click.option("--skip-existing", is_flag=True, help="Skip estimates whose inputs are unchanged.")
 @click.option("--json", "manner", flag_value="json", default="words", help="Report each log as one line of JSON.")
 @click.option("--quiet", "manner", flag_value="quiet", help="Print errors only.")
@@ -99,84 +93,78 @@ def estimate(
 ) -> int:
     """Estimate the motion of ROBOT's links from recordings.
 
-    ROBOT is a robot.yaml, each LOG a Parquet or CSV file. Logs are read piece by piece and may be larger than memory.
+    ROBOT is a robot.yaml, each LOG a Parquet or CSV file, a glob, or a URL such as s3://bucket/logs/*.parquet. Logs are
+    read piece by piece and may be larger than memory.
     Exit status: 0 done, 1 some of several logs failed, 2 wrong usage, 3 readings contradict the model (--strict).
     """
-    told = options.pop("report")
-    truths, manner, keep = options.pop("truths"), options.pop("manner"), options.pop("skip_existing")
-    rate = options.pop("rate")
-    workers = min(options.pop("workers") or cores(), len(logs))
-    if truths and len(truths) != len(logs):
-        raise click.UsageError(f"--truth is there {len(truths)} times, for {len(logs)} logs")
+    told, truths, manner = options.pop("report"), options.pop("truths"), options.pop("manner")
+    keep, rate, on = options.pop("skip_existing"), options.pop("rate"), options.pop("on")
+    workers, manifest = options.pop("workers"), options.pop("manifest")
+    names = logs_of(logs)
+    if truths and len(truths) != len(names):
+        raise click.UsageError(f"--truth is there {len(truths)} times, for {len(names)} logs")
     _refuse_untaken(method)
-    loaded = Robot.load(robot)
-    sources = [robot, urdf_of(robot, loaded), *([options["tuning"]] if options["tuning"] else [])]
-    if options["tuning"] is not None:
-        options["tuning"] = METHODS[method].read_tuning(options["tuning"])
-    settings = method, rate, no_check, {name: options[name] for name in METHODS[method].takes}
-    spill = Path(os.path.realpath(out))
-    make = partial(METHODS[method].build, loaded, Options(**options, spill=spill if spill.is_dir() else spill.parent))
-    with naming(robot):
-        make()  # what is wrong with the robot or the options is said before any log is read
-    rows = WHOLE if METHODS[method].whole(loaded) else ROWS
-    with output_folder(out, logs) as outputs:
-        refuse_clashes(outputs, [robot, *logs, *truths])
-        check_report(told, [robot, *logs, *truths, *map(str, outputs)])
-        for output in outputs:
-            check_writable(output)
-            if keep and output.suffix.lower() != ".parquet":
-                raise click.UsageError(f"--skip-existing is for Parquet estimates, not for {output}")
-        jobs = [
-            EstimateJob(
-                loaded,
-                make,
-                rows,
-                METHODS[method].uneven,
-                rate,
-                not no_check,
-                log,
-                output,
-                truth,
-                partial(digest, [*sources, log], settings),
-            )
-            for log, output, truth in zip(logs, outputs, truths or [None] * len(logs), strict=True)
-        ]
-        outcomes = estimate_all(jobs, workers, partial(reporting.tell, manner=manner), keep=keep)
-    if len(logs) > 1 and manner == "words":
+    taken = {name: options[name] for name in METHODS[method].takes}
+    made = recipe(robot, method, rate=rate, check=not no_check, out=out, **taken)
+    with outputs(plain(out), names) as places:
+        jobs = list(map(EstimateJob, names, places, truths or [None] * len(names)))
+        if told is not None and any(map(is_url, (*names, *places))):
+            raise click.UsageError("--report is for logs and estimates on this machine, not for URLs")
+        check_places(jobs, [robot], keep=keep)
+        check_report(told, [robot, *names, *truths, *places])
+        tell = partial(reporting.tell, robot=made.robot, manner=manner)
+        outcomes = _run(made, jobs, on, workers, tell, keep=keep, manifest=manifest)
+    if len(jobs) > 1 and manner == "words":
         reporting.summary(outcomes)
     if told is not None:
-        _write_report(told, outcomes, robot, method, rate, options)
+        _write_report(told, outcomes, made, robot, method, taken)
         if manner == "words":
             click.echo(f"report: {told}")
     failed = sum(outcome.error is not None for outcome in outcomes)
     if failed:
-        complain(f"{failed} of {len(logs)} logs could not be estimated")
+        complain(f"{failed} of {len(jobs)} logs could not be estimated")
         return 1
     return 3 if strict and not all(outcome.believable for outcome in outcomes) else 0
 
 
+def _run(
+    made: Recipe,
+    jobs: Sequence[EstimateJob],
+    on: str | None,
+    workers: int | None,
+    tell: Callable[[Outcome], None],
+    **settings: Any,
+) -> list[Outcome]:
+    """Estimate with a bar: by rows where they are known beforehand, or by logs on a cluster."""
+    counts = [] if on is not None else [None if is_url(job.log) else log_rows(job.log) for job in jobs]
+    total = len(jobs) if on is not None else None if None in counts else sum(filter(None, counts))
+    with bar(total) as advance:
+
+        def hear(outcome: Outcome) -> None:
+            if outcome.error is not None and len(jobs) == 1:
+                raise outcome.error
+            if on is not None:
+                advance(outcome.job.log, 1)
+            tell(outcome)
+
+        return run_all(made, jobs, on, workers, hear, advance, **settings, note=partial(click.echo, err=True))
+
+
 def _write_report(
-    path: str, outcomes: Sequence[Outcome], robot: str, method: str, rate: float | None, options: dict[str, Any]
+    path: str, outcomes: Sequence[Outcome], made: Recipe, robot: str, method: str, taken: dict[str, Any]
 ) -> None:
     from .estimate_page import batch_page, estimate_page
 
-    taken = {name: options[name] for name in METHODS[method].takes if name != "tuning"}
-    words = [(name.replace("_", " "), _plain(value)) for name, value in taken.items()]
-    settings = [("method", method), *words, *([("rate", f"{rate:g} Hz")] if rate else [])]
-    tuning = click.get_current_context().params["tuning"]
-    settings += [("tuning", tuning)] if tuning else []
-    page = estimate_page(outcomes[0], robot, settings) if len(outcomes) == 1 else batch_page(outcomes, robot, settings)
+    words = [(name.replace("_", " "), _plain(value)) for name, value in taken.items() if name != "tuning"]
+    settings = [("method", method), *words, *([("rate", f"{made.rate:g} Hz")] if made.rate else [])]
+    settings += [("tuning", taken["tuning"])] if taken.get("tuning") else []
+    one = len(outcomes) == 1
+    page = estimate_page(outcomes[0], made, robot, settings) if one else batch_page(outcomes, robot, settings)
     page.write(path)
 
 
 def _plain(value: object) -> str:
     return "none" if value is None else f"{value}"
-
-
-def urdf_of(robot: str, loaded: Robot) -> Path:
-    """Where the URDF of a robot.yaml is."""
-    assert isinstance(loaded.config, RobotFile)  # it was read from a file
-    return Path(robot).parent / loaded.config.urdf
 
 
 def _refuse_untaken(method: str) -> None:

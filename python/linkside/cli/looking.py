@@ -10,13 +10,13 @@ import click
 
 from linkside.errors import LogError, RecordingWarning
 from linkside.files.writing import check_writable
+from linkside.fleet.task import naming
 from linkside.recording.checks import verdicts
 from linkside.recording.log import Log
 from linkside.report import inputs
 from linkside.robot import Robot
 
 from .error_tables import tool_table
-from .estimate_logs import naming
 from .group import main
 from .options import Shift, check_figure, check_report, draw, example, named_number, no_check, refuse_clashes, report
 from .terminal import show
@@ -98,7 +98,9 @@ def check(
     "--shift", type=Shift(), default="0", show_default=True, help="Delay of the estimates [s]; auto finds it."
 )
 @click.option("--segments", help="A CSV file with start, end, name; or `rests`, for the parts between rests.")
-@click.option("--repeats", is_flag=True, help="The estimates repeat one motion: report their mean and spread too.")
+@click.option(
+    "--repeats", is_flag=True, help="The estimates repeat one motion: report mean, spread, trend and outliers."
+)
 @click.option("--out", type=click.Path(), help="Write the result: a .json, .csv, .tex or .txt file.")
 @click.option("--figure", type=click.Path(), help="Draw a figure: a .png, .pdf or .svg file.")
 @report
@@ -152,15 +154,17 @@ def compare(reference: str, estimates: tuple[str, ...], **options: Any) -> None:
 @click.option("--out", type=click.Path(), help="Write the chosen `accelerometers` to this YAML file.")
 @no_check
 @click.option("--figure", type=click.Path(), help="Draw singular postures: a .png, .pdf or .svg file.")
+@report
 def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: Any) -> None:
     """Choose accelerometers that observe the joints of ROBOT best along LOGs, or in the whole workspace."""
     from linkside.observability import placement
 
-    out, inputs = options["out"], [robot, *logs, options["candidates"]]
+    out, told, files = options["out"], options["report"], [robot, *logs, options["candidates"]]
     if out is not None:
         check_writable(out, (".yaml", ".yml"))
-        refuse_clashes([Path(out)], inputs)
-    check_figure(options["figure"], [*inputs, out])
+        refuse_clashes([Path(out)], files)
+    check_figure(options["figure"], [*files, out])
+    check_report(told, [*files, out, options["figure"]])
     loaded = Robot.load(robot)
     sensors = [] if options["candidates"] is None else list(placement.read_candidates(options["candidates"]))
     kinds = options["axes"].split(",")
@@ -175,6 +179,12 @@ def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: 
         click.echo(f"accelerometers: {out}")
     if options["figure"] is not None:
         draw(found.figure(), options["figure"])
+    if told is not None:
+        from linkside.observability.placement_page import page
+
+        read = [("robot", robot), *(("log", log) for log in logs), ("candidates", options["candidates"])]
+        page(found, inputs(read)).write(told)
+        click.echo(f"report: {told}")
 
 
 @main.command(epilog=example("linkside demo --figure demo.png"))

@@ -8,23 +8,25 @@ from typing import Literal, TypeAlias
 
 import click
 
+from linkside.fleet import Outcome
+from linkside.robot import Robot
 from linkside.text import Titled
 
-from .estimate_logs import Outcome
+from .error_tables import error_tables
 from .failures import complain, in_words
 from .terminal import show
 
 Manner: TypeAlias = Literal["words", "json", "quiet"]
 
 
-def tell(outcome: Outcome, manner: Manner) -> None:
+def tell(outcome: Outcome, robot: Robot, manner: Manner) -> None:
     """Report one log; errors always go to standard error."""
     if manner == "json":
         click.echo(json.dumps(_record(outcome), ensure_ascii=False))
     if outcome.error is not None:
         complain(in_words(outcome.error))
     elif manner == "words":
-        _in_words(outcome)
+        _in_words(outcome, robot)
 
 
 def summary(outcomes: Sequence[Outcome]) -> None:
@@ -44,8 +46,8 @@ def all_logs(outcomes: Sequence[Outcome]) -> Titled:
     return table
 
 
-def _in_words(outcome: Outcome) -> None:
-    show(outcome.tables)
+def _in_words(outcome: Outcome, robot: Robot) -> None:
+    show(error_tables(outcome, robot))
     if outcome.kept:
         click.echo(f"{outcome.job.output}: up to date")
         return
@@ -62,7 +64,8 @@ def _verdict(outcome: Outcome) -> str:
     if outcome.kept:
         return "up to date" if outcome.believable else "up to date, contradicted"
     if outcome.tally.findings:
-        return f"{len(outcome.tally.findings)} contradictions"
+        count = len(outcome.tally.findings)
+        return f"{count} contradiction{'s' if count > 1 else ''}"
     return "believable" if outcome.believable else "NIS outside its bounds"
 
 

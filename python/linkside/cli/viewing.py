@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 
 from linkside.files.writing import check_writable
+from linkside.fleet.estimating import urdf_of
 from linkside.robot import Robot
 
-from .estimating import urdf_of
 from .group import main
 from .options import example, refuse_clashes
 

@@ -4,6 +4,7 @@ from .alignment import ALIGNMENTS, find_shift
 from .compare import Comparison, compare, compare_files
 from .measures import Difference, Measure
 from .reading import read_motion
+from .repeats import Repeats
 from .segments import Segment, between_rests, read_segments
 
 __all__ = [
@@ -11,6 +12,7 @@ __all__ = [
     "Comparison",
     "Difference",
     "Measure",
+    "Repeats",
     "Segment",
     "between_rests",
     "compare",

@@ -20,6 +20,7 @@ from . import output
 from .alignment import ALIGNMENTS, find_shift, sampled
 from .measures import Difference, Measure
 from .reading import read_motion
+from .repeats import Repeats
 from .result import ComparisonResult
 from .segments import Segment, between_rests
 
@@ -128,7 +129,8 @@ def compare(
     segments
         Parts to measure apart, or ``"rests"`` for those between the reference's rests.
     repeats
-        The estimates are repeats of one motion: their mean is compared as well, and their spread given.
+        The estimates are repeats of one motion, in the order in which they were made: their mean is compared as well,
+        and their spread, trend and outliers are given, see `Repeats`.
 
     Raises
     ------
@@ -147,14 +149,13 @@ def compare(
         moved = _from_start(estimate, origin) if align == "start" else estimate
         late = find_shift(reference, moved) if shift == "auto" else float(shift)
         differences.append(_difference(label, reference, moved, late))
-    spread = None
-    if repeats and len(differences) > 1:
-        mean, spread = _repeats(differences)
-        differences.append(mean)
+    judged = Repeats.of(differences) if repeats and len(differences) > 1 else None
+    if judged is not None:
+        differences.append(judged.mean)
     parts = between_rests(reference) if segments == "rests" else tuple(segments)
     units = _units(reference, robot)
     measures = [m for d in differences for m in _measures(d, parts, units)]
-    return Comparison(name, tuple(measures), tuple(differences), parts, spread)
+    return Comparison(name, tuple(measures), tuple(differences), parts, judged)
 
 
 def _from_start(motion: Estimate, origin: float) -> Estimate:
@@ -192,21 +193,6 @@ def _column(motion: Estimate, kind: str, joint: str) -> FloatArray | None:
         return None
     column = array[:, [motion.names.index(joint)]]
     return None if np.isnan(column).all() else column
-
-
-def _repeats(differences: Sequence[Difference]) -> tuple[Difference, dict[str, float]]:
-    """The mean of repeats at the first one's times, and the standard deviation between them, RMS over time."""
-    first = differences[0]
-    signals, spread = {}, {}
-    for signal, error in first.signals.items():
-        others = [d for d in differences[1:] if signal in d.signals]
-        all_of_them = np.stack([error, *(sampled(d.t, d.signals[signal], None, first.t) for d in others)])
-        signals[signal] = all_of_them.mean(axis=0)
-        scatter = all_of_them.std(axis=0, ddof=1) if len(others) else np.full(error.shape, np.nan)
-        size = (scatter**2).sum(axis=1)
-        if np.isfinite(size).any():
-            spread[signal] = float(np.sqrt(np.nanmean(size)))
-    return Difference("mean of repeats", first.t, 0.0, signals), spread
 
 
 def _measures(difference: Difference, segments: Sequence[Segment], units: dict[str, str]) -> list[Measure]:

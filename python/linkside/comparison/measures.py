@@ -11,6 +11,9 @@ import numpy.typing as npt
 from linkside.arrays import FloatArray
 from linkside.statistics import rms
 
+MEAN = "mean of repeats"
+"""What the mean of repeats is called among estimates."""
+
 
 @dataclass(frozen=True)
 class Measure:

@@ -14,7 +14,8 @@ from rich.console import RenderableType
 from linkside.files.writing import check_writable, write_text
 from linkside.text import Titled, as_text
 
-from .measures import Measure
+from .measures import MEAN, Measure
+from .repeats import Repeats
 from .result import ComparisonResult
 
 SUFFIXES = (".json", ".csv", ".tex", ".txt")
@@ -27,28 +28,60 @@ SCALES = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "rad/s": (1e3, "mrad/s"), "m/s
 
 WIDTH = 160
 
+FEW = 8
+"""Of up to this many estimates, each has a table of its joints."""
+
 
 def tables(comparison: ComparisonResult) -> Iterator[RenderableType]:
-    """A table of the tool, then one of the joints for each estimate, then the spread of repeats."""
+    """A table of the tool, then one of the joints for each estimate, then the spread of repeats.
+
+    Of many estimates, tables of the joints are those of the worst estimate and of the mean.
+    """
     tool = [m for m in comparison.measures if m.signal == "tool"]
     if tool:
         yield _table(f"tool, distance from {comparison.reference} [mm]", tool, lambda m: (m.estimate, m.segment))
-    for difference in comparison.differences:
-        joints = [m for m in comparison.measures if m.estimate == difference.name and m.signal.startswith("q_")]
+    names = _shown(comparison)
+    for name in names:
+        joints = [m for m in comparison.measures if m.estimate == name and m.signal.startswith("q_")]
         if joints:
             unit = SCALES[joints[0].unit][1]
-            title = f"{difference.name}, joints [{unit}]"
-            yield _table(title, joints, lambda m: (m.signal.removeprefix("q_"), m.segment))
+            yield _table(f"{name}, joints [{unit}]", joints, lambda m: (m.signal.removeprefix("q_"), m.segment))
+    if left := len(comparison.differences) - len(names):
+        yield f"The joints of {left} more estimates, none of them worse, are in files (.json, .csv)."
     for difference in comparison.differences:
         if difference.shift:
             yield f"{difference.name}: its clock is {1e3 * difference.shift:.4g} ms late, which is corrected."
-    if comparison.spread:
-        spread = Titled("standard deviation between repeats, RMS over time", ("signal", "spread", "unit"))
-        units = {m.signal: m.unit for m in comparison.measures}
-        for signal, value in comparison.spread.items():
-            scale, unit = SCALES.get(units[signal], (1.0, units[signal]))
-            spread.add_row(signal, f"{scale * value:.4g}", unit)
-        yield spread
+    if comparison.repeats is not None:
+        yield from _repeats(comparison.repeats, {m.signal: m.unit for m in comparison.measures})
+
+
+def _repeats(repeats: Repeats, units: dict[str, str]) -> Iterator[RenderableType]:
+    """The spread between repeats, the distance of each to the others, and their trend."""
+    spread = Titled("standard deviation between repeats, RMS over time", ("signal", "spread", "unit"))
+    for signal, value in repeats.spread.items():
+        scale, unit = SCALES.get(units[signal], (1.0, units[signal]))
+        spread.add_row(signal, f"{scale * value:.4g}", unit)
+    yield spread
+    if not repeats.signals:
+        return
+    scale, unit = SCALES[units[repeats.signals[0]]]
+    distances = Titled(f"distance of each repeat to the others [{unit}]", ("repeat", "distance", ""))
+    for name, distance in repeats.distances.items():
+        distances.add_row(name, f"{scale * distance:.4g}", "outlier, left out" if name in repeats.outliers else "")
+    yield distances
+    if repeats.has_trend:
+        sizes = ", ".join(f"{signal} {scale * size:.4g} {unit}" for signal, size in repeats.trend.items())
+        yield f"The repeats drift, from one to the next by {sizes} (p = {repeats.p_value:.2g})."
+
+
+def _shown(comparison: ComparisonResult) -> list[str]:
+    """Estimates whose joints have a table."""
+    names = [difference.name for difference in comparison.differences]
+    if len(names) <= FEW:
+        return names
+    joints = [m for m in comparison.measures if m.signal.startswith("q_")]
+    worst = max(joints, key=lambda m: m.rms).estimate if joints else names[0]
+    return [name for name in names if name in (worst, MEAN)]
 
 
 def _table(title: str, measures: list[Measure], names: Callable[[Measure], tuple[str, str]]) -> Titled:
@@ -73,9 +106,15 @@ def to_json(comparison: ComparisonResult) -> str:
         "shifts": {d.name: d.shift for d in comparison.differences},
         "segments": [asdict(segment) for segment in comparison.segments],
         "measures": [asdict(measure) for measure in comparison.measures],
-        "spread": comparison.spread or {},
+        "spread": comparison.spread,
+        **({} if comparison.repeats is None else {"repeats": _of_repeats(comparison.repeats)}),
     }
     return json.dumps(whole, indent=1, ensure_ascii=False) + "\n"
+
+
+def _of_repeats(repeats: Repeats) -> dict[str, object]:
+    names = ("signals", "distances", "outliers", "trend", "p_value")
+    return {name: getattr(repeats, name) for name in names}
 
 
 def to_csv(comparison: ComparisonResult) -> str:

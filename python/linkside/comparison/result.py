@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from .measures import Difference, Measure
+from .repeats import Repeats
 from .segments import Segment
 
 
@@ -22,12 +23,17 @@ class ComparisonResult:
         What was measured.
     segments : tuple of Segment
         Parts of the motion that were measured apart.
-    spread : dict of str to float
-        Of repeats: standard deviation between them by signal, RMS over time; empty with fewer than two.
+    repeats : Repeats, optional
+        What repeats of one motion have in common, and what not; None with fewer than two.
     """
 
     reference: str
     measures: tuple[Measure, ...]
     differences: tuple[Difference, ...]
     segments: tuple[Segment, ...] = ()
-    spread: dict[str, float] | None = None
+    repeats: Repeats | None = None
+
+    @property
+    def spread(self) -> dict[str, float]:
+        """Of repeats: standard deviation between them by signal, RMS over time; else empty."""
+        return {} if self.repeats is None else self.repeats.spread

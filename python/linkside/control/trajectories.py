@@ -14,7 +14,7 @@ from numpy.polynomial import Chebyshev
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.robot import Robot
-from linkside.robot import compile as tree
+from linkside.robot.kinematics import tool_jacobian
 
 HIGHEST = 17
 """No robot is asked for a derivative beyond this."""
@@ -234,8 +234,6 @@ class _InverseKinematics:
                 "joints=… as axes, with orientation=True three more"
             )
         self.moving = [robot.names.index(name) for name in names]
-        self.data = robot.model.createData()
-        self.mount = tree.mount(robot.model, robot.tool)
 
     def line(self, q: FloatArray, corner: FloatArray, what: str) -> list[Chebyshev]:
         """Joint positions as functions of the share of the line, 0 to 1."""
@@ -268,28 +266,18 @@ class _InverseKinematics:
         raise EstimatorError(f"{what}: the tool cannot reach {np.round(target, 4).tolist()} from the posture before")
 
     def _error(self, q: FloatArray, target: FloatArray, rotation: FloatArray) -> FloatArray:
-        import pinocchio as pin
+        from scipy.spatial.transform import Rotation
 
         place, turned = self._pose(q)
-        turn = pin.log3(rotation @ turned.T) if self.orientation else np.empty(0)
+        turn = Rotation.from_matrix(rotation @ turned.T).as_rotvec() if self.orientation else np.empty(0)
         return np.concatenate([target - place[self.rows], turn])
 
     def _pose(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        import pinocchio as pin
-
-        joint, pose = self.mount
-        pin.forwardKinematics(self.robot.model, self.data, self.robot.to_pinocchio(q))
-        placed = self.data.oMi[joint] * pose
-        return placed.translation.copy(), placed.rotation.copy()
+        pose, _ = tool_jacobian(self.robot, q)
+        return pose.translation, pose.rotation
 
     def _jacobian(self, q: FloatArray) -> FloatArray:
-        import pinocchio as pin
-
-        joint, pose = self.mount
-        pin.computeJointJacobians(self.robot.model, self.data, self.robot.to_pinocchio(q))
-        frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        jacobian = pin.getFrameJacobian(self.robot.model, self.data, joint, pose, frame).reshape(6, -1)
-        columns = (jacobian @ self.robot.velocity_map)[:, self.moving]
+        columns = tool_jacobian(self.robot, q)[1][:, self.moving]
         return np.vstack([columns[self.rows], columns[3:]]) if self.orientation else columns[self.rows]
 
 

@@ -199,6 +199,7 @@ class ElasticJoint(KalmanMethod):
             "losses": self._loss_names(kinds),
             "points": self._points,
             "link_disturbance": None if law is None else law.arrays,
+            "wrenches": self._wrench_law,
         }
 
     def arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, Literal, Protocol, TypeVar, overload
 
 import numpy as np
@@ -18,14 +18,14 @@ from linkside.findings import named
 from linkside.recording.batch import Copies, Described, Job, run_each
 from linkside.recording.estimate import Estimate, without_waits
 from linkside.recording.log import Log
-from linkside.robot import Robot
+from linkside.robot import Robot, wrenches
 from linkside.robot.compiled import period_of
 
 from .cleaning import cleaned
 from .disturbance_evidence import explains, is_seen, is_suspicious, looks_broken, of_estimate, of_load
 from .late_sensors import sensors
 from .linearisation import Linearisation, checked
-from .link_disturbance import LinkDisturbance, Wanted, check, given_law, stiffness, widened
+from .link_disturbance import LinkDisturbance, Outside, Wanted, check, given_law
 from .losses import Losses, by_kind
 from .scale import blame_settings
 from .start import Moving, Readings, Spread, Start, find_start, given
@@ -149,6 +149,8 @@ class KalmanMethod(Described, ABC):
         robot.require_masses("a Kalman filter", elastic_only=True)
         self.robot = robot
         self._wanted, self._biases = dict(wanted), tuple(biases)
+        if robot.wrench_channels:
+            self._wanted["wrench"] = True
         self._gate, self._iterations = gate, whole("iterations", iterations, least=1)
 
     def _described(self) -> dict[str, Any]:
@@ -290,16 +292,17 @@ class KalmanMethod(Described, ABC):
         biased = self._channels(kinds)["biased"]
         bias = np.array(arrays["initial_bias"])[biased]
         if not isinstance(self._at, str):
-            dense = own_states - len(bias) - (0 if law is None else self.robot.n)
+            outside = Outside(law, self.robot)
+            dense = own_states - len(bias) - outside.states
             start = given(self._at, np.concatenate([np.zeros(dense), bias]), dense)
-            return start if law is None else widened(start, dense, law, np.zeros(self.robot.n))
+            return outside.widened(start, dense)
         if first is None:
             return None
         n = self.robot.n
         sensors = np.array(arrays["reading"])[n:][: self.width("acceleration") if "acceleration" in kinds else 0]
         spread = Spread(np.array(arrays["reading"])[:n], max(noise.motor_velocity, 1e-9), sensors, jerk)
         if "acceleration" not in kinds:
-            first = Readings(first.t, first.theta, first.dtheta, None)
+            first = replace(first, acceleration=None)
         motors, acceleration = (self._losses[kind] != "squares" for kind in ("motor", "acceleration"))
         first = cleaned(first, spread, motors=motors, acceleration=acceleration)
         moving = find_start(self.robot, first, spread)
@@ -308,7 +311,7 @@ class KalmanMethod(Described, ABC):
         mean, std = self._state(moving, arrays)
         dense, std = len(std), np.concatenate([std, bias])
         start = np.concatenate([mean, np.zeros(len(bias))]), self._tied(np.diag(std**2))
-        return start if law is None else widened(start, dense, law, 1 / stiffness(self.robot))
+        return Outside(law, self.robot).widened(start, dense, first.wrench, arrays["reading"])
 
     def _compiled_start(
         self, own_states: int, kinds: tuple[str, ...], noise: Any, law: LinkDisturbance | None
@@ -365,6 +368,11 @@ class KalmanMethod(Described, ABC):
             "biased": [kind in self._biases for kind in kinds for _ in range(self.width(kind))],
         }
 
+    @property
+    def _wrench_law(self) -> dict[str, list[float]]:
+        """How varying wrenches wander, as the core takes it."""
+        return {name: values.tolist() for name, values in wrenches.law(self.robot.varying_wrenches).items()}
+
     def columns(self, log: Log, kinds: tuple[str, ...]) -> tuple[str, ...]:
         """Columns of a log that channels of these kinds read."""
         return tuple(name for kind in kinds for name in log.columns(CHANNELS[kind].signal))
@@ -378,5 +386,6 @@ class KalmanMethod(Described, ABC):
             channels=columns,
             findings=found,
             left_out=self.left_out,
+            wrenches=tuple(wrench.name for wrench in self.robot.varying_wrenches),
             **without_waits(log, result),
         )

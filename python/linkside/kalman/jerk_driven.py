@@ -171,6 +171,7 @@ class JerkDriven(KalmanMethod):
             "losses": self._loss_names(kinds),
             "points": self._points,
             "link_disturbance": None if law is None else law.arrays,
+            "wrenches": self._wrench_law,
         }
 
     def started_core(

@@ -24,6 +24,8 @@ def sensors(robot: Robot, kind: str) -> list[Lateness | None]:
     if kind in ("acceleration", "rate"):
         carriers = robot.accelerometers if kind == "acceleration" else robot.gyroscopes
         return [sensor for sensor in carriers for _ in sensor.axes]
+    if kind == "wrench":
+        return [None] * len(robot.wrench_channels)
     of_joints = {"q": robot.config.link_encoder, "torque": robot.config.joint_torque}
     return [of_joints.get(kind)] * CHANNELS[kind].width(robot)
 

@@ -1,7 +1,8 @@
-"""Disturbance torques of links: how they may wander, and where a filter with them starts."""
+"""What acts on links from outside: how disturbance torques may wander, and where a filter with them starts."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -10,7 +11,7 @@ import numpy as np
 from linkside.arguments import per_joint
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
-from linkside.robot import Robot
+from linkside.robot import Robot, wrenches
 
 Wanted = bool | Literal["auto"]
 """Whether links have disturbance torques; ``"auto"``: where a recording shows them."""
@@ -63,22 +64,48 @@ def stiffness(robot: Robot) -> FloatArray:
     return np.array([d.stiffness if d.elastic else np.inf for d in robot.drives], np.float64)
 
 
-def widened(
-    start: tuple[FloatArray, FloatArray], at: int, law: LinkDisturbance, compliance: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """A start's mean and covariance with the disturbances put in at state ``at``.
+class Outside:
+    """What acts on links from outside, as states: a torque on each, if ``law`` says so, and the wrenches that vary."""
 
-    Links that the motors' readings put where they are stand elsewhere by ``compliance`` (n,) [rad/(N m)] times the
-    disturbance.
-    """
-    (mean, covariance), n = start, len(law.std)
-    states = len(mean)
-    order = np.r_[:at, states : states + n, at:states]
-    links, torques = np.arange(n), states + np.arange(n)
-    wide = np.zeros((states + n, states + n))
-    wide[:states, :states] = covariance
-    wide[torques, torques] = law.std**2
-    shared = compliance * law.std**2
-    wide[links, links] += compliance * shared
-    wide[links, torques] = wide[torques, links] = shared
-    return np.concatenate([mean, np.zeros(n)])[order], wide[np.ix_(order, order)]
+    def __init__(self, law: LinkDisturbance | None, robot: Robot) -> None:
+        self._robot, self._torques = robot, np.zeros(0) if law is None else law.std
+        self._initial = wrenches.law(robot.varying_wrenches)["initial"]
+        self.states = len(self._torques) + len(self._initial)
+
+    def widened(
+        self,
+        start: tuple[FloatArray, FloatArray],
+        at: int,
+        first: FloatArray | None = None,
+        noise: Sequence[float] | None = None,
+    ) -> tuple[FloatArray, FloatArray]:
+        """A start's mean and covariance with these states put in at state ``at``.
+
+        Links that motors' readings put where they are, where ``noise`` of all readings is given, stand elsewhere by
+        what acts on them; ``first`` are the first readings of force sensors (k, channels), the last channels.
+        """
+        (mean, covariance), n = start, self._robot.n
+        if not self.states:
+            return start
+        states, more = len(mean), self.states
+        size, std = np.zeros(more), np.concatenate([self._torques, self._initial])
+        read = np.concatenate([np.zeros(len(self._torques), bool), wrenches.is_measured(self._robot.varying_wrenches)])
+        if first is not None and noise is not None and np.isfinite(first[0]).all():
+            size[read], std[read] = first[0], noise[len(noise) - first.shape[1] :]
+        by = np.zeros((n, more)) if noise is None else self._compliance(mean[:n])
+        wide = np.zeros((states + more, states + more))
+        wide[:states, :states] = covariance
+        wide[states:, states:] = np.diag(std**2)
+        wide[:n, :n] += (by * std**2) @ by.T
+        wide[:n, states:] = by * std**2
+        wide[states:, :n] = wide[:n, states:].T
+        mean = np.concatenate([mean, size])
+        mean[:n] += by @ size
+        order = np.r_[:at, states : states + more, at:states]
+        return mean[order], wide[np.ix_(order, order)]
+
+    def _compliance(self, q: FloatArray) -> FloatArray:
+        """How far each of these states moves each link at ``q`` against its motor (n, states)."""
+        torque = np.eye(self._robot.n) if len(self._torques) else np.zeros((self._robot.n, 0))
+        joint = np.hstack([torque, self._robot.wrench_map(q)])
+        return np.asarray(joint / stiffness(self._robot)[:, None])

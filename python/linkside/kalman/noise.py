@@ -16,6 +16,7 @@ from linkside.channels import CHANNELS, Channel, widths
 from linkside.files.yaml_source import Source, write_yaml
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.wrenches import reading_noise
 
 from .start import Readings
 
@@ -62,6 +63,8 @@ class ReadingNoise(BaseModel):
         not given in N m.
     link_velocity
         Noise of tachometers on the links [rad/s].
+    wrench
+        Noise of force sensors, in multiples of the ``noise_std`` of ``wrenches`` in robot.yaml.
     motor_bias, acceleration_bias, rate_bias
         Initial uncertainty of biases [rad, m/s², rad/s].
     motor_bias_walk, acceleration_bias_walk, rate_bias_walk
@@ -86,6 +89,7 @@ class ReadingNoise(BaseModel):
     link: PositiveStd = 1e-5
     joint_torque: PositiveStd = 1.0
     link_velocity: PositiveStd = 1e-3
+    wrench: PositiveStd = 1.0
     motor_bias: Std = 1e-5
     motor_bias_walk: Std = 1e-6
     motor_bias_time: Time | None = None
@@ -120,7 +124,7 @@ class Noise(ReadingNoise):
 
     Attributes
     ----------
-    transmission, motor_velocity, acceleration, rate, link, joint_torque, link_velocity, position, velocity
+    transmission, motor_velocity, acceleration, rate, link, joint_torque, link_velocity, wrench, position, velocity
         And biases: as of `ReadingNoise`. Motor velocities are what the damping torque is computed from.
     jerk
         Density of the links' jerk beside the commanded one: acceleration wanders by this in a second
@@ -200,6 +204,8 @@ def _reading_noise(noise: ReadingNoise, channel: Channel, robot: Robot) -> Float
         return np.asarray(np.hypot(value, link_lines(robot)))
     if channel.carrier == "joint":
         return np.full(robot.n, value)
+    if channel.carrier == "wrench":
+        return np.asarray(value * reading_noise(robot.varying_wrenches))
     sensors = robot.accelerometers if channel.carrier == "accelerometer" else robot.gyroscopes
     return np.asarray(value * sensor_noise(sensors))
 

@@ -43,12 +43,13 @@ QUIET = 4.0
 
 @dataclass(frozen=True)
 class Readings:
-    """The first samples: times (k,) [s], signals (k, n) and (k, m), None where there is no such signal."""
+    """The first samples: times (k,) [s], signals (k, n), (k, m), (k, channels), None where there is no such signal."""
 
     t: FloatArray
     theta: FloatArray
     dtheta: FloatArray | None
     acceleration: FloatArray | None
+    wrench: FloatArray | None = None
 
 
 @dataclass(frozen=True)

@@ -112,8 +112,8 @@ def _copied(name: str, value: Any) -> Any:
 
 def first_readings(log: Log) -> Readings:
     """The samples of a recording that decide where it starts."""
-    dtheta, acceleration = (None if s is None else s[:WINDOW] for s in (log.dtheta, log.acceleration))
-    return Readings(log.t[:WINDOW], log.theta[:WINDOW], dtheta, acceleration)
+    optional = (None if s is None else s[:WINDOW] for s in (log.dtheta, log.acceleration, log.wrench))
+    return Readings(log.t[:WINDOW], log.theta[:WINDOW], *optional)
 
 
 def with_first(pieces: Iterable[Log]) -> tuple[Readings | None, Iterator[Log]]:
@@ -127,7 +127,7 @@ def with_first(pieces: Iterable[Log]) -> tuple[Readings | None, Iterator[Log]]:
     firsts = [first_readings(piece) for piece in taken]
     joined = (np.concatenate([np.atleast_1d(getattr(f, name)) for f in firsts])[:WINDOW] for name in ("t", "theta"))
     optional = []
-    for name in ("dtheta", "acceleration"):
+    for name in ("dtheta", "acceleration", "wrench"):
         parts = [getattr(f, name) for f in firsts]
         optional.append(None if any(part is None for part in parts) else np.concatenate(parts)[:WINDOW])
     return Readings(*joined, *optional), chain(taken, rest)

@@ -18,11 +18,25 @@ def element_words(robot: Robot) -> Iterator[str]:
         yield f"{joint} is turned by the motors of {motors}: a reading that one of them lacks is missing for {joint}."
     for joint, linkage in robot.config.linkages.items():
         yield f"{joint} moves with {linkage.follows}: accelerometers behind it see {linkage.follows} through both."
+    yield from _of_wrenches(robot)
     if robot.config.counterbalances:
         yield (
             "Counterbalances carry weight: nothing is lost by them, and an error of their torque is a wrong torsion, "
             "as one of a mass is."
         )
+
+
+def _of_wrenches(robot: Robot) -> Iterator[str]:
+    for wrench in robot.config.wrenches:
+        if wrench.kind == "constant":
+            yield f"{wrench.name} is known: nothing is lost by it, and an error of it is a wrong torsion."
+        elif wrench.kind == "measured":
+            yield f"{wrench.name} is measured: torsions by it are known as well as its force sensor reads."
+        else:
+            yield (
+                f"{wrench.name} twists springs by what nothing measures: link encoders and joint torque sensors tell "
+                "it, accelerometers only as it changes, motor torques as well as friction is known."
+            )
 
 
 def _of_spring(drive: JointConfig) -> Iterator[str]:

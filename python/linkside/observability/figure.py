@@ -46,7 +46,7 @@ def check_figure(
     pair = leading_pair(report) if over is None else chosen_pair(report, over)
     figure = Figure(figsize=(13, 5.6), layout="constrained")
     grid = figure.add_gridspec(rows, 2, width_ratios=(1.25, 1))
-    figure.suptitle(f"{report.robot.model.name}: how well the accelerometers see the links")
+    figure.suptitle(f"{report.robot.tree.name}: how well the accelerometers see the links")
     draw_map(figure, figure.add_subplot(grid[:, 0]), report, pair, regular_cut(report, pair, at or {}))
     _shares(figure.add_subplot(grid[0, 1]), report)
     if report.path is not None:

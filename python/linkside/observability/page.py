@@ -31,7 +31,7 @@ def page(
     if report.joints and report.robot.accelerometers:
         sections.append(("Where accelerations are lost", [("Where accelerations are lost", report.figure())]))
     return Page(
-        f"Check of {report.robot.model.name}",
+        f"Check of {report.robot.tree.name}",
         _verdict(report, looked_at, refused),
         [("elastic joints", str(len(report.joints))), ("axes measured", str(len(report.robot.acceleration_channels)))],
         list(_next_steps(report, looked_at, refused)),

@@ -31,7 +31,6 @@ from linkside.errors import EstimatorError
 from linkside.files.yaml_source import Source, write_yaml
 from linkside.recording.log import Log
 from linkside.robot import Robot
-from linkside.robot import compile as tree
 from linkside.robot.sensors import AccelerometerConfig
 from linkside.robot.workspace import workspace
 
@@ -367,7 +366,7 @@ def _candidates(
     checked = tuple(AccelerometerConfig.model_validate(sensor) for sensor in sensors)
     if not checked:
         raise EstimatorError("there is no candidate; name links that can carry a sensor")
-    moving = tree.moving_links(robot.model)
+    moving = robot.tree.moving_links
     for sensor in checked:
         if sensor.link not in moving:
             raise EstimatorError(
@@ -396,15 +395,12 @@ def _postures(
 
 
 def _mounted(robot: Robot, sensors: tuple[AccelerometerConfig, ...]) -> Robot:
-    return Robot(robot.config.model_copy(update={"accelerometers": sensors}), robot.model)
+    return Robot(robot.config.model_copy(update={"accelerometers": sensors}), robot.tree)
 
 
 def _carried(robot: Robot, joint: str) -> list[str]:
-    index = robot.model.getJointId(joint)
-    links = tree.moving_links(robot.model)
-    return [
-        link for link, frame in links.items() if index in robot.model.supports[robot.model.frames[frame].parentJoint]
-    ]
+    tree = robot.tree
+    return [name for name, link in tree.moving_links.items() if tree.index[joint] in tree.carriers(link.joint)]
 
 
 def _number(value: float) -> str:

@@ -14,13 +14,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.robot import Robot
-from linkside.robot import compile as tree
 from linkside.robot.sensors import AccelerometerConfig
 
 from .result import Observability
@@ -118,6 +116,8 @@ def acceleration_map(robot: Robot, q: ArrayLike, dq: ArrayLike | None = None) ->
 
 
 def _kinematics(robot: Robot, q: FloatArray, dq: FloatArray) -> Any:
+    import pinocchio as pin
+
     data = robot.model.createData()
     position, velocity = robot.to_pinocchio(q), robot.velocity_to_pinocchio(dq)
     pin.forwardKinematics(robot.model, data, position, velocity, np.zeros(robot.model.nv))
@@ -127,7 +127,10 @@ def _kinematics(robot: Robot, q: FloatArray, dq: FloatArray) -> Any:
 
 def _rows(robot: Robot, data: Any, sensor: AccelerometerConfig) -> tuple[FloatArray, FloatArray]:
     """Rows of one accelerometer, in sensor axes: T_A, and W_A from the classical acceleration at q̈ = 0."""
-    joint, pose = tree.mount(robot.model, sensor)
+    import pinocchio as pin
+
+    body, mounted = robot.tree.mount(sensor)
+    joint, pose = body + 1, pin.SE3(mounted.rotation, mounted.translation)
     local = (robot.model, data, joint, pose, pin.ReferenceFrame.LOCAL)
     centripetal = pin.getFrameClassicalAcceleration(*local).linear
     gravity = (data.oMi[joint] * pose).rotation.T @ robot.model.gravity.linear

@@ -30,7 +30,7 @@ def check_words(report: CheckResult) -> Iterator[str]:
     """Say in a few sentences what the sensors see."""
     robot, joints = report.robot, report.joints
     axes = len(robot.acceleration_channels)
-    yield f"{robot.model.name}: {_named(joints, 'elastic joint', 'elastic joints')}; " + (
+    yield f"{robot.tree.name}: {_named(joints, 'elastic joint', 'elastic joints')}; " + (
         f"{_named([f'{s.name} {s.axes}' for s in robot.accelerometers], 'accelerometer', 'accelerometers')}."
     )
     yield from element_words(robot)

@@ -58,7 +58,7 @@ class ObserverTuning(BaseModel):
             name: {key: getattr(self, key)[name] for key in DRIVE if name in getattr(self, key)} for name in robot.names
         }
         joints = tuple(joint.model_copy(update=changes[joint.name]) for joint in robot.drives)
-        return Robot(robot.config.model_copy(update={"joints": joints}), robot.model)
+        return Robot(robot.config.model_copy(update={"joints": joints}), robot.tree)
 
     def observer(self, robot: Robot, poles: PolePattern | None = None, **settings: Any) -> AccelerationObserver:
         """Make the observer.

@@ -19,6 +19,7 @@ from linkside.errors import EstimatorError, LogError
 from linkside.files.opening import open_table
 from linkside.files.tables import Table, numbers
 from linkside.findings import Fault
+from linkside.robot.wrenches import AXES
 from linkside.statistics import rms
 
 from .log import Log
@@ -26,6 +27,15 @@ from .times import counterparts
 from .writer import EstimateWriter
 
 Statuses: TypeAlias = npt.NDArray[np.uint8]
+
+Joints: TypeAlias = tuple[tuple[str, ...], tuple[str, ...]]
+"""Names of joints, and of wrenches from outside."""
+
+NAMES = ("names", "wrenches", "channels", "findings", "left_out")
+"""Fields of an estimate that are no arrays."""
+
+OUTSIDE = ("disturbance", "disturbance_std", "wrench", "wrench_std")
+"""Fields of what acts on links from outside."""
 
 if TYPE_CHECKING:
     import pandas  # type: ignore[import-untyped]
@@ -80,6 +90,11 @@ class Estimate:
     disturbance, disturbance_std : (T, n), optional
         Torque on each link from outside, or that the model lacks, and its standard deviation [N m]; columns
         ``d_<joint>`` and ``d_std_<joint>``.
+    wrench, wrench_std : (T, 6k), optional
+        Force [N] and moment [N m] of each of the wrenches from outside that vary, and standard deviations; columns
+        ``<wrench>_fx`` to ``<wrench>_mz`` and ``<wrench>_fx_std`` to ``<wrench>_mz_std``.
+    wrenches : tuple of str
+        Their names.
     covariance : (T, k, k), optional
         Covariance of the method's state. It is kept in memory only: files have the standard deviations.
     nis : (T,), optional
@@ -105,6 +120,9 @@ class Estimate:
     nis: FloatArray | None = None
     disturbance: FloatArray | None = None
     disturbance_std: FloatArray | None = None
+    wrench: FloatArray | None = None
+    wrench_std: FloatArray | None = None
+    wrenches: tuple[str, ...] = ()
     findings: tuple[Fault, ...] = ()
     left_out: tuple[str, ...] = ()
 
@@ -114,6 +132,7 @@ class Estimate:
         of_joints = ("q", "dq", "ddq", "theta", "dtheta", "q_std", "disturbance", "disturbance_std")
         wanted = dict.fromkeys(of_joints, (rows, joints))
         wanted |= {"tool_position": (rows, 3), "tool_std": (rows, 3)}
+        wanted |= dict.fromkeys(("wrench", "wrench_std"), (rows, len(AXES) * len(self.wrenches)))
         for name, shape in wanted.items():
             array = getattr(self, name)
             if array is not None and array.shape != shape:
@@ -136,21 +155,22 @@ class Estimate:
             When it cannot be used: one line with the file and the column.
         """
         file = open_table(path)
-        names, groups = _present(file)
-        return cls._of(file.read([c for columns in groups.values() for c in columns]), names, groups, file.source)
+        joints, groups = _present(file)
+        return cls._of(file.read([c for columns in groups.values() for c in columns]), joints, groups, file.source)
 
     @classmethod
     def stream(cls, path: str | Path, rows: int = 65_536) -> Iterator[Estimate]:
         """Read a file piece by piece, ``rows`` rows each, in bounded memory; as `read`."""
         file = open_table(path)
-        names, groups = _present(file)
+        joints, groups = _present(file)
         for piece in file.batches([c for columns in groups.values() for c in columns], rows):
-            yield cls._of(piece, names, groups, file.source)
+            yield cls._of(piece, joints, groups, file.source)
 
     @classmethod
-    def _of(cls, table: pa.Table, names: tuple[str, ...], groups: dict[str, list[str]], source: str) -> Estimate:
+    def _of(cls, table: pa.Table, joints: Joints, groups: dict[str, list[str]], source: str) -> Estimate:
         arrays = {g: np.stack([numbers(table, c, source) for c in cs], axis=1) for g, cs in groups.items()}
-        return cls(names=names, **_complete(arrays, len(names), source))
+        names, wrenches = joints
+        return cls(names=names, wrenches=wrenches, **_complete(arrays, len(names), source))
 
     @classmethod
     def concatenate(cls, parts: Iterable[Estimate]) -> Estimate:
@@ -169,7 +189,7 @@ class Estimate:
     def columns(self) -> dict[str, npt.NDArray[Any]]:
         """Columns by name in the order of files, each a view of shape (T,), without a copy."""
         out: dict[str, npt.NDArray[Any]] = {}
-        for group, columns in _groups(self.names).items():
+        for group, columns in _groups(self.names, self.wrenches).items():
             array = getattr(self, group)
             if array is not None and group not in self.left_out:
                 out |= zip(columns, np.atleast_2d(array.T), strict=True)
@@ -259,7 +279,7 @@ class Estimate:
         return f"Estimate({len(self)} rows, {len(self.names)} joints, {groups}; status: {status or 'none'})"
 
     def _form(self) -> tuple[tuple[str, ...], list[str]]:
-        arrays = (f.name for f in fields(self) if f.name not in ("names", "channels", "findings", "left_out"))
+        arrays = (f.name for f in fields(self) if f.name not in NAMES)
         there = [name for name in arrays if getattr(self, name) is not None]
         return self.names, there
 
@@ -334,24 +354,29 @@ class EstimateError:
         return cls(sizes, largest, rms(distance), float(distance.max()), rms(centred), float(centred.max()))
 
 
-def _groups(names: tuple[str, ...]) -> dict[str, list[str]]:
+def _groups(names: tuple[str, ...], wrenches: tuple[str, ...] = ()) -> dict[str, list[str]]:
     """Columns of a file by field of `Estimate`, in order."""
     groups = {s: [f"{s}_{joint}" for joint in names] for s in ("q", "dq", "ddq", "theta", "dtheta", "q_std")}
     groups |= {"t": ["t"], "status": ["status"], "nis": ["nis"]}
     groups |= {"disturbance": [f"d_{joint}" for joint in names]}
     groups |= {"disturbance_std": [f"d_std_{joint}" for joint in names]}
+    acting = [f"{wrench}_{axis}" for wrench in wrenches for axis in AXES]
+    groups |= {"wrench": acting, "wrench_std": [f"{column}_std" for column in acting]}
     groups |= {
         "tool_position": [f"tool_{axis}" for axis in "xyz"],
         "tool_std": [f"tool_std_{axis}" for axis in "xyz"],
     }
     order = ("t", "q", "dq", "ddq", "theta", "dtheta", "tool_position", "q_std", "tool_std")
-    return {group: groups[group] for group in (*order, "disturbance", "disturbance_std", "nis", "status")}
+    return {group: groups[group] for group in (*order, *OUTSIDE, "nis", "status") if groups[group]}
 
 
-def _present(file: Table) -> tuple[tuple[str, ...], dict[str, list[str]]]:
-    """Joints of a file, and its columns by field of `Estimate`."""
-    names = _joints(file.names, file.source)
-    return names, {group: columns for group, columns in _groups(names).items() if set(columns) <= set(file.names)}
+def _present(file: Table) -> tuple[Joints, dict[str, list[str]]]:
+    """Joints and wrenches of a file, and its columns by field of `Estimate`."""
+    names, there = _joints(file.names, file.source), set(file.names)
+    starts = (column.removesuffix("_fx") for column in file.names if column.endswith("_fx"))
+    wrenches = tuple(start for start in starts if {f"{start}_{axis}" for axis in AXES} <= there)
+    groups = _groups(names, wrenches)
+    return (names, wrenches), {group: columns for group, columns in groups.items() if set(columns) <= there}
 
 
 def _joints(columns: list[str], source: str) -> tuple[str, ...]:

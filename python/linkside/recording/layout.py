@@ -70,6 +70,10 @@ class RobotColumns(Protocol):
         """Gyroscope columns, such as ``gyro_wx``."""
 
     @property
+    def wrench_channels(self) -> tuple[str, ...]:
+        """Columns of force sensors, such as ``press_fx``."""
+
+    @property
     def gear_ratio(self) -> FloatArray:
         """Turns of the motor for one of the link, (n,)."""
 
@@ -146,8 +150,9 @@ class Layout:
         if signal not in self.wanted:
             raise EstimatorError(f"{signal!r} is no signal of a log; there are {', '.join(self.wanted)}")
         columns = self.wanted[signal]
-        if signal in ("acceleration", "rate") and not columns:
-            sensor = "accelerometer" if signal == "acceleration" else "gyroscope"
+        sensors = {"acceleration": "accelerometer", "rate": "gyroscope", "wrench": "force sensor"}
+        if signal in sensors and not columns:
+            sensor = sensors[signal]
             raise failure(source, f"the robot has no {sensor} to read a column of (needed for {purpose})")
         kept = [True] * len(columns)
         if signal in ("tau", "ddq"):
@@ -223,6 +228,20 @@ def signal_columns(robot: RobotColumns) -> dict[str, tuple[str, ...]]:
     """The columns of each signal of a robot, as its recordings call them."""
     renamed = robot.columns.names
     return {signal: tuple(renamed.get(c, c) for c in columns) for signal, columns in _our_columns(robot).items()}
+
+
+def as_columns(robot: RobotColumns, signals: Mapping[str, FloatArray], source: str) -> dict[str, FloatArray]:
+    """Give time ``t`` (T,) and signals (T, k), in SI units and behind the gears, as the columns of a recording."""
+    columns = signal_columns(robot)
+    driven = {s: ~robot.passive if s in OF_MOTORS else np.ones(len(columns[s]), bool) for s in signals}
+    there = [column for s, own in driven.items() for column, kept in zip(columns[s], own, strict=True) if kept]
+    recorded = Layout.of(robot, there, source).as_recorded(dict(signals))
+    return {
+        column: np.ascontiguousarray(values)
+        for signal, array in recorded.items()
+        for column, values in zip(columns[signal], np.atleast_2d(array.T), strict=True)
+        if column in there
+    }
 
 
 def currents(robot: RobotColumns) -> dict[str, tuple[str, float]]:

@@ -60,6 +60,8 @@ class Log:
         Link positions [rad], velocities [rad/s] and accelerations [rad/s²], where sensors measure them.
     torque : (T, n)
         Joint torque sensors: what the transmission gives the link [N m].
+    wrench : (T, 6k)
+        Force sensors: what acts on links from outside, force and moment of each measured wrench [N, N m].
     qref, dqref, ddqref : (T, n)
         Commanded motion [rad, rad/s, rad/s²].
     source : str
@@ -82,6 +84,7 @@ class Log:
     dq: FloatArray | None
     ddq: FloatArray | None
     torque: FloatArray | None
+    wrench: FloatArray | None
     qref: FloatArray | None
     dqref: FloatArray | None
     ddqref: FloatArray | None

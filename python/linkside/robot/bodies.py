@@ -6,12 +6,12 @@ from collections.abc import Collection, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pinocchio as pin
+
+from .tree import BASE
 
 if TYPE_CHECKING:
     from .joints import JointConfig
-
-LINK_FRAMES = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
+    from .tree import Tree
 
 TRIANGLE = 1e-3
 """A principal moment that exceeds the sum of the others by this share is no rounding."""
@@ -20,23 +20,24 @@ NEGLIGIBLE = 1e-6
 """Moments of inertia below this are not mentioned [kg m²]."""
 
 
-def massless(model: Any) -> dict[str, str]:
+def massless(tree: Tree) -> dict[str, str]:
     """Joints that move nothing with a mass, so that a torque's acceleration is not defined: with their links."""
-    carried = [inertia.mass + np.trace(inertia.inertia) for inertia in model.inertias]
-    for index in reversed(range(1, model.njoints)):
-        carried[model.parents[index]] += carried[index]
-    links = {frame.parentJoint: frame.name for frame in reversed(list(model.frames)) if frame.type in LINK_FRAMES}
-    return {model.names[i]: links.get(i, "") for i in range(1, model.njoints) if carried[i] == 0}
+    carried = [float(joint.body.mass + np.trace(joint.body.inertia)) for joint in tree.joints]
+    for index, joint in reversed(list(enumerate(tree.joints))):
+        if joint.parent != BASE:
+            carried[joint.parent] += carried[index]
+    links = {link.joint: link.name for link in reversed(tree.links)}
+    return {joint.name: links.get(i, "") for i, joint in enumerate(tree.joints) if carried[i] == 0}
 
 
-def impossible_moments(model: Any) -> Iterator[str]:
+def impossible_moments(tree: Tree) -> Iterator[str]:
     """Moving bodies of which one principal moment exceeds the sum of the others, as no body's can."""
-    for index in range(1, model.njoints):
-        least, middle, most = np.linalg.eigvalsh(model.inertias[index].inertia)
+    for joint in tree.joints:
+        least, middle, most = np.linalg.eigvalsh(joint.body.inertia)
         if most > NEGLIGIBLE and most > (1 + TRIANGLE) * (least + middle):
             moments = f"{least:.4g}, {middle:.4g} and {most:.4g} kg m²"
             yield (
-                f"body moved by joint '{model.names[index]}': principal moments of inertia {moments}, the largest more "
+                f"body moved by joint '{joint.name}': principal moments of inertia {moments}, the largest more "
                 "than the sum of the others, as no body has; correct its <inertia>"
             )
 
@@ -53,9 +54,9 @@ def dropped_armature(model: Any, joints: Sequence[JointConfig]) -> Iterator[str]
             )
 
 
-def bare_links(model: Any, bare: Collection[str], moving: dict[str, int]) -> Iterator[str]:
+def bare_links(tree: Tree, bare: Collection[str]) -> Iterator[str]:
     """Links with a shape but no inertia, whose joint moves no mass of its own."""
-    for link in bare:
-        index = model.frames[moving[link]].parentJoint if link in moving else 0
-        if index > 0 and model.inertias[index].mass == 0:
-            yield f"link '{link}' has a shape and no inertia, its mass is missing in what follows; add an <inertial>"
+    for name in bare:
+        link = tree.moving_links.get(name)
+        if link is not None and tree.joints[link.joint].body.mass == 0:
+            yield f"link '{name}' has a shape and no inertia, its mass is missing in what follows; add an <inertial>"

@@ -1,11 +1,9 @@
-"""Compilation of a Pinocchio model into the core's kinematic tree."""
+"""Compilation of a robot's tree, its drives and sensors into what the core takes."""
 
 import math
-import re
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from linkside.errors import ConfigError
 from linkside.files.yaml_source import Source, suggest
@@ -14,105 +12,70 @@ from . import gearing, units
 from .config import RobotConfig
 from .counterbalances import Anchor, Counterbalance
 from .joints import JointConfig, RotorConfig
+from .rigid import Body
 from .sensors import FrameConfig, SensorConfig
+from .tree import SINGLE_AXIS, Joint, Tree
 from .urdf import impossible
+from .wrenches import WrenchConfig
 
-# About or along any axis; RUB and RevoluteUnbounded are URDF's continuous joints, whose q is (cos, sin).
-SINGLE_AXIS = re.compile(r"JointModel(R|RUB|P|Revolute|RevoluteUnbounded|Prismatic)(X|Y|Z|Unaligned)")
-UNIQUE = "\x1f"  # ends what makes a frame's name unique for a while
 MOTOR_SIGNALS = ("theta", "dtheta", "tau")  # those of its shaft, where a log is of the motor's side
 NO_TORSION = 1e-5
 """The torque of so small a torsion counts as none where friction grows with load [rad]."""
 
-LINK_FRAMES = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
 
-
-def reduce(model: Any, config: RobotConfig, source: Source) -> Any:
-    """Lock the joints that are not listed at neutral, and refuse what cannot be compiled."""
-    _refuse_joint_types(model)
-    _refuse_unknown_joints(model, config, source)
+def reduce(tree: Tree, config: RobotConfig, source: Source) -> Tree:
+    """Lock the joints that are not listed at zero, put on what is said of masses, refuse what cannot be compiled."""
+    _refuse_joint_types(tree)
+    _refuse_unknown_joints(tree, config, source)
     listed = {joint.name for joint in config.joints} | set(config.linkages)
-    locked = [index for index, name in enumerate(model.names) if index > 0 and name not in listed]
-    reduced = _lock(model, locked)
-    reduced.gravity.linear = np.array(config.gravity)
+    reduced = tree.locked([joint.name for joint in tree.joints if joint.name not in listed])
     _refuse_unknown_links(reduced, config, source)
     _refuse_unfit_units(reduced, config, source)
-    _load(reduced, config)
-    return reduced
+    return _loaded(reduced, config)
 
 
-def _load(model: Any, config: RobotConfig) -> None:
+def _loaded(tree: Tree, config: RobotConfig) -> Tree:
     """Scale the links' masses, and hang the payload on the tool."""
-    for joint in config.joints:
-        index = model.getJointId(joint.name)
-        inertia = model.inertias[index]
-        if joint.mass_scale != 1:
-            model.inertias[index] = _scaled(inertia, joint.mass_scale)
+    bodies = {tree.index[drive.name]: tree.joint(drive.name).body.scaled(drive.mass_scale) for drive in config.joints}
+    tree = tree.with_bodies(bodies)
+    if config.tool is None or not config.payload.mass:
+        return tree
+    joint, pose = tree.mount(config.tool)
+    payload = Body.point(config.payload.mass, pose.act(np.array(config.payload.xyz)))
+    return tree.with_bodies({joint: tree.joints[joint].body + payload})
+
+
+def unloaded(tree: Tree, config: RobotConfig) -> Tree:
+    """Take off what `reduce` put on: the payload, and the factors on masses."""
     if config.tool is not None and config.payload.mass:
-        index, pose = mount(model, config.tool)
-        at = pose.act(np.array(config.payload.xyz))
-        model.inertias[index] += pin.Inertia(config.payload.mass, at, np.zeros((3, 3)))
+        joint, pose = tree.mount(config.tool)
+        payload = Body.point(-config.payload.mass, pose.act(np.array(config.payload.xyz)))
+        tree = tree.with_bodies({joint: tree.joints[joint].body + payload})
+    scales = {tree.index[drive.name]: 1 / drive.mass_scale for drive in config.joints}
+    return tree.with_bodies({joint: tree.joints[joint].body.scaled(scale) for joint, scale in scales.items()})
 
 
-def heavier(model: Any, factor: float) -> Any:
-    """Copy a model with mass and inertia of all links times a factor."""
-    model = pin.Model(model)
-    for index, inertia in enumerate(model.inertias):
-        model.inertias[index] = _scaled(inertia, factor)
-    return model
-
-
-def _scaled(inertia: Any, factor: float) -> Any:
-    return pin.Inertia(factor * inertia.mass, inertia.lever, factor * inertia.inertia)
-
-
-def _lock(model: Any, joints: list[int]) -> Any:
-    """Lock joints at neutral. Pinocchio finds its frames by name then, and links may be called as joints are."""
-    model = pin.Model(model)
-    if not joints:
-        return model
-    _refuse_unframed_joints(model)
-    for index, frame in enumerate(model.frames):
-        if index > 0 and frame.type != pin.FrameType.JOINT:
-            frame.name = f"{index}{UNIQUE}{frame.name}"
-    reduced = pin.buildReducedModel(model, joints, pin.neutral(model))
-    for frame in reduced.frames:
-        frame.name = frame.name.rpartition(UNIQUE)[2]
-    return reduced
-
-
-def moving_links(model: Any) -> dict[str, int]:
-    """The frame of each link that some joint moves, by the link's name."""
-    return {name: index for name, index in _links(model).items() if model.frames[index].parentJoint > 0}
-
-
-def refuse_impossible_bodies(model: Any) -> None:
+def refuse_impossible_bodies(tree: Tree) -> None:
     """Refuse a negative mass or an inertia that is not positive semidefinite, by the joint that moves it."""
-    for name, inertia in list(zip(model.names, model.inertias, strict=True))[1:]:
-        if fault := impossible(inertia.mass, inertia.inertia):
-            raise ConfigError(f"body moved by joint '{name}': {fault}")
+    for joint in tree.joints:
+        if fault := impossible(joint.body.mass, joint.body.inertia):
+            raise ConfigError(f"body moved by joint '{joint.name}': {fault}")
 
 
-def mount(model: Any, frame: FrameConfig) -> tuple[int, Any]:
-    """Find the joint that moves a sensor or the tool, and the pose in that joint's body frame."""
-    link = model.frames[_links(model)[frame.link]]
-    pose = pin.SE3(pin.rpy.rpyToMatrix(*frame.rpy), np.array(frame.xyz))
-    return link.parentJoint, link.placement * pose
-
-
-def describe(config: RobotConfig, model: Any) -> dict[str, Any]:
-    """Flatten a reduced model and the drives and sensors on it into plain numbers, as the core takes them."""
+def describe(config: RobotConfig, tree: Tree) -> dict[str, Any]:
+    """Flatten a reduced tree and the drives and sensors on it into plain numbers, as the core takes them."""
     names = [joint.name for joint in config.joints]
     return {
         "gravity": config.gravity,
-        "bodies": _bodies(model, [*names, *config.linkages]),
+        "bodies": [_body(joint, [*names, *config.linkages]) for joint in tree.joints],
         "drives": [_drive(joint) for joint in config.joints],
         "coupling": coupling_matrix(config).tolist(),
-        "accelerometers": [_sensor(model, sensor) for sensor in config.accelerometers],
-        "gyroscopes": [_sensor(model, sensor) for sensor in config.gyroscopes],
-        "tool": None if config.tool is None else _frame(model, config.tool),
-        "rotors": [_rotor(model, config, motor, rotor) for motor, rotor in config.rotors.items()],
-        "counterbalances": [_counterbalance(model, names, balance) for balance in config.counterbalances],
+        "accelerometers": [_sensor(tree, sensor) for sensor in config.accelerometers],
+        "gyroscopes": [_sensor(tree, sensor) for sensor in config.gyroscopes],
+        "tool": None if config.tool is None else _frame(tree, config.tool),
+        "rotors": [_rotor(tree, config, motor, rotor) for motor, rotor in config.rotors.items()],
+        "counterbalances": [_counterbalance(tree, names, balance) for balance in config.counterbalances],
+        "wrenches": [_wrench(tree, wrench) for wrench in config.wrenches],
         "gearing": _gearing(config, names),
         "followers": [(names.index(one.follows), one.ratio, one.offset) for one in config.linkages.values()],
     }
@@ -134,108 +97,87 @@ def _gearing(config: RobotConfig, names: list[str]) -> tuple[list[int], list[flo
     return joints, gearing.matrix(config.gearing, names)[np.ix_(joints, joints)].ravel().tolist()
 
 
-def _refuse_joint_types(model: Any) -> None:
-    for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
-        if not SINGLE_AXIS.fullmatch(joint.shortname()):
-            kind = joint.shortname().removeprefix("JointModel").replace("FreeFlyer", "Floating").lower()
-            freedom = f"{joint.nv} degree{'s' * (joint.nv != 1)} of freedom"
+def _refuse_joint_types(tree: Tree) -> None:
+    for joint in tree.joints:
+        if joint.kind not in SINGLE_AXIS:
+            freedom = f"{joint.freedom} degree{'s' * (joint.freedom != 1)} of freedom"
             raise ConfigError(
-                f"joint '{name}' is {kind} ({freedom}); linkside works on revolute and prismatic joints, "
+                f"joint '{joint.name}' is {joint.kind} ({freedom}); linkside works on revolute and prismatic joints, "
                 "fix it in the URDF"
             )
 
 
-def _refuse_unframed_joints(model: Any) -> None:
-    """Pinocchio crashes on locking a joint in a model that lacks the frame of some joint, as one built by hand may."""
-    framed = {frame.name for frame in model.frames if frame.type == pin.FrameType.JOINT}
-    for name in list(model.names)[1:]:
-        if name not in framed:
-            raise ConfigError(f"joint '{name}' has no frame: after model.addJoint(…) call model.addJointFrame(…)")
-
-
-def _refuse_unknown_joints(model: Any, config: RobotConfig, source: Source) -> None:
-    known = list(model.names)[1:]
-    fixed = [frame.name for frame in model.frames if frame.type == pin.FrameType.FIXED_JOINT]
+def _refuse_unknown_joints(tree: Tree, config: RobotConfig, source: Source) -> None:
+    known = list(tree.index)
     for index, joint in enumerate(config.joints):
         if joint.name not in known:
-            why = "it is fixed" if joint.name in fixed else suggest(joint.name, known)
+            why = "it is fixed" if joint.name in tree.fixed else suggest(joint.name, known)
             raise ConfigError(f"{source.where('joints', index, 'name')}no moving joint '{joint.name}'; {why}")
     for name in config.linkages:
         if name not in known:
             raise ConfigError(f"{source.where('linkages', name)}no moving joint '{name}'; {suggest(name, known)}")
 
 
-def _refuse_unknown_links(model: Any, config: RobotConfig, source: Source) -> None:
-    for kind in ("accelerometers", "gyroscopes"):
+def _refuse_unknown_links(tree: Tree, config: RobotConfig, source: Source) -> None:
+    for kind in ("accelerometers", "gyroscopes", "wrenches"):
         for index, sensor in enumerate(getattr(config, kind)):
-            _refuse_unknown_link(model, sensor, source.where(kind, index, "link"))
+            _refuse_unknown_link(tree, sensor, source.where(kind, index, "link"))
     for motor, rotor in config.rotors.items():
-        _refuse_unknown_link(model, rotor, source.where("rotors", motor, "link"))
+        _refuse_unknown_link(tree, rotor, source.where("rotors", motor, "link"))
     if config.tool is not None:
-        _refuse_unknown_link(model, config.tool, source.where("tool", "link"))
+        _refuse_unknown_link(tree, config.tool, source.where("tool", "link"))
     for index, balance in enumerate(config.counterbalances):
         where = ("counterbalances", index)
         for at, end in enumerate(balance.ends):
-            _refuse_unknown_link(model, end, source.where(*where, "ends", at, "link"), moves=False)
-        bodies = {_anchor(model, end)[0] for end in balance.ends}
+            _refuse_unknown_link(tree, end, source.where(*where, "ends", at, "link"), moves=False)
+        bodies = {_anchor(tree, end)[0] for end in balance.ends}
         if len(bodies) == 1:
             raise ConfigError(
                 f"{source.where(*where, 'ends')}both points are on one link, or on links that no joint parts"
             )
         for at, joint in enumerate(balance.joints):
-            if model.joints[model.getJointId(joint)].shortname().removeprefix("JointModel").startswith("P"):
+            if tree.joint(joint).slides:
                 raise ConfigError(
                     f"{source.where(*where, 'joints', at)}joint '{joint}' slides, expected one that turns"
                 )
 
 
-def _refuse_unfit_units(model: Any, config: RobotConfig, source: Source) -> None:
-    for key, fault in column_units(model, config)[1].items():
+def _refuse_unfit_units(tree: Tree, config: RobotConfig, source: Source) -> None:
+    for key, fault in column_units(tree, config)[1].items():
         raise ConfigError(f"{source.where('units', key)}{fault}")
 
 
-def column_units(model: Any, config: RobotConfig) -> tuple[dict[str, units.Unit], dict[str, str]]:
+def column_units(tree: Tree, config: RobotConfig) -> tuple[dict[str, units.Unit], dict[str, str]]:
     """Units of a log's columns by our names, and by key what is wrong with one; a motor's shaft turns in any case."""
     columns = config.columns_by_kind
-    slides = [model.joints[model.getJointId(j.name)].shortname().startswith("JointModelP") for j in config.joints]
+    slides = [tree.joint(joint.name).slides for joint in config.joints]
     shafts = MOTOR_SIGNALS if config.columns.motor_side else ()
-    of_joints = [kind for kind in columns if kind not in ("t", "acceleration", "rate")]
+    of_joints = [kind for kind in columns if kind not in ("t", "acceleration", "rate", "wrench")]
     turning = {c: kind in shafts or not s for kind in of_joints for c, s in zip(columns[kind], slides, strict=True)}
+    turning |= {column: column[-2] == "m" for column in columns["wrench"]}
     return units.column_units(config.units, columns, turning)
 
 
 def _refuse_unknown_link(
-    model: Any, frame: FrameConfig | RotorConfig | Anchor, where: str, *, moves: bool = True
+    tree: Tree, frame: FrameConfig | RotorConfig | Anchor, where: str, *, moves: bool = True
 ) -> None:
-    if frame.link not in _links(model):
-        raise ConfigError(f"{where}no link '{frame.link}'; {suggest(frame.link, _links(model))}")
-    if moves and frame.link not in moving_links(model):
+    if frame.link not in tree.link:
+        raise ConfigError(f"{where}no link '{frame.link}'; {suggest(frame.link, tree.link)}")
+    if moves and frame.link not in tree.moving_links:
         raise ConfigError(f"{where}link '{frame.link}' cannot move: no joint that is listed carries it")
 
 
-def _links(model: Any) -> dict[str, int]:
-    return {frame.name: index for index, frame in enumerate(model.frames) if frame.type in LINK_FRAMES}
-
-
-def _bodies(model: Any, names: list[str]) -> list[dict[str, Any]]:
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    return [_body(model, data, index, names) for index in range(1, model.njoints)]
-
-
-def _body(model: Any, data: Any, index: int, names: list[str]) -> dict[str, Any]:
-    placement, inertia = model.jointPlacements[index], model.inertias[index]
-    linear, angular = np.split(np.asarray(data.joints[index].S).reshape(6), 2)
+def _body(joint: Joint, names: list[str]) -> dict[str, Any]:
     return {
-        "parent": model.parents[index] - 1,
-        "joint": names.index(model.names[index]),
-        "prismatic": bool(linear.any()),
-        "rotation": placement.rotation.tolist(),
-        "translation": placement.translation.tolist(),
-        "axis": (linear + angular).tolist(),  # one of them is zero
-        "mass": inertia.mass,
-        "com": inertia.lever.tolist(),
-        "inertia": inertia.inertia.tolist(),
+        "parent": joint.parent,
+        "joint": names.index(joint.name),
+        "prismatic": joint.slides,
+        "rotation": joint.placement.rotation.tolist(),
+        "translation": joint.placement.translation.tolist(),
+        "axis": joint.axis.tolist(),
+        "mass": joint.body.mass,
+        "com": joint.body.com.tolist(),
+        "inertia": joint.body.inertia.tolist(),
     }
 
 
@@ -271,34 +213,42 @@ def _drive(joint: JointConfig) -> dict[str, Any]:
     }
 
 
-def _frame(model: Any, frame: FrameConfig) -> dict[str, Any]:
-    joint, pose = mount(model, frame)
-    return {"body": joint - 1, "rotation": pose.rotation.tolist(), "translation": pose.translation.tolist()}
+def _frame(tree: Tree, frame: FrameConfig) -> dict[str, Any]:
+    joint, pose = tree.mount(frame)
+    return {"body": joint, "rotation": pose.rotation.tolist(), "translation": pose.translation.tolist()}
 
 
-def _rotor(model: Any, config: RobotConfig, motor: str, rotor: RotorConfig) -> dict[str, Any]:
-    link = model.frames[_links(model)[rotor.link]]
+def _rotor(tree: Tree, config: RobotConfig, motor: str, rotor: RotorConfig) -> dict[str, Any]:
+    link = tree.link[rotor.link]
     index = [joint.name for joint in config.joints].index(motor)
-    axis = link.placement.rotation @ (np.array(rotor.axis) / np.linalg.norm(rotor.axis))
+    axis = link.placement.turn(np.array(rotor.axis) / math.hypot(*rotor.axis))
     return {
         "motor": index,
-        "body": link.parentJoint - 1,
+        "body": link.joint,
         "axis": axis.tolist(),
         "ratio": config.joints[index].gear_ratio,
     }
 
 
-def _anchor(model: Any, end: Anchor) -> tuple[int, list[float]]:
+def _anchor(tree: Tree, end: Anchor) -> tuple[int, list[float]]:
     """The body that carries a point, −1 for the base, and where in that body's frame."""
-    link = model.frames[_links(model)[end.link]]
-    return link.parentJoint - 1, link.placement.act(np.array(end.xyz)).tolist()
+    link = tree.link[end.link]
+    return link.joint, link.placement.act(np.array(end.xyz)).tolist()
 
 
-def _counterbalance(model: Any, names: list[str], balance: Counterbalance) -> dict[str, Any]:
-    ends = [_anchor(model, end) for end in balance.ends]
+def _counterbalance(tree: Tree, names: list[str], balance: Counterbalance) -> dict[str, Any]:
+    ends = [_anchor(tree, end) for end in balance.ends]
     return balance.compiled(ends, [names.index(joint) for joint in balance.joints])
 
 
-def _sensor(model: Any, sensor: SensorConfig) -> dict[str, Any]:
+def _wrench(tree: Tree, wrench: WrenchConfig) -> dict[str, Any]:
+    return {
+        "place": _frame(tree, wrench),
+        "constant": wrench.constant,
+        "measured": wrench.kind == "measured",
+    }
+
+
+def _sensor(tree: Tree, sensor: SensorConfig) -> dict[str, Any]:
     axes = ["xyz".index(axis) for axis in sensor.axes]
-    return {**_frame(model, sensor), "axes": axes, "noise_std": sensor.noise_std}
+    return {**_frame(tree, sensor), "axes": axes, "noise_std": sensor.noise_std}

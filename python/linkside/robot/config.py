@@ -28,6 +28,7 @@ from .sensors import (
 from .sources import SourcesConfig
 from .units import DIMENSIONS, UnitsConfig, refuse_unfit
 from .values import NonNegative, Number, Positive, Vector3, some
+from .wrenches import WrenchConfig
 
 
 class TolerancesConfig(Section):
@@ -96,6 +97,7 @@ class RobotConfig(Section):
     gearing: dict[str, dict[str, Number]] = {}  # Γ: {joint: {joint whose motor turns it, too: how far}}; 1 by its own
     linkages: dict[Name, LinkageConfig] = {}  # joints of the URDF that others move, by their names
     counterbalances: tuple[Counterbalance, ...] = ()  # what carries part of the weight
+    wrenches: tuple[WrenchConfig, ...] = ()  # what acts on links from outside
     accelerometers: tuple[AccelerometerConfig, ...] = ()
     gyroscopes: tuple[GyroscopeConfig, ...] = ()
     encoder: EncoderConfig = EncoderConfig()
@@ -120,12 +122,17 @@ class RobotConfig(Section):
         return tuple(f"{sensor.name}_w{axis}" for sensor in self.gyroscopes for axis in sensor.axes)
 
     @property
+    def wrench_channels(self) -> tuple[str, ...]:
+        """Columns of force sensors [N, N m], `<wrench>_fx` and so on."""
+        return tuple(column for one in self.wrenches if one.kind == "measured" for column in one.columns)
+
+    @property
     def columns_by_kind(self) -> dict[str, tuple[str, ...]]:
         """Every column that a log of this robot may have, by what it measures."""
         joints = [joint.name for joint in self.joints]
         columns = {kind: tuple(f"{kind}_{joint}" for joint in joints) for kind in DIMENSIONS}
         inertial = {"acceleration": self.acceleration_channels, "rate": self.gyroscope_channels}
-        return columns | {"t": ("t",)} | inertial
+        return columns | {"t": ("t",)} | inertial | {"wrench": self.wrench_channels}
 
     @model_validator(mode="after")
     def _driven(self) -> "RobotConfig":
@@ -135,7 +142,7 @@ class RobotConfig(Section):
 
     @model_validator(mode="after")
     def _names_unique(self) -> "RobotConfig":
-        for key in ("joints", "accelerometers", "gyroscopes"):
+        for key in ("joints", "accelerometers", "gyroscopes", "wrenches"):
             seen: dict[str, int] = {}
             for index, item in enumerate(getattr(self, key)):
                 if (first := seen.setdefault(item.name, index)) != index:

@@ -12,6 +12,9 @@ from .transmission import Efficiency
 UNKNOWN = "stiffness: unknown"
 """What only a calibration accounts for."""
 
+VARYING = "varying wrenches"
+"""Wrenches whose size robot.yaml does not say."""
+
 LATE = ("corner_frequency", "delay")
 """Keys of what makes a sensor late."""
 
@@ -47,6 +50,8 @@ FEATURES: dict[str, Callable[[Robot], list[str]]] = {
     "efficiency": lambda robot: [drive.name for drive in robot.drives if drive.efficiency != Efficiency()],
     "load": lambda robot: _frictions(robot, "load"),
     "asymmetry": lambda robot: _frictions(robot, "asymmetry"),
+    "wrenches": lambda robot: [one.name for one in robot.config.wrenches],
+    VARYING: lambda robot: [one.name for one in robot.varying_wrenches],
     **{key: _late("accelerometers", key) for key in LATE},
     **{f"link_encoder.{key}": _late("link_encoder", key) for key in LATE},
     **{f"joint_torque.{key}": _late("joint_torque", key) for key in LATE},
@@ -59,13 +64,24 @@ JOINT_SIDE = tuple(f"{carrier}.{key}" for carrier in ("link_encoder", "joint_tor
 BY_LOAD = ("efficiency", "load")
 """Friction that grows with the torque transmitted."""
 
-BY_ACCELERATION = (UNKNOWN, "rotors", "gearing", "linkages", "backlash", "hysteresis", "ripple", *BY_LOAD, "passive")
+BY_ACCELERATION = (
+    UNKNOWN,
+    "rotors",
+    "gearing",
+    "linkages",
+    "backlash",
+    "hysteresis",
+    "ripple",
+    *BY_LOAD,
+    "passive",
+    VARYING,
+)
 """What an observer that integrates measured accelerations does not account for."""
 
-BY_MOMENTUM = ("rotors", "gearing", *BY_LOAD, "passive")
+BY_MOMENTUM = ("rotors", "gearing", *BY_LOAD, "passive", VARYING)
 """The same of one that integrates the equations of motion of rigid links."""
 
-OF_CONTROL = (UNKNOWN, "rotors", "gearing", "hysteresis", "passive")
+OF_CONTROL = (UNKNOWN, "rotors", "gearing", "hysteresis", "passive", VARYING)
 """The same of control laws."""
 
 WHY = {"passive": "no motor moves it, so no encoder shows where its link is"}
@@ -81,10 +97,10 @@ UNSUPPORTED: dict[str, tuple[str, ...]] = {
     "a velocity observer on the links": (*BY_MOMENTUM, *JOINT_SIDE),
     "the momentum residual": BY_MOMENTUM,
     "the momentum residual on the links": (*BY_MOMENTUM, *JOINT_SIDE),
-    "a particle filter": ("hysteresis",),
+    "a particle filter": ("hysteresis", VARYING),
     "inverse dynamics along a motion": OF_CONTROL,
     "state feedback": OF_CONTROL,
-    "calibration": ("rotors", "gearing", "linkages", "hysteresis", *BY_LOAD, "asymmetry", "passive"),
+    "calibration": ("rotors", "gearing", "linkages", "hysteresis", *BY_LOAD, "asymmetry", "passive", "wrenches"),
     "calibration with motor torques": ("stiffness_table", "backlash", "ripple"),
 }
 """Keys that each method does not account for."""

@@ -2,28 +2,34 @@
 
 import os
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from linkside import _core
-from linkside.arguments import numbers
-from linkside.errors import ConfigError, EstimatorError, RobotWarning
+from linkside.errors import ConfigError, RobotWarning
 from linkside.files.yaml_source import Source
 
-from . import bodies, gearing
-from . import compile as tree
+from . import bodies, gearing, pinocchio_model
+from . import compile as compiling
 from .config import ColumnsConfig, RobotConfig, RobotFile
+from .dynamics import Dynamics
 from .encoders import EncoderReading, readings
 from .joints import JointConfig
 from .sensors import AccelerometerConfig, FrameConfig, GyroscopeConfig
+from .tree import Tree
 from .units import Unit
 from .urdf import Urdf
+from .wrenches import WrenchConfig
+
+if TYPE_CHECKING:  # pyright does not take a cached property for the property of a protocol
+    cached_property = property
+else:
+    from functools import cached_property
 
 Array = NDArray[np.float64]
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -31,7 +37,7 @@ Joints = Iterable[JointConfig | Mapping[str, Any]]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Robot:
+class Robot(Dynamics):
     """An elastic-joint robot on a fixed base: made by `load`, `from_urdf` or `from_pinocchio`, then constant.
 
     Every array is in log order: the order in which the joints are listed, whatever their order in the tree.
@@ -42,8 +48,8 @@ class Robot:
     ----------
     config : RobotConfig
         What was said about joints, sensors and tool.
-    model : pinocchio.Model
-        The tree of the listed joints alone, all others locked.
+    tree : Tree
+        The listed joints alone, all others locked.
     notes : tuple of str
         Doubts about masses; a method that needs masses warns of them.
 
@@ -54,7 +60,7 @@ class Robot:
     """
 
     config: RobotConfig
-    model: Any
+    tree: Tree
     notes: tuple[str, ...] = ()
     core: _core.Robot = field(init=False)
 
@@ -64,7 +70,7 @@ class Robot:
 
     def described(self) -> dict[str, Any]:
         """Describe it in plain numbers, as the core takes it."""
-        return tree.describe(self.config, self.model)
+        return compiling.describe(self.config, self.tree)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> "Robot":
@@ -112,31 +118,29 @@ class Robot:
         """
         source = _settings(joints, {"gravity": model.gravity.linear, **settings})
         config = source.validate(RobotConfig)
-        tree.refuse_impossible_bodies(model)
-        reduced = tree.reduce(model, config, source)
+        whole = pinocchio_model.read(model)
+        compiling.refuse_impossible_bodies(whole)
+        reduced = compiling.reduce(whole, config, source)
         notes = (*bodies.dropped_armature(model, config.joints), *bodies.impossible_moments(reduced))
         return cls(config, reduced, notes)
 
     @classmethod
     def _from_urdf(cls, urdf: Urdf, config: RobotConfig, source: Source) -> "Robot":
         urdf.refuse_mimics([joint.name for joint in config.joints], config.linkages)
-        model = urdf.model()
-        reduced = tree.reduce(model, config, source)
-        moving = tree.moving_links(reduced)
-        urdf.refuse_impossible_bodies(moving)
-        urdf.refuse_other(model)
-        notes = (*bodies.bare_links(reduced, urdf.bare, moving), *bodies.impossible_moments(reduced))
+        reduced = compiling.reduce(urdf.tree(), config, source)
+        urdf.refuse_impossible_bodies(reduced.moving_links)
+        notes = (*bodies.bare_links(reduced, urdf.bare), *bodies.impossible_moments(reduced))
         return cls(config, reduced, notes)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle what the robot was made of; it is compiled again when it is read."""
-        return Robot, (self.config, self.model, self.notes)
+        return Robot, (self.config, self.tree, self.notes)
 
     def __repr__(self) -> str:
         """Name the joints, rigid ones in brackets, and the sensors."""
         joints = " ".join(joint.name if joint.elastic else f"({joint.name})" for joint in self.drives)
         sensors = ", ".join(sensor.name for sensor in (*self.accelerometers, *self.gyroscopes))
-        return f"<Robot {self.model.name}: {joints}; sensors: {sensors or 'none'}>"
+        return f"<Robot {self.tree.name}: {joints}; sensors: {sensors or 'none'}>"
 
     def scaled(
         self, *, stiffness: float = 1.0, damping: float = 1.0, motor_inertia: float = 1.0, mass: float = 1.0
@@ -160,7 +164,7 @@ class Robot:
         )
         payload = self.config.payload.model_copy(update={"mass": mass * self.config.payload.mass})
         config = self.config.model_copy(update={"joints": joints, "payload": payload})
-        return Robot(config, tree.heavier(self.model, mass), self.notes)
+        return Robot(config, self.tree.heavier(mass), self.notes)
 
     def require_masses(self, purpose: str, *, elastic_only: bool = False) -> None:
         """Require links with masses, for a method that needs them; warn once of doubts about them.
@@ -188,7 +192,7 @@ class Robot:
 
     @cached_property
     def _massless(self) -> dict[str, str]:
-        return bodies.massless(self.model)
+        return bodies.massless(self.tree)
 
     def _unsaid(self) -> tuple[str, ...]:
         """Notes that no method warned of yet."""
@@ -223,7 +227,7 @@ class Robot:
     @cached_property
     def coupling(self) -> Array:
         """Inertial coupling S of motors to links, (n, n), strictly upper triangular [kg m²]."""
-        return _constant(tree.coupling_matrix(self.config), np.float64)
+        return _constant(compiling.coupling_matrix(self.config), np.float64)
 
     @cached_property
     def gearing(self) -> Array:
@@ -276,6 +280,16 @@ class Robot:
         """Columns of angular rate, `<gyroscope>_wx` and so on."""
         return self.config.gyroscope_channels
 
+    @property
+    def varying_wrenches(self) -> tuple[WrenchConfig, ...]:
+        """Wrenches from outside that are not constant, which filters have in their state."""
+        return tuple(wrench for wrench in self.config.wrenches if wrench.kind != "constant")
+
+    @property
+    def wrench_channels(self) -> tuple[str, ...]:
+        """Columns of force sensors, `<wrench>_fx` and so on."""
+        return self.config.wrench_channels
+
     @cached_property
     def encoder_readings(self) -> dict[str, dict[int, EncoderReading]]:
         """By signal, `theta` or `q`, and by joint: how encoders read that read wrong in a way that is known."""
@@ -289,12 +303,17 @@ class Robot:
     @cached_property
     def column_units(self) -> dict[str, Unit]:
         """Units of a log's columns, by our names, of those that are not in SI units."""
-        return tree.column_units(self.model, self.config)[0]
+        return compiling.column_units(self.tree, self.config)[0]
 
     @cached_property
     def torque_constant(self) -> tuple[float | None, ...]:
         """Torque of a motor's current [N m/A], of those whose is known."""
         return tuple(joint.torque_constant for joint in self.drives)
+
+    @cached_property
+    def model(self) -> Any:
+        """The same tree as a `pinocchio.Model`, with its gravity; ImportError if Pinocchio is not there."""
+        return pinocchio_model.build(self.tree, self.config.gravity)
 
     @cached_property
     def velocity_index(self) -> NDArray[np.intp]:
@@ -318,9 +337,8 @@ class Robot:
         """Order velocities, accelerations or torques as `model` does, (…, n) to (…, model.nv)."""
         dq = np.asarray(dq, dtype=np.float64)
         out = np.empty((*dq.shape[:-1], self.model.nv))
-        out[..., self.velocity_index] = dq
-        for name, one in self.config.linkages.items():
-            out[..., self._joint(name).idx_v] = one.ratio * dq[..., self.names.index(one.follows)]
+        for name, value in self.joint_velocities(dq).items():
+            out[..., self._joint(name).idx_v] = value
         return out
 
     @cached_property
@@ -334,91 +352,11 @@ class Robot:
         found = {name: q[..., index] for index, name in enumerate(self.names)}
         return found | {name: one.ratio * found[one.follows] + one.offset for name, one in self.config.linkages.items()}
 
-    def inverse_dynamics(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
-        """Torque on the links, M(q) q̈ + C(q, q̇) q̇ + g(q), (T, n) [N m]."""
-        return self._rows(self.core.inverse_dynamics, q=q, dq=dq, ddq=ddq)
-
-    def inverse_dynamics_derivatives(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> tuple[Array, Array, Array]:
-        """Derivatives of `inverse_dynamics` by q, q̇ and q̈ (the last: mass matrix), three of (T, n, n)."""
-        stacked = self._rows(self.core.inverse_dynamics_derivatives, q=q, dq=dq, ddq=ddq)
-        return stacked[..., 0, :, :], stacked[..., 1, :, :], stacked[..., 2, :, :]
-
-    def forward_dynamics(
-        self, q: ArrayLike, dq: ArrayLike, theta: ArrayLike, dtheta: ArrayLike, tau: ArrayLike
-    ) -> tuple[Array, Array]:
-        """Accelerations of links and motors, q̈ and θ̈, under motor torques, two of (T, n) [rad/s²].
-
-        Springs, damping, friction and coupling as in robot.yaml: De Luca, Schröder, Thümmel 2007, eq. (2);
-        Ulrich, Sasiadek 2011, eqs. (10)–(16). Of a rigid joint `theta` and `dtheta` are not looked at; its motor
-        accelerates as its link does.
-        """
-        self.require_masses("forward dynamics")
-        stacked = self._rows(self.core.forward_dynamics, q=q, dq=dq, theta=theta, dtheta=dtheta, tau=tau)
-        return stacked[..., 0, :], stacked[..., 1, :]
-
-    def mass_matrix(self, q: ArrayLike) -> Array:
-        """Inertia of the links M(q), (T, n, n) [kg m²]."""
-        return self._rows(self.core.mass_matrix, q=q)
-
-    def coriolis_matrix(self, q: ArrayLike, dq: ArrayLike) -> Array:
-        """Coriolis matrix C(q, q̇) from Christoffel symbols, so that Ṁ − 2C is skew, (T, n, n)."""
-        return self._rows(self.core.coriolis_matrix, q=q, dq=dq)
-
-    def gravity_torque(self, q: ArrayLike) -> Array:
-        """Torque that holds the links against gravity g(q), less what counterbalances carry, (T, n) [N m]."""
-        return self._rows(self.core.gravity_torque, q=q)
-
-    def link_friction(self, dq: ArrayLike, load: ArrayLike | None = None) -> Array:
-        """Friction torque of the links (Ulrich and Sasiadek 2011, eq. (14)) and of their bearings, (T, n) [N m].
-
-        `load`, (T, n): the torques that their motion takes beside it, none unless given, on which it may depend.
-        """
-        return self._rows(
-            self.core.link_friction, dq=dq, load=np.zeros_like(numbers("dq", dq)) if load is None else load
-        )
-
-    def motor_friction(self, dtheta: ArrayLike, load: ArrayLike | None = None) -> Array:
-        """Friction torque of the motors, viscous and dry with its Stribeck peak, and their gears', (T, n) [N m].
-
-        `load`, (T, n): the torques that gears ask of motors, none unless given, a share of which is lost.
-        """
-        rest = np.zeros_like(numbers("dtheta", dtheta))
-        return self._rows(self.core.motor_friction, dtheta=dtheta, load=rest if load is None else load)
-
-    def specific_force(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
-        """Readings of the accelerometers, (T, acceleration channels) [m/s²]; +9.81 upward at rest."""
-        return self._rows(self.core.specific_force, q=q, dq=dq, ddq=ddq)
-
-    def acceleration_map(self, q: ArrayLike, dq: ArrayLike) -> tuple[Array, Array]:
-        """T_A (T, channels, n) and W_A (T, channels): the accelerometers read T_A q̈ + W_A.
-
-        De Luca, Schröder, Thümmel 2007, eq. (10).
-        """
-        rest = np.zeros_like(numbers("q", q))
-        derivatives = self._rows(self.core.specific_force_derivatives, q=q, dq=dq, ddq=rest)
-        return derivatives[..., 2, :, :], self.specific_force(q, dq, rest)
-
-    def angular_rate(self, q: ArrayLike, dq: ArrayLike) -> Array:
-        """Readings of the gyroscopes, (T, gyroscope channels) [rad/s]."""
-        return self._rows(self.core.angular_rate, q=q, dq=dq)
-
-    def tool_position(self, q: ArrayLike) -> Array:
-        """Tool position in the base frame, (T, 3) [m]; raises EstimatorError if the robot has none."""
-        if self.tool is None:
-            raise EstimatorError("the robot has no tool: name one in robot.yaml, `tool: {link: …}`")
-        return self._rows(self.core.tool_position, q=q)
-
-    def _rows(self, kernel: Callable[..., Array], **arguments: ArrayLike) -> Array:
-        """Call a kernel of (T, n) arrays on those, or on a single state (n,)."""
-        arrays = {name: numbers(name, value) for name, value in arguments.items()}
-        first, shape = next((name, array.shape) for name, array in arrays.items())
-        if len(shape) not in (1, 2) or shape[-1] != self.n:
-            raise EstimatorError(f"{first}: expected shape ({self.n},) or (T, {self.n}), got {shape}")
-        for name, array in arrays.items():
-            if array.shape != shape:
-                raise EstimatorError(f"{name}: expected shape {shape}, that of {first}, got {array.shape}")
-        out = kernel(*(np.ascontiguousarray(np.atleast_2d(array)) for array in arrays.values()))
-        return out if len(shape) == 2 else out[0]
+    def joint_velocities(self, dq: ArrayLike) -> dict[str, Array]:
+        """Velocities, or other rates, of the tree's joints by name, those that linkages move included, of dq (…, n)."""
+        dq = np.asarray(dq, dtype=np.float64)
+        found = {name: dq[..., index] for index, name in enumerate(self.names)}
+        return found | {name: one.ratio * found[one.follows] for name, one in self.config.linkages.items()}
 
 
 def _settings(joints: Joints, settings: Mapping[str, Any]) -> Source:

@@ -85,8 +85,9 @@ DIMENSIONS: dict[str, tuple[str, str]] = {
     "current": ("current", "current"),
     "acceleration": ("acceleration", "acceleration"),
     "rate": ("angular velocity", "angular velocity"),
+    "wrench": ("torque", "force"),
 }
-"""What each kind of channel measures, of a joint that turns and of one that slides."""
+"""What each kind of channel measures, of a joint that turns and of one that slides; of a moment and of a force."""
 
 _SPELLINGS = str.maketrans({**dict.fromkeys(" ·*^", ""), **dict.fromkeys("µμ", "u"), "²": "2", "°": "deg"})
 

@@ -1,4 +1,4 @@
-"""URDF files: read by Pinocchio, once what it would pass over or merely print has been refused by name."""
+"""URDF files: what is wrong in one is refused by name, before the tree of its joints is built."""
 
 import math
 import xml.etree.ElementTree as ET
@@ -9,18 +9,17 @@ from os import PathLike, fspath
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from linkside.errors import ConfigError
-from linkside.files.yaml_source import one_line, read_text, suggest
+from linkside.files.yaml_source import read_text, suggest
 
 from .joints import LinkageConfig
-from .urdf_built import compare
+from .tree import Tree
 from .urdf_text import numbers as _numbers
 from .urdf_text import parse, refuse_deep, refuse_twice
+from .urdf_tree import MOMENTS, mass_and_inertia, tree_of
 
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
-MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 @dataclass(frozen=True)
@@ -59,17 +58,10 @@ class Urdf:
             raise ConfigError(f"{name}: {error}") from None
         return cls(name, root, bare)
 
-    def model(self) -> Any:
-        """Build the Pinocchio model, every joint on its own (mimic joints included)."""
+    def tree(self) -> Tree:
+        """Build the tree, every joint on its own (mimic joints included)."""
         try:
-            return pin.buildModelFromXML(ET.tostring(self.root, encoding="unicode"))
-        except (ValueError, RuntimeError) as error:
-            raise ConfigError(f"{self.name}: {one_line(error)}") from None
-
-    def refuse_other(self, model: Any) -> None:
-        """Refuse a model that has not the masses, inertias and placements that were read, for every link."""
-        try:
-            compare(self.root, model)
+            return tree_of(self.root)
         except ValueError as error:
             raise ConfigError(f"{self.name}: {error}") from None
 
@@ -93,7 +85,7 @@ class Urdf:
         """Refuse a negative mass, or an inertia that is not positive semidefinite, on any of the links."""
         for link in self.root.iter("link"):
             judged = link.find("inertial") is not None and link.get("name") in links
-            if judged and (fault := impossible(*_mass_and_inertia(link))):
+            if judged and (fault := impossible(*mass_and_inertia(link))):
                 raise ConfigError(f"{self.name}: link '{link.get('name')}': {fault}")
 
 
@@ -111,15 +103,16 @@ def impossible(mass: float, inertia: np.ndarray[Any, Any]) -> str:
 
 
 def _check(root: ET.Element) -> None:
-    """Check what makes a URDF; a ValueError names the element, where urdfdom would print and say no more."""
+    """Check what makes a URDF; a ValueError names the element, where other readers print and say no more."""
     if root.tag != "robot" or not root.get("name"):
         raise ValueError(f"expected <robot name=…>, got <{root.tag}>")
     links = [link.get("name", "") for link in root.findall("link")]
     joints = root.findall("joint")
     _check_unique("link", links)
     _check_unique("joint", [joint.get("name", "") for joint in joints])
+    known = dict.fromkeys(links)
     for joint in joints:
-        _check_joint(joint, links)
+        _check_joint(joint, known)
     children = Counter(joint.find("child").get("link") for joint in joints)  # type: ignore[union-attr]
     if twice := [name for name, count in children.items() if count > 1]:
         raise ValueError(f"link '{twice[0]}' hangs on two joints")
@@ -137,7 +130,7 @@ def _check_unique(kind: str, names: list[str]) -> None:
             raise ValueError(f"{kind} '{name}' is there {count} times" if name else f"a {kind} has no name")
 
 
-def _check_joint(joint: ET.Element, links: list[str]) -> None:
+def _check_joint(joint: ET.Element, links: Collection[str]) -> None:
     name, kind = f"joint '{joint.get('name')}'", joint.get("type", "")
     if kind not in JOINT_TYPES:
         raise ValueError(f"{name}: expected a type out of {', '.join(JOINT_TYPES)}, got '{kind}'")
@@ -183,12 +176,14 @@ def _has_shape(link: ET.Element) -> bool:
 
 def _check_link(link: ET.Element) -> None:
     for shape in (*link.findall("visual"), *link.findall("collision")):
-        link.remove(shape)  # urdfdom prints about materials and meshes that nothing here depends on
+        link.remove(shape)
     refuse_twice(link, "inertial")
     inertial = link.find("inertial")
     if inertial is not None:
         refuse_twice(inertial, "mass", "inertia", "origin", owner=f"link '{link.get('name')}'")
-        _mass_and_inertia(link)
+        _numbers(link, "inertial/mass", "value")
+        for key in MOMENTS:
+            _numbers(link, "inertial/inertia", key)
         _check_origin(link, "inertial/origin")
 
 
@@ -197,9 +192,3 @@ def _check_origin(element: ET.Element, path: str) -> None:
     for key in ("xyz", "rpy"):
         if origin is not None and key in origin.attrib:
             _numbers(element, path, key, 3)
-
-
-def _mass_and_inertia(link: ET.Element) -> tuple[float, np.ndarray[Any, Any]]:
-    [mass] = _numbers(link, "inertial/mass", "value")
-    xx, xy, xz, yy, yz, zz = (_numbers(link, "inertial/inertia", key)[0] for key in MOMENTS)
-    return mass, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

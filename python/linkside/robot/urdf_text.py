@@ -61,7 +61,7 @@ def refuse_deep(root: ET.Element) -> None:
 
 
 def numbers(element: ET.Element, path: str, key: str, count: int = 1) -> list[float]:
-    """Read `count` finite numbers from an attribute of the child at `path`, and write them back as they were read."""
+    """Read `count` finite numbers from an attribute of the child at `path`."""
     child = element.find(path)
     text = "" if child is None else child.get(key, "")
     words = text.split()
@@ -70,6 +70,4 @@ def numbers(element: ET.Element, path: str, key: str, count: int = 1) -> list[fl
         number = "a finite number" if count == 1 else f"{count} finite numbers"
         owner = f"{element.tag} '{element.get('name')}'"
         raise ValueError(f"{owner}: expected {number} in <{path} {key}=…>, got '{text}'")
-    assert child is not None  # it has the words
-    child.set(key, " ".join(map(repr, values)))
     return values

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from linkside.arrays import FloatArray
 
 from .robot import Robot
+from .tree import Joint
 
 SAMPLES = 2**15
 """Postures over the workspace."""
@@ -22,26 +21,21 @@ def workspace(robot: Robot) -> FloatArray:
 
 def joint_limits(robot: Robot) -> FloatArray:
     """Least and largest position of each joint, (2, n); a turn, or 2 m, of one without limits."""
-    rows = [_range(robot, name, slides) for name, slides in zip(robot.names, prismatic(robot), strict=True)]
+    rows = [_range(robot.tree.joint(name)) for name in robot.names]
     return np.array(list(zip(*rows, strict=True)))
 
 
 def prismatic(robot: Robot) -> list[bool]:
     """Which joints slide instead of turning."""
-    return [_model(robot, name).shortname().startswith("JointModelP") for name in robot.names]
+    return [robot.tree.joint(name).slides for name in robot.names]
 
 
-def _range(robot: Robot, name: str, slides: bool) -> tuple[float, float]:
+def _range(joint: Joint) -> tuple[float, float]:
     """Limits of a joint; where there are none, or they leave more than a turn, one turn (or 1 m either way)."""
-    joint, model = _model(robot, name), robot.model
-    low, high = float(model.lowerPositionLimit[joint.idx_q]), float(model.upperPositionLimit[joint.idx_q])
-    turn = 1.0 if slides else np.pi
-    bounded = joint.nq == 1 and 0 < high - low < (np.inf if slides else 2 * np.pi)
+    low, high = joint.limits
+    turn = 1.0 if joint.slides else np.pi
+    bounded = 0 < high - low < (np.inf if joint.slides else 2 * np.pi)
     return (low, high) if bounded else (-turn, turn)
-
-
-def _model(robot: Robot, name: str) -> Any:
-    return robot.model.joints[robot.model.getJointId(name)]
 
 
 def sobol(dimensions: int) -> FloatArray:

@@ -13,9 +13,9 @@ from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.recording.estimate import Status
 from linkside.robot import Robot
+from linkside.robot.kinematics import body_poses
 
 from .excerpts import Excerpt
-from .kinematics import body_poses
 
 NUMBER = {"type": "number"}
 TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}

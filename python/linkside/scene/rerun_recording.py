@@ -12,9 +12,9 @@ from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.recording.estimate import Status
 from linkside.robot import Robot
+from linkside.robot.kinematics import body_poses
 
 from .excerpts import Excerpt
-from .kinematics import body_poses
 from .shapes import Looks, Shape, sticks
 
 LINKS, GHOST = "robot/links", "robot/motors"
@@ -32,7 +32,7 @@ def write(robot: Robot, looks: Looks, excerpts: Iterable[Excerpt], path: Path) -
         import rerun as rr
     except ImportError:
         raise EstimatorError(f"{path}: rerun-sdk is needed to write this: pip install linkside[rerun]") from None
-    recording = rr.RecordingStream("linkside", recording_id=robot.model.name or "robot", send_properties=False)
+    recording = rr.RecordingStream("linkside", recording_id=robot.tree.name or "robot", send_properties=False)
     recording.save(path)
     try:
         _Scene(rr, recording, robot, looks).write(excerpts)

@@ -6,15 +6,15 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from linkside.arrays import FloatArray
 from linkside.errors import ConfigError
 from linkside.files.yaml_source import read_text
 from linkside.robot import Robot
+from linkside.robot.rigid import Pose
+from linkside.robot.tree import BASE
 
 MESHES = (".stl", ".obj", ".glb", ".gltf", ".dae")
 """Of files that viewers read."""
@@ -33,7 +33,7 @@ class Shape:
         The joint that moves it; '' for what stands still.
     link : str
         The link of the URDF that it is a shape of.
-    placement : pinocchio.SE3
+    placement : Pose
         In the body's frame.
     kind : {"box", "cylinder", "sphere", "mesh"}
         What it is.
@@ -45,7 +45,7 @@ class Shape:
 
     body: str
     link: str
-    placement: Any
+    placement: Pose
     kind: str
     size: tuple[float, ...]
     mesh: Path | None = None
@@ -69,19 +69,15 @@ class Looks:
 
 def sticks(robot: Robot) -> dict[str, list[FloatArray]]:
     """Ends of lines from each body's origin to the bodies that it carries and the tool, in its frame, by joint."""
-    model = robot.model
-    ends: dict[str, list[FloatArray]] = {name: [] for name in list(model.names)[1:]}
-    for index in range(2, model.njoints):
-        if model.parents[index] > 0:
-            ends[model.names[model.parents[index]]].append(np.array(model.jointPlacements[index].translation))
+    tree = robot.tree
+    ends: dict[str, list[FloatArray]] = {joint.name: [] for joint in tree.joints}
+    for joint in tree.joints:
+        if joint.parent != BASE:
+            ends[tree.joints[joint.parent].name].append(joint.placement.translation)
     if robot.tool is not None:
-        at = next(frame for frame in model.frames if frame.name == robot.tool.link and frame.type in _LINKS)
-        pose = at.placement * pin.SE3(pin.rpy.rpyToMatrix(*robot.tool.rpy), np.array(robot.tool.xyz))
-        ends[model.names[at.parentJoint]].append(np.array(pose.translation))
+        carrier, pose = tree.mount(robot.tool)
+        ends[tree.joints[carrier].name].append(pose.translation)
     return ends
-
-
-_LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
 
 
 def looks(robot: Robot, urdf: str | Path) -> Looks:
@@ -97,21 +93,19 @@ def looks(robot: Robot, urdf: str | Path) -> Looks:
     except ET.ParseError as error:
         raise ConfigError(f"{urdf}: not valid XML: {error}") from None
     found = Looks()
-    for frame in robot.model.frames:
-        if frame.type != pin.FrameType.BODY:
-            continue
-        link = root.find(f"link[@name='{frame.name}']") if "'" not in frame.name else None
-        body = robot.model.names[frame.parentJoint] if frame.parentJoint > 0 else ""
-        for visual in [] if link is None else link.findall("visual"):
-            placement = frame.placement * _origin(visual.find("origin"))
+    for link in robot.tree.links:
+        element = root.find(f"link[@name='{link.name}']") if link.shaped and "'" not in link.name else None
+        body = "" if link.joint == BASE else robot.tree.joints[link.joint].name
+        for visual in [] if element is None else element.findall("visual"):
+            placement = link.placement * _origin(visual.find("origin"))
             for shape in _shape(visual, Path(urdf), found.missing):
-                found.shapes.append(Shape(body, frame.name, placement, *shape))
+                found.shapes.append(Shape(body, link.name, placement, *shape))
     return found
 
 
-def _origin(origin: ET.Element | None) -> Any:
+def _origin(origin: ET.Element | None) -> Pose:
     xyz, rpy = (_numbers(None if origin is None else origin.get(key), 3) or (0.0, 0.0, 0.0) for key in ("xyz", "rpy"))
-    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz))
+    return Pose.of(xyz, rpy)
 
 
 def _shape(visual: ET.Element, urdf: Path, missing: list[str]) -> Iterator[tuple[str, tuple[float, ...], Path | None]]:

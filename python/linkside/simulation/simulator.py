@@ -19,10 +19,11 @@ from linkside.arrays import FloatArray
 from linkside.channels import CHANNELS
 from linkside.control.controllers import Controller, State, law_of
 from linkside.errors import EstimatorError
+from linkside.files.tables import ArrowTable
 from linkside.files.writing import writing
 from linkside.kalman.elastic_joint import ElasticJointFilter
 from linkside.observers.acceleration import AccelerationObserver
-from linkside.recording.layout import OF_MOTORS, Layout, signal_columns
+from linkside.recording.layout import as_columns
 from linkside.recording.log import Log
 from linkside.recording.motors import encoder_readings
 from linkside.recording.writer import EstimateWriter
@@ -30,6 +31,7 @@ from linkside.robot import Robot
 from linkside.robot.encoders import EncoderReading
 from linkside.robot.requirements import refuse_unsupported
 from linkside.robot.sensors import Lateness
+from linkside.robot.wrenches import AXES, reading_noise
 
 Truth: TypeAlias = dict[str, FloatArray]
 FeedbackSource: TypeAlias = bool | tuple[_core.ElasticJointFilter, list[int]] | _core.AccelerationObserver
@@ -76,7 +78,8 @@ class Simulation:
         The recording: sensors, and motor torques, each held from its sample until the next.
     truth
         Columns ``t`` (T,), ``q``, ``dq``, ``ddq``, ``theta``, ``dtheta`` (T, n), ``tool`` (T, 3) if there is one, and
-        ``push`` (T, n) where links were pushed, ``d_<joint>`` in files.
+        ``push`` (T, n) where links were pushed, ``d_<joint>`` in files, ``wrench`` (T, 6k) where robot.yaml has
+        wrenches that vary, ``<wrench>_fx`` to ``<wrench>_mz`` in files.
         Accelerations are those just before the torque changes.
     known
         What the controller knew of the robot, (T, n) each.
@@ -101,6 +104,9 @@ class Simulation:
             columns |= {f"{signal}_{name}": self.truth[signal][:, j] for j, name in enumerate(self.robot.names)}
         if "push" in self.truth:
             columns |= {f"d_{name}": self.truth["push"][:, j] for j, name in enumerate(self.robot.names)}
+        if "wrench" in self.truth:
+            names = (column for wrench in self.robot.varying_wrenches for column in wrench.columns)
+            columns |= dict(zip(names, self.truth["wrench"].T, strict=True))
         if "tool" in self.truth:
             columns |= {f"tool_{axis}": self.truth["tool"][:, i] for i, axis in enumerate("xyz")}
         with writing(Path(folder)):
@@ -108,22 +114,12 @@ class Simulation:
         paths = (Path(folder) / f"{name}{suffix}" for name in ("log", "truth"))
         log, truth = map(EstimateWriter, paths)
         with log, truth:
-            log.write(_Columns(self._table))
-            truth.write(_Columns(columns))
+            log.write(ArrowTable(pa.table(self._table), "simulation"))
+            truth.write(ArrowTable(pa.table(columns), "simulation"))
 
     def __repr__(self) -> str:
         """Robot, log and truth in one line."""
         return f"Simulation({self.robot!r}, {self.log!r}, truth: {' '.join(self.truth)})"
-
-
-@dataclass(frozen=True)
-class _Columns:
-    """Columns as they are written."""
-
-    columns: dict[str, FloatArray]
-
-    def to_arrow(self) -> pa.Table:
-        return pa.table(self.columns)
 
 
 def simulate(
@@ -146,6 +142,7 @@ def simulate(
     keep_every: int = 1,
     seed: int = 0,
     push: npt.ArrayLike | None = None,
+    wrench: npt.ArrayLike | None = None,
 ) -> Simulation:
     """Move a robot under a controller, from rest unless said otherwise.
 
@@ -191,6 +188,9 @@ def simulate(
     push : (n,) or (T, n)
         Torque on each link from outside [N m]: contact, a payload, whatever the robot does not know. All the time, or
         at each sample, straight in between; between samples a link is pushed as in the middle.
+    wrench : (6k,) or (T, 6k)
+        What the k wrenches of robot.yaml that vary are, likewise: of each, force [N] and moment [N m] in its frame.
+        None: zero. Those that are measured are in the log, with their sensors' noise.
 
     Raises
     ------
@@ -213,7 +213,9 @@ def simulate(
         "seed": whole("seed", seed),
         **{name: None if value is None else sized(name, value, robot.n).tolist() for name, value in start.items()},
     }
-    settings["push"] = None if push is None else _push(push, robot.n, settings["count"], settings["period"])
+    numbers_of = {"push": (push, robot.n), "wrench": (wrench, len(AXES) * len(robot.varying_wrenches))}
+    for name, (path, width) in numbers_of.items():
+        settings[name] = None if path is None else _path(name, path, width, settings["count"], settings["period"])
     channels = [dataclasses.asdict(channel) for kind in SIGNALS for channel in models[kind]]
     source = _feedback_source(feedback, robot, 1.0 / rate)
     result = _core.simulate(robot.core, settings, channels, source, law_of(controller, robot))
@@ -221,13 +223,13 @@ def simulate(
     return _assemble(robot, result, lines, left_out=EXTRA - set(sensors or {}) - set(_declared(robot)))
 
 
-def _push(push: npt.ArrayLike, n: int, count: int, period: float) -> dict[str, Any]:
-    """Torques from outside, as the core takes a path in time."""
-    torque = numbers("push", push)
-    if torque.shape not in ((n,), (count, n)):
-        raise EstimatorError(f"push has shape {torque.shape}, expected ({n},) or ({count}, {n})")
-    times = period * np.arange(count if torque.ndim == 2 else 1)
-    return {"times": times.tolist(), "values": torque.ravel().tolist(), "width": n}
+def _path(name: str, path: npt.ArrayLike, n: int, count: int, period: float) -> dict[str, Any]:
+    """What acts from outside, as the core takes a path in time."""
+    values = numbers(name, path)
+    if values.shape not in ((n,), (count, n)):
+        raise EstimatorError(f"{name} has shape {values.shape}, expected ({n},) or ({count}, {n})")
+    times = period * np.arange(count if values.ndim == 2 else 1)
+    return {"times": times.tolist(), "values": values.ravel().tolist(), "width": n}
 
 
 def _stepping(integrator: str, substeps: int, rtol: float | None, atol: float | None) -> dict[str, Any]:
@@ -270,16 +272,7 @@ def _assemble(robot: Robot, result: Truth, lines: Lines, *, left_out: set[str]) 
     for kind in left_out:
         del signals[kind]
     signals |= encoder_readings(signals, lines)
-    columns = signal_columns(robot)
-    driven = {s: ~robot.passive if s in OF_MOTORS else np.ones(len(columns[s]), bool) for s in ("t", *signals)}
-    there = [column for s, own in driven.items() for column, kept in zip(columns[s], own, strict=True) if kept]
-    signals = Layout.of(robot, there, "simulation").as_recorded({"t": result["t"], **signals})
-    table = {
-        column: np.ascontiguousarray(values)
-        for signal, array in signals.items()
-        for column, values in zip(columns[signal], np.atleast_2d(array.T), strict=True)
-        if column in there
-    }
+    table = as_columns(robot, {"t": result["t"], **signals}, "simulation")
     known = State(*np.split(result.pop("known"), 4, axis=1))
     return Simulation(robot, Log.from_table(table, robot, "simulation", check=False), result, known, table)
 
@@ -298,6 +291,7 @@ def _declared(robot: Robot) -> dict[str, list[Sensor]]:
     declared = {"theta": [Sensor(resolution=config.encoder.resolution)] * n}
     for signal, carriers in (("acceleration", robot.accelerometers), ("rate", robot.gyroscopes)):
         declared[signal] = [_late(s, noise=s.noise_std) for s in carriers for _ in s.axes]
+    declared["wrench"] = [Sensor(noise=float(noise)) for noise in reading_noise(robot.varying_wrenches)]
     if config.link_encoder is not None:
         declared["q"] = [_late(config.link_encoder, resolution=config.link_encoder.resolution)] * n
     if config.joint_torque is not None:

@@ -82,6 +82,8 @@ typedef struct LinksideSample {
   const double *torque;
   // Commanded link accelerations [rad/s²].
   const double *ddqref;
+  // Forces and moments from outside that sensors measure, six numbers each [N, N m].
+  const double *wrench;
 } LinksideSample;
 
 #ifdef __cplusplus
@@ -129,7 +131,8 @@ enum LinksideResult linkside_step(struct LinksideEstimator *estimator, const str
 enum LinksideResult linkside_reset(struct LinksideEstimator *estimator);
 
 // A part of the estimate by name: `t`, `q`, `dq`, `ddq`, `theta`, `dtheta`, `tool_position`; of filters also `q_std`, `tool_std`,
-// `disturbance`, `disturbance_std`, `nis`, `log_likelihood`, `used`, `state`; of velocity observers `level`.
+// `disturbance`, `disturbance_std`, `wrench`, `wrench_std`, `nis`, `log_likelihood`, `used`, `state`; of velocity observers
+// `level`.
 //
 // Null of a name that the estimator does not have. The pointer, and `*length`, stay valid until `linkside_free`: ask once,
 // before the loop. NaN before there is an estimate.

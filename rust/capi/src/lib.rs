@@ -2,6 +2,15 @@
 //!
 //! Each function checks its pointers, lets no panic through, and is otherwise a call of
 //! [`linkside_compiled::Estimator`].
+// Nothing a user gives makes a panic: what cannot fail says why where it is.
+#![deny(
+    clippy::expect_used,
+    clippy::panic,
+    clippy::todo,
+    clippy::unimplemented,
+    clippy::unreachable,
+    clippy::unwrap_used
+)]
 #![allow(unsafe_code)] // pointers from C
 
 mod guard;
@@ -86,6 +95,8 @@ pub struct LinksideSample {
     pub torque: *const f64,
     /// Commanded link accelerations [rad/s²].
     pub ddqref: *const f64,
+    /// Forces and moments from outside that sensors measure, six numbers each [N, N m].
+    pub wrench: *const f64,
 }
 
 thread_local! {
@@ -211,7 +222,8 @@ pub unsafe extern "C" fn linkside_reset(estimator: *mut LinksideEstimator) -> Li
 }
 
 /// A part of the estimate by name: `t`, `q`, `dq`, `ddq`, `theta`, `dtheta`, `tool_position`; of filters also `q_std`, `tool_std`,
-/// `disturbance`, `disturbance_std`, `nis`, `log_likelihood`, `used`, `state`; of velocity observers `level`.
+/// `disturbance`, `disturbance_std`, `wrench`, `wrench_std`, `nis`, `log_likelihood`, `used`, `state`; of velocity observers
+/// `level`.
 ///
 /// Null of a name that the estimator does not have. The pointer, and `*length`, stay valid until `linkside_free`: ask once,
 /// before the loop. NaN before there is an estimate.

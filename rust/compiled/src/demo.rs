@@ -63,6 +63,7 @@ fn robot() -> Robot {
         counterbalances: vec![],
         gearing: (vec![], vec![]),
         followers: vec![],
+        wrenches: vec![],
     }
 }
 

@@ -175,6 +175,7 @@ impl Estimator {
     }
 
     /// Forgets all samples: the next one starts anew.
+    #[expect(clippy::expect_used, reason = "the same settings began when it was made")]
     pub fn reset(&mut self) {
         match (&mut self.method, &self.description.estimator) {
             (Working::Observer(observer), Method::Observer(settings)) => {

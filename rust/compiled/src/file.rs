@@ -98,6 +98,7 @@ impl Description {
 
     /// The bytes of its file.
     pub fn to_bytes(&self) -> Vec<u8> {
+        #[expect(clippy::expect_used, reason = "writing into memory does not fail")]
         let content = minicbor_serde::to_vec(self).expect("memory takes all that is written");
         framed(VERSION, &content)
     }

@@ -175,7 +175,7 @@ impl<M: Driven> Filter<M> {
 }
 
 fn signals(row: &FilterOutput) -> impl Iterator<Item = (&'static str, &[f64])> {
-    let all: [(_, &[f64]); 12] = [
+    let all: [(_, &[f64]); 14] = [
         ("q", &row.q),
         ("dq", &row.dq),
         ("ddq", &row.ddq),
@@ -184,6 +184,8 @@ fn signals(row: &FilterOutput) -> impl Iterator<Item = (&'static str, &[f64])> {
         ("q_std", &row.q_std),
         ("disturbance", &row.disturbance),
         ("disturbance_std", &row.disturbance_std),
+        ("wrench", &row.wrench),
+        ("wrench_std", &row.wrench_std),
         ("tool_position", &row.tool),
         ("tool_std", &row.tool_std),
         ("nis", &row.nis),

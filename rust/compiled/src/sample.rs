@@ -30,6 +30,8 @@ pub struct Sample<'a> {
     pub torque: &'a [f64],
     /// Commanded link accelerations (n) [rad/s²].
     pub ddqref: &'a [f64],
+    /// Forces and moments from outside that sensors measure (6 each) [N, N m].
+    pub wrench: &'a [f64],
 }
 
 /// A signal of a [`Sample`].
@@ -46,11 +48,12 @@ pub enum Signal {
     Ddq,
     Torque,
     Ddqref,
+    Wrench,
 }
 
 impl Signal {
     /// All of them.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Theta,
         Self::Dtheta,
         Self::Tau,
@@ -61,6 +64,7 @@ impl Signal {
         Self::Ddq,
         Self::Torque,
         Self::Ddqref,
+        Self::Wrench,
     ];
 
     /// What columns of a log begin with.
@@ -76,6 +80,7 @@ impl Signal {
             Self::Ddq => "ddq",
             Self::Torque => "torque",
             Self::Ddqref => "ddqref",
+            Self::Wrench => "wrench",
         }
     }
 
@@ -94,6 +99,7 @@ impl Signal {
             Kind::Link => Self::Q,
             Kind::Torque => Self::Torque,
             Kind::LinkVelocity => Self::Dq,
+            Kind::Wrench => Self::Wrench,
         }
     }
 
@@ -110,6 +116,7 @@ impl Signal {
             Self::Ddq => sample.ddq,
             Self::Torque => sample.torque,
             Self::Ddqref => sample.ddqref,
+            Self::Wrench => sample.wrench,
         }
     }
 

@@ -28,6 +28,15 @@
 //!
 //! Filters and observers have `step` for a sample in a control loop and `run` for a recording, with the same bits; errors come before
 //! anything has changed. Arrays are row-major, one row a sample; NaN is a reading that is missing.
+// Nothing a user gives makes a panic: what cannot fail says why where it is.
+#![deny(
+    clippy::expect_used,
+    clippy::panic,
+    clippy::todo,
+    clippy::unimplemented,
+    clippy::unreachable,
+    clippy::unwrap_used
+)]
 
 mod check;
 pub mod control;

@@ -77,6 +77,7 @@ pub(crate) fn run_all<'py, M: Phases>(
 pub(crate) fn into_dict<'py>(py: Python<'py>, o: FilterOutput, model: &impl Model) -> PyResult<Bound<'py, PyDict>> {
     let out = PyDict::new(py);
     let (n, m, states, count) = (model.robot().len(), model.channels(), model.states(), o.status.len());
+    let wrenches = model.robot().wrench_states();
     let put = |name: &str, values: Vec<f64>, shape: &[usize]| {
         let shape: Vec<usize> = core::iter::once(count).chain(shape.iter().copied()).collect();
         out.set_item(name, shaped(py, values, shape)?)
@@ -88,6 +89,10 @@ pub(crate) fn into_dict<'py>(py: Python<'py>, o: FilterOutput, model: &impl Mode
     if !o.disturbance.is_empty() {
         put("disturbance", o.disturbance, &[n])?;
         put("disturbance_std", o.disturbance_std, &[n])?;
+    }
+    if !o.wrench.is_empty() {
+        put("wrench", o.wrench, &[wrenches])?;
+        put("wrench_std", o.wrench_std, &[wrenches])?;
     }
     if model.robot().tool.is_some() {
         put("tool_position", o.tool, &[3])?;

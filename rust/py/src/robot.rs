@@ -87,6 +87,10 @@ impl Robot {
         self.positions(&q, [self.0.len()], Batch::gravity_torque)
     }
 
+    fn wrench_map<'py>(&self, q: Input<'py>) -> Output<'py> {
+        self.positions(&q, [self.0.len(), self.0.wrench_states()], Batch::wrench_map)
+    }
+
     fn link_friction<'py>(&self, dq: Input<'py>, load: Input<'py>) -> Output<'py> {
         let n = self.0.len();
         let (velocities, load) = (rows("dq", &dq, n)?, counted("load", &load, n, dq.shape()[0])?);

@@ -12,8 +12,8 @@ use linkside_core::control::{
 use linkside_core::error::{DesignError, SimulationError};
 use linkside_core::estimate::measurement::Kind;
 use linkside_core::simulate::{
-    self as core, Feedback, FilterFeedback, ObserverFeedback, Plan, SensorFeedback, SensorModel, SimulatedRecording,
-    SimulationStart, StepTolerance, Stepping, Suite, TrueState,
+    self as core, Feedback, FilterFeedback, ObserverFeedback, Outside, Plan, SensorFeedback, SensorModel,
+    SimulatedRecording, SimulationStart, StepTolerance, Stepping, Suite, TrueState,
 };
 use numpy::PyArray1;
 use pyo3::exceptions::PyException;
@@ -39,6 +39,8 @@ pub(crate) struct SimulationFields {
     tau: Option<Vec<f64>>,
     /// Torques from outside on the links.
     push: Option<Knots>,
+    /// Varying wrenches.
+    wrench: Option<Knots>,
 }
 
 #[derive(FromPyObject)]
@@ -166,7 +168,7 @@ struct Job {
     robot: Arc<linkside_core::robot::Robot>,
     plan: Plan,
     start: SimulationStart,
-    push: Option<Reference>,
+    outside: Outside,
     suite: Suite,
 }
 
@@ -180,7 +182,10 @@ impl Job {
             robot: Arc::clone(&robot.0),
             suite: Suite::new(&robot.0, &models, s.period, s.seed)?,
             plan: Plan { period: s.period, count: s.count, stepping, keep_every: s.keep_every },
-            push: s.push.map(Knots::build).transpose()?,
+            outside: Outside {
+                push: s.push.map(Knots::build).transpose()?,
+                wrench: s.wrench.map(Knots::build).transpose()?,
+            },
             start: SimulationStart { q: s.q, dq: s.dq, theta: s.theta, dtheta: s.dtheta, tau: s.tau },
         })
     }
@@ -227,8 +232,10 @@ impl Job {
         mut feedback: impl Feedback + Send,
         controller: &mut (dyn Controller + Send),
     ) -> PyResult<Result<SimulatedRecording, SimulationError>> {
-        let Self { robot, plan, start, push, suite } = self;
-        py.release(|| Ok::<_, DesignError>(core::simulate(&robot, start, plan, push, suite, &mut feedback, controller)))
+        let Self { robot, plan, start, outside, suite } = self;
+        py.release(|| {
+            Ok::<_, DesignError>(core::simulate(&robot, start, plan, outside, suite, &mut feedback, controller))
+        })
     }
 }
 
@@ -259,6 +266,9 @@ fn into_dict<'py>(
     }
     if !recording.push.is_empty() {
         out.set_item("push", shaped(py, recording.push, vec![count, n])?)?;
+    }
+    if !recording.wrench.is_empty() {
+        out.set_item("wrench", shaped(py, recording.wrench, vec![count, robot.wrench_states()])?)?;
     }
     for (name, values, width) in [
         ("readings", recording.readings, channels),

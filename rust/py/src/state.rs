@@ -17,6 +17,8 @@ pub(crate) struct State {
     /// q, q̇, q̈, θ, θ̇, standard deviations of q, disturbance torques and theirs, n each; what there is not is left out from
     /// the end.
     joints: Box<[f64]>,
+    /// Varying wrenches, then their standard deviations.
+    wrench: Box<[f64]>,
     tool: Option<[f64; 3]>,
     tool_std: Option<[f64; 3]>,
     /// Normalised innovation squared.
@@ -50,6 +52,7 @@ impl State {
             status,
             n,
             joints: joints.into(),
+            wrench: Box::default(),
             tool: None,
             tool_std: None,
             nis: None,
@@ -70,8 +73,11 @@ impl State {
         {
             joints.extend_from_slice(&part[i * n..][..n]);
         }
+        let width = rows.wrench.len() / rows.status.len();
+        let wrench = [&rows.wrench, &rows.wrench_std].map(|part| &part[i * width..][..width]).concat();
         let three = |values: &[f64]| values.chunks_exact(3).nth(i).and_then(|row| row.first_chunk().copied());
         Self {
+            wrench: wrench.into(),
             tool: three(&rows.tool),
             tool_std: three(&rows.tool_std),
             nis: Some(rows.nis[i]),
@@ -174,6 +180,18 @@ impl State {
     #[getter]
     fn disturbance_std<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<f64>>> {
         self.part(py, DISTURBANCE + 1)
+    }
+
+    #[getter]
+    fn wrench<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<f64>>> {
+        let (mean, _) = self.wrench.split_at(self.wrench.len() / 2);
+        (!mean.is_empty()).then(|| PyArray1::from_slice(py, mean))
+    }
+
+    #[getter]
+    fn wrench_std<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<f64>>> {
+        let (_, std) = self.wrench.split_at(self.wrench.len() / 2);
+        (!std.is_empty()).then(|| PyArray1::from_slice(py, std))
     }
 
     #[getter]

@@ -57,7 +57,7 @@ def turns(robot: Robot) -> list[tuple[float, ...]]:
 
 def sliding(robot: Robot) -> list[bool]:
     """Which joints are prismatic."""
-    return [robot.model.joints[robot.model.getJointId(n)].shortname().startswith("JointModelP") for n in robot.names]
+    return [robot.tree.joint(name).slides for name in robot.names]
 
 
 def jumps(view: View, signal: str, index: int, least: float) -> Jumps:
@@ -140,8 +140,7 @@ def joint_limits(robot: Robot) -> tuple[FloatArray, FloatArray]:
     """Least and largest position of each joint, infinite where the URDF gives none, two of (n,)."""
     lower, upper = np.full(robot.n, -np.inf), np.full(robot.n, np.inf)
     for index, name in enumerate(robot.names):
-        joint = robot.model.joints[robot.model.getJointId(name)]
-        low, high = robot.model.lowerPositionLimit[joint.idx_q], robot.model.upperPositionLimit[joint.idx_q]
-        if joint.nq == 1 and low < high < UNLIMITED:
+        low, high = robot.tree.joint(name).limits
+        if low < high < UNLIMITED:
             lower[index], upper[index] = low, high
     return lower, upper

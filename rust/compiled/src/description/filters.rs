@@ -48,6 +48,9 @@ pub struct JerkFilter {
     /// How disturbance torques of links wander, where they have any.
     #[serde(default)]
     pub link_disturbance: Option<LinkDisturbance>,
+    /// How varying wrenches on links wander.
+    #[serde(default)]
+    pub wrenches: Wrenches,
     /// Where it starts; none: from rest.
     #[serde(default)]
     pub start: Option<Belief>,
@@ -80,6 +83,9 @@ pub struct ElasticFilter {
     pub points: Option<String>,
     #[serde(default)]
     pub link_disturbance: Option<LinkDisturbance>,
+    /// How varying wrenches on links wander.
+    #[serde(default)]
+    pub wrenches: Wrenches,
     #[serde(default)]
     pub start: Option<Belief>,
 }
@@ -126,6 +132,15 @@ pub struct LinkDisturbance {
     pub time: f64,
 }
 
+/// How varying wrenches wander; see [`kalman::WrenchLaw`].
+#[derive(Clone, Debug, Default, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs)]
+pub struct Wrenches {
+    pub initial: Vec<f64>,
+    pub walk: Vec<f64>,
+}
+
 /// A parameter's kind, its joint or sensor, its axis, and its standard deviation.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct Tolerance(pub String, pub usize, pub usize, pub f64);
@@ -150,9 +165,8 @@ impl JerkFilter {
     /// Settings that do not fit `robot`, or are out of range.
     pub fn build(&self, robot: &Arc<Robot>) -> Result<ExtendedKalmanFilter<JerkDriven>, BuildError> {
         let mut model = JerkModel::new(Arc::clone(robot), &kinds(&self.kinds)?, &self.biased)?;
-        if let Some(law) = &self.link_disturbance {
-            model = model.with_disturbances(law.clone().into())?;
-        }
+        let torques = self.link_disturbance.clone().map(Into::into);
+        model = model.with_disturbances(torques, self.wrenches.clone().into())?;
         let model = JerkDriven::new(model, self.noise.clone().into(), self.damping)?
             .with_tolerances(tolerances(robot, &self.tolerances, &self.correlations)?)
             .with_late(&late(&self.late)?)?;
@@ -180,9 +194,15 @@ impl ElasticFilter {
             discretization: if self.first_order { Discretization::FirstOrder } else { Discretization::Exact },
         };
         let links = self.link_disturbance.clone().map(Into::into);
-        let model = ElasticModel::disturbed(Arc::clone(robot), &settings, self.noise.clone().into(), links)?
-            .with_tolerances(tolerances(robot, &self.tolerances, &self.correlations)?)
-            .with_late(&late(&self.late)?)?;
+        let model = ElasticModel::disturbed(
+            Arc::clone(robot),
+            &settings,
+            self.noise.clone().into(),
+            links,
+            self.wrenches.clone().into(),
+        )?
+        .with_tolerances(tolerances(robot, &self.tolerances, &self.correlations)?)
+        .with_late(&late(&self.late)?)?;
         filter(
             model,
             FilterSettings { gate: self.gate, iterations: self.iterations },
@@ -214,6 +234,13 @@ impl From<ElasticNoise> for kalman::ElasticNoise {
             initial: n.initial,
             initial_bias: n.initial_bias,
         }
+    }
+}
+
+impl From<Wrenches> for kalman::WrenchLaw {
+    fn from(law: Wrenches) -> Self {
+        let Wrenches { initial, walk } = law;
+        Self { initial, walk }
     }
 }
 

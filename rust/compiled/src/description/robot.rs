@@ -4,9 +4,9 @@ use super::BuildError;
 use linkside_core::dynamics::check_inertia;
 use linkside_core::error::RobotError;
 use linkside_core::robot::{
-    self, Anchor, Backlash, BodySpec, Counterbalance, Frame, Friction, FrictionElement, GasSpring, Harmonic,
+    self, Acting, Anchor, Backlash, BodySpec, Counterbalance, Frame, Friction, FrictionElement, GasSpring, Harmonic,
     Hysteresis, Interpolation, JointKind, LoadFriction, Ripple, SoftWindup, SpringCurve, Strut, TorqueHarmonic,
-    TorqueSeries, Tree,
+    TorqueSeries, Tree, Wrench as CoreWrench,
 };
 use linkside_core::spatial::{Mat3, Vec3};
 use serde::{Deserialize, Serialize};
@@ -44,6 +44,9 @@ pub struct Robot {
     /// Which joint each body beyond those of joints follows, by which ratio and from which offset.
     #[serde(default)]
     pub followers: Vec<(usize, f64, f64)>,
+    /// What acts on links from outside.
+    #[serde(default)]
+    pub wrenches: Vec<Wrench>,
 }
 
 /// A moving body; see [`BodySpec`].
@@ -135,6 +138,18 @@ pub struct Rotor {
     pub ratio: f64,
 }
 
+/// A force and a moment on a link; see [`linkside_core::robot::Wrench`].
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Wrench {
+    /// Its frame.
+    pub place: Place,
+    /// Its numbers; none: it varies.
+    pub constant: Option<[f64; 6]>,
+    /// Whether a sensor measures it.
+    pub measured: bool,
+}
+
 /// A strut between two points, or a series of torques on joints; each with what the other has not, empty.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
@@ -167,6 +182,7 @@ impl Robot {
             ("gyroscopes", self.gyroscopes.len()),
             ("rotors", self.rotors.len()),
             ("counterbalances", self.counterbalances.len()),
+            ("wrenches", self.wrenches.len()),
         ];
         for (what, found) in parts {
             BuildError::limit(what, found, MOST_PARTS)?;
@@ -184,10 +200,12 @@ impl Robot {
         let tool = self.tool.as_ref().map(|tool| tool.build("tool", &tree)).transpose()?;
         let drives = self.drives.iter().map(Drive::build).collect::<Result<_, _>>()?;
         let counterbalances: Vec<_> = self.counterbalances.iter().map(Balance::build).collect();
+        let wrenches = self.wrenches.iter().map(|one| one.build(&tree)).collect::<Result<_, _>>()?;
         let robot = robot::Robot::new(tree, drives, self.coupling.concat(), accelerometers, gyroscopes, tool)?
             .with_counterbalances(&counterbalances)?
             .with_rotors(self.rotors.iter().map(Rotor::build).collect())?
-            .with_gearing(self.gearing.0.clone(), &self.gearing.1)?;
+            .with_gearing(self.gearing.0.clone(), &self.gearing.1)?
+            .with_wrenches(wrenches)?;
         check_inertia(&robot)?;
         Ok(robot)
     }
@@ -250,6 +268,13 @@ impl Drive {
 impl Place {
     fn build(&self, owner: &str, tree: &Tree) -> Result<Frame, RobotError> {
         tree.frame(owner, self.body, &Mat3::from_rows(self.rotation), &Vec3(self.translation))
+    }
+}
+
+impl Wrench {
+    fn build(&self, tree: &Tree) -> Result<CoreWrench, RobotError> {
+        let acting = self.constant.map_or(Acting::Varying { measured: self.measured }, Acting::Constant);
+        Ok(CoreWrench { frame: self.place.build("wrench", tree)?, acting })
     }
 }
 

@@ -138,6 +138,15 @@ impl<'a> Batch<'a> {
         self.inverse_dynamics(States { q, dq: &zero, ddq: &zero }, out);
     }
 
+    /// What each number of the varying wrenches adds to each joint's torque, Jᵀ: n × numbers a sample.
+    pub fn wrench_map(&mut self, q: &[f64], out: &mut [f64]) {
+        let (n, numbers) = (self.robot.len(), self.robot.wrench_states());
+        self.each_position(q, out, n * numbers, |b, out| {
+            out.fill(0.0);
+            b.kinematics.wrench_map(&b.robot.tree, |number, joint, by| out[joint * numbers + number] += by);
+        });
+    }
+
     /// M(q): n × n a sample.
     pub fn mass_matrix(&mut self, q: &[f64], out: &mut [f64]) {
         self.each_position(q, out, self.robot.len().pow(2), |b, mass| {

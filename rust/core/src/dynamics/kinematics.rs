@@ -1,5 +1,6 @@
 //! Poses, axes, velocities and accelerations of all bodies, in the base frame.
 
+use super::wrenches::Applied;
 use crate::robot::{JointKind, Tree};
 use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
@@ -48,12 +49,14 @@ pub struct Kinematics<T> {
     pub(crate) bodies: Vec<BodyState<T>>,
     /// Moments of mass in the bodies' own frames, where they are not those of the tree; else empty.
     masses: Vec<Inertia<T>>,
+    /// Forces from outside, one each of the tree's wrenches.
+    pub(super) wrenches: Vec<Applied<T>>,
 }
 
 impl<T: Scalar> Kinematics<T> {
     /// Room for `tree`.
     pub fn new(tree: &Tree) -> Self {
-        Self { bodies: vec![BodyState::default(); tree.bodies.len()], masses: Vec::new() }
+        Self { bodies: vec![BodyState::default(); tree.bodies.len()], masses: Vec::new(), wrenches: Applied::all(tree) }
     }
 
     /// Computes with `masses`, the moments of each body's mass in its own frame, in place of the tree's: so that loads

@@ -1,6 +1,6 @@
 //! Torques and matrices of the equations of motion, from composite moments gathered towards the base.
 
-use super::{Kinematics, counterbalances};
+use super::{Kinematics, counterbalances, wrenches};
 use crate::robot::Tree;
 use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
@@ -44,11 +44,14 @@ impl<T: Scalar> Loads<T> {
         Self { composites: vec![Composite::default(); tree.bodies.len()] }
     }
 
-    /// Inverse dynamics: τ (n) for the state of `k`, counterbalances included. Recursive Newton–Euler, O(n).
+    /// Inverse dynamics: τ (n) for the state of `k`, counterbalances and wrenches from outside included. Recursive Newton–Euler, O(n).
     #[inline(always)]
     pub fn inverse_dynamics_into(&mut self, tree: &Tree, k: &Kinematics<T>, tau: &mut [T]) {
         self.load_of_masses_into(tree, k, tau);
         counterbalances::load(k, tree, tau);
+        if !k.wrenches.is_empty() {
+            wrenches::load(k, tree, tau);
+        }
     }
 
     /// The same of masses alone, in which it is linear.
@@ -224,5 +227,9 @@ impl<T: Scalar> Kernel for Derivatives<'_, T> {
         }
         counterbalances::load(k, tree, tau);
         counterbalances::stiffen(k, tree, by_q);
+        if !k.wrenches.is_empty() {
+            wrenches::load(k, tree, tau);
+            wrenches::stiffen(k, tree, by_q);
+        }
     }
 }

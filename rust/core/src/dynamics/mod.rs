@@ -22,6 +22,7 @@ mod kinematics;
 mod loads;
 mod newton_euler;
 mod sensing;
+mod wrenches;
 
 pub use batch::{Batch, DrivenStates, States};
 pub use definite::check_inertia;

@@ -2,6 +2,7 @@
 //! [`Loads`](super::Loads), which derivatives and matrices need.
 
 use super::counterbalances::{self, Pose, Posture};
+use super::wrenches::{Applied, apply};
 use crate::robot::{Body, Frame, JointKind, Tree};
 use crate::scalar::Scalar;
 use crate::spatial::{Inertia, Mat3, Vec3};
@@ -66,12 +67,14 @@ impl<T: Scalar> Carried<T> {
 pub struct NewtonEuler<T> {
     /// One a body, in the order of the tree.
     bodies: Vec<Moving<T>>,
+    /// Forces from outside, one each of the tree's wrenches.
+    wrenches: Vec<Applied<T>>,
 }
 
 impl<T: Scalar> NewtonEuler<T> {
     /// Room for `tree`.
     pub fn new(tree: &Tree) -> Self {
-        Self { bodies: vec![Moving::default(); tree.bodies.len()] }
+        Self { bodies: vec![Moving::default(); tree.bodies.len()], wrenches: Applied::all(tree) }
     }
 
     /// Moves all bodies; positions, velocities and accelerations of length n, in the order of the log.
@@ -91,11 +94,22 @@ impl<T: Scalar> NewtonEuler<T> {
         }
     }
 
+    /// Lets the varying wrenches be `values`, six numbers each.
+    #[inline(always)]
+    pub(crate) fn apply_wrenches(&mut self, tree: &Tree, values: &[T]) {
+        apply(tree, values, &mut self.wrenches);
+    }
+
     /// τ (n) for the state that was set.
     #[inline(always)]
     pub fn inverse_dynamics_into(&mut self, tree: &Tree, tau: &mut [T]) {
         for (moving, body) in self.bodies.iter_mut().zip(&tree.bodies) {
             moving.load(&body.inertia);
+        }
+        for applied in &self.wrenches {
+            let moving = &mut self.bodies[applied.body];
+            moving.force -= applied.force;
+            moving.moment -= applied.moment;
         }
         tau.fill(T::default());
         for (i, body) in tree.bodies.iter().enumerate().rev() {

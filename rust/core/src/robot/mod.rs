@@ -5,6 +5,7 @@ mod drive;
 mod gearing;
 mod rotor;
 mod tree;
+mod wrench;
 
 pub use counterbalance::{Anchor, Counterbalance, GasSpring, Strut, TorqueHarmonic, TorqueSeries};
 pub(crate) use counterbalance::{Linkage, Support, add_angles};
@@ -16,6 +17,7 @@ pub use drive::{
 pub use gearing::Gearing;
 pub use rotor::Rotor;
 pub use tree::{Body, BodySpec, Frame, JointKind, Tree};
+pub use wrench::{Acting, WRENCH, Wrench};
 
 use crate::check::{expect_of, expect_parts};
 use crate::error::RobotError;

@@ -1,7 +1,7 @@
 //! The kinematic tree, compiled: bodies in topological order, every joint along or about its own z axis.
 
 use super::counterbalance::Support;
-use super::{Drive, Rotor};
+use super::{Drive, Rotor, Wrench};
 use crate::check::expect_of;
 use crate::error::RobotError;
 use crate::scalar::Scalar;
@@ -89,6 +89,8 @@ pub struct Tree {
     pub(crate) gravity: Vec3<f64>,
     /// What carries part of the weight.
     pub(crate) supports: Vec<Support>,
+    /// What acts on links from outside.
+    pub(crate) wrenches: Vec<Wrench>,
 }
 
 impl Tree {
@@ -117,7 +119,7 @@ impl Tree {
             };
             bodies.push(compile(body, spec, &carrier)?);
         }
-        Ok(Self { joints: bodies.len(), bodies, gravity, supports: Vec::new() })
+        Ok(Self { joints: bodies.len(), bodies, gravity, supports: Vec::new(), wrenches: Vec::new() })
     }
 
     /// Number of joints.

@@ -19,6 +19,6 @@ pub use feedback::{Feedback, FilterFeedback, Known, ObserverFeedback, SensorFeed
 pub use integrator::{RungeKutta, largest_stable_step};
 pub use plant::Plant;
 pub use recording::SimulatedRecording;
-pub use run::{Plan, Stepping, simulate};
+pub use run::{Outside, Plan, Stepping, simulate};
 pub use sensors::{JointMotion, SensorModel, Suite};
 pub use start::SimulationStart;

@@ -25,6 +25,8 @@ pub struct SimulatedRecording {
     pub dtheta: Vec<f64>,
     /// Torques from outside on the links (n) [N m]; empty where there are none.
     pub push: Vec<f64>,
+    /// Numbers of varying wrenches from outside [N, N m]; empty where there are none.
+    pub wrench: Vec<f64>,
     /// What the controller knew: q, q̇, θ, θ̇ (4 n).
     pub known: Vec<f64>,
     /// Tool centre point (3) [m]; empty without a tool.
@@ -46,6 +48,7 @@ impl SimulatedRecording {
             theta: joints()?,
             dtheta: joints()?,
             push: Vec::new(),
+            wrench: Vec::new(),
             known: room(count, 4 * robot.len())?,
             tool: room(if robot.tool.is_some() { count } else { 0 }, 3)?,
         })

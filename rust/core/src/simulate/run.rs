@@ -55,12 +55,21 @@ impl Plan {
     }
 }
 
-/// Moves `robot` under `controller` and, where there is one, a `push` from outside on each link (n) [N m]; sensors and
-/// controller act every period, torques are held in between, the push at what it is in the middle.
+/// What acts on links from outside, in time; between samples it is what it is in the middle.
+#[derive(Clone, Debug, Default)]
+pub struct Outside {
+    /// A torque on each link (n) [N m].
+    pub push: Option<Reference>,
+    /// The numbers of the robot's varying wrenches [N, N m]; none: they are zero.
+    pub wrench: Option<Reference>,
+}
+
+/// Moves `robot` under `controller` and what acts from `outside`; sensors and controller act every period, torques are held in
+/// between.
 ///
 /// ```
 /// use linkside_core::control::{JointPd, Reference};
-/// use linkside_core::simulate::{Plan, SensorModel, SimulationStart, Stepping, Suite, TrueState, simulate};
+/// use linkside_core::simulate::{Outside, Plan, SensorModel, SimulationStart, Stepping, Suite, TrueState, simulate};
 ///
 /// let robot = linkside_core::demo::arm()?;
 /// // To 0.1 rad by proportional and derivative control of the motor, for one second at 1 kHz.
@@ -71,7 +80,7 @@ impl Plan {
 /// };
 /// let suite = Suite::new(&robot, &[exact; 8], 1e-3, 0)?; // θ, three accelerations, θ̇, q, τ_J, q̇
 /// let plan = Plan { period: 1e-3, count: 1000, stepping: Stepping::Fixed(4), keep_every: 1 };
-/// let run = simulate(&robot, SimulationStart::default(), plan, None, suite, &mut TrueState, &mut law)?;
+/// let run = simulate(&robot, SimulationStart::default(), plan, Outside::default(), suite, &mut TrueState, &mut law)?;
 /// assert!((run.q[999] - 0.1).abs() < 1e-3);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -83,17 +92,17 @@ pub fn simulate(
     robot: &Robot,
     start: SimulationStart,
     plan: Plan,
-    push: Option<Reference>,
+    outside: Outside,
     suite: Suite,
     feedback: &mut dyn Feedback,
     controller: &mut dyn Controller,
 ) -> Result<SimulatedRecording, SimulationError> {
     plan.check()?;
-    let mut world = World::new(robot, start, plan.stepping, push)?;
+    let mut world = World::new(robot, start, plan.stepping, outside)?;
     world.out = SimulatedRecording::with_capacity(robot, plan.count.div_ceil(plan.keep_every), suite.readings.len())?;
     // A fixed step beyond the stability limit of the stiffest mode would explode after samples that look right: refused
     // beforehand, with the number of substeps that would do.
-    let own = world.x.len() - if world.push.is_some() { robot.len() } else { 0 };
+    let own = world.x.len() - if world.outside.push.is_some() { robot.len() } else { 0 };
     let limit = largest_stable_step(robot, &world.x[..own], &world.tau);
     if limit.is_nan() {
         return Err(SimulationError::Singular);
@@ -133,8 +142,8 @@ struct World {
     x: Vec<f64>,
     /// Torque until the next sample (n) [N m].
     tau: Vec<f64>,
-    /// Torques on the links from outside.
-    push: Option<Reference>,
+    /// What acts on the links from outside.
+    outside: Outside,
     /// Dynamics, with the accelerations and frames of the sample.
     plant: Plant,
     mover: Mover,
@@ -152,29 +161,35 @@ impl World {
         robot: &Robot,
         start: SimulationStart,
         stepping: Stepping,
-        mut push: Option<Reference>,
+        mut outside: Outside,
     ) -> Result<Self, DesignError> {
         let n = robot.len();
-        let mut pushed = vec![0.0; n];
-        if let Some(push) = &mut push {
-            expect_length("push", push.width(), n)?;
-            push.at(0.0, |j, value, _| pushed[j] = value);
+        let mut acts = (vec![0.0; n], vec![0.0; robot.wrench_states()]);
+        let parts = [("push", &mut outside.push, &mut acts.0), ("wrench", &mut outside.wrench, &mut acts.1)];
+        for (what, path, values) in parts {
+            if let Some(path) = path {
+                expect_length(what, path.width(), values.len())?;
+                path.at(0.0, |j, value, _| values[j] = value);
+            }
         }
-        let (RobotState { q, dq, theta, dtheta }, tau) = start.complete(robot, &pushed)?;
-        let plant = Plant::pushed(robot, push.is_some());
+        let (RobotState { q, dq, theta, dtheta }, tau) = start.complete(robot, &acts.0, &acts.1)?;
+        let plant = Plant::pushed(robot, outside.push.is_some());
         let mover = Mover::new(&plant, stepping)?;
         let mut x = vec![0.0; plant.layout.dense];
         plant.layout.gather([&q, &dq, &theta, &dtheta], &mut x);
         let known = RobotState::new(n);
         let [theta, dtheta] = [vec![0.0; n], vec![0.0; n]];
-        Ok(Self { x, tau, push, plant, mover, known, theta, dtheta, out: SimulatedRecording::default() })
+        Ok(Self { x, tau, outside, plant, mover, known, theta, dtheta, out: SimulatedRecording::default() })
     }
 
-    /// Lets the push be what it is at `t`.
+    /// Lets what acts from outside be what it is at `t`.
     #[inline(always)]
     fn push(&mut self, t: f64) {
-        if let (Some(push), Some(first)) = (&mut self.push, self.plant.layout.link_disturbance) {
-            push.at(t, |j, value, _| self.x[first + j] = value);
+        let Self { outside, plant: Plant { layout, .. }, x, .. } = self;
+        for (path, first) in [(&mut outside.push, layout.link_disturbance), (&mut outside.wrench, layout.wrench)] {
+            if let (Some(path), Some(first)) = (path, first) {
+                path.at(t, |j, value, _| x[first + j] = value);
+            }
         }
     }
 
@@ -236,6 +251,9 @@ impl World {
         }
         if let Some(first) = plant.layout.link_disturbance {
             out.push.extend_from_slice(&x[first..][..n]);
+        }
+        if let Some(first) = plant.layout.wrench {
+            out.wrench.extend_from_slice(&x[first..]);
         }
         if let Some(tool) = &robot.tool {
             out.tool.extend_from_slice(&plant.dynamics.kinematics.position(tool).0);

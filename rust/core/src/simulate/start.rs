@@ -24,11 +24,16 @@ pub struct SimulationStart {
 }
 
 impl SimulationStart {
-    /// The whole state and the torques, links being pushed by `push` (n).
+    /// The whole state and the torques, links being pushed by `push` (n) and varying wrenches being `wrench`.
     ///
     /// # Errors
     /// Not n finite numbers.
-    pub(super) fn complete(self, robot: &Robot, push: &[f64]) -> Result<(RobotState, Vec<f64>), DesignError> {
+    pub(super) fn complete(
+        self,
+        robot: &Robot,
+        push: &[f64],
+        wrench: &[f64],
+    ) -> Result<(RobotState, Vec<f64>), DesignError> {
         let n = robot.len();
         let given = [("q", &self.q), ("dq", &self.dq), ("theta", &self.theta), ("dtheta", &self.dtheta)];
         for (what, values) in given.into_iter().chain([("tau", &self.tau)]) {
@@ -38,10 +43,10 @@ impl SimulationStart {
         }
         let mut q = self.q.unwrap_or_else(|| vec![0.0; n]);
         if self.theta.is_none() {
-            hang(robot, &mut q, push);
+            hang(robot, &mut q, push, wrench);
         }
         let dq = self.dq.unwrap_or_else(|| vec![0.0; n]);
-        let mut gravity = gravity(robot, &q);
+        let mut gravity = gravity(robot, &q, wrench);
         crate::linear::add_scaled(&mut gravity, -1.0, push);
         let hold = |((q, drive), load): ((&f64, &Drive), &f64)| {
             if drive.is_passive() {
@@ -66,12 +71,12 @@ impl SimulationStart {
 }
 
 /// Puts links that nothing drives where their springs hold them, as near as this iteration settles.
-fn hang(robot: &Robot, q: &mut [f64], push: &[f64]) {
+fn hang(robot: &Robot, q: &mut [f64], push: &[f64], wrench: &[f64]) {
     if robot.drives.iter().all(|drive| !drive.is_passive()) {
         return;
     }
     for _ in 0..200 {
-        let load = gravity(robot, q);
+        let load = gravity(robot, q, wrench);
         let mut step: f64 = 0.0;
         for (j, drive) in robot.drives.iter().enumerate().filter(|(_, drive)| drive.is_passive()) {
             let rest = -drive.torsion(load[j] - push[j]);
@@ -84,10 +89,11 @@ fn hang(robot: &Robot, q: &mut [f64], push: &[f64]) {
     }
 }
 
-/// Torques that hold the links at rest at `q` [N m].
-fn gravity(robot: &Robot, q: &[f64]) -> Vec<f64> {
+/// Torques that hold the links at rest at `q` under varying wrenches [N m].
+fn gravity(robot: &Robot, q: &[f64], wrench: &[f64]) -> Vec<f64> {
     let (mut kinematics, zero) = (Kinematics::new(&robot.tree), vec![0.0; q.len()]);
     let mut out = zero.clone();
+    kinematics.apply_wrenches(&robot.tree, wrench);
     kinematics.set(&robot.tree, q, &zero, &zero);
     Loads::new(&robot.tree).inverse_dynamics_into(&robot.tree, &kinematics, &mut out);
     out

@@ -68,7 +68,7 @@ impl<T: Scalar> ElasticDynamics<T> {
     #[inline(always)]
     fn differentiate_loads(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T]) {
         let (n, d) = (layout.joints, layout.dense);
-        let Self { kinematics, loads, by_q, by_dq, ignored, load, coupling, ddq, ddtheta, .. } = self;
+        let Self { kinematics, loads, by_q, by_dq, ignored, load, coupling, ddq, ddtheta, ddq_by, .. } = self;
         let (mut tree, mut q, mut dq, mut acceleration) = (&robot.tree, &x[..n], &x[n..2 * n], &ddq[..]);
         if let Some(rotors) = &mut coupling.rotors {
             rotors.acceleration[..n].copy_from_slice(ddq);
@@ -84,7 +84,7 @@ impl<T: Scalar> ElasticDynamics<T> {
         let bodies = tree.len();
         self.ddtheta_by.fill(T::default());
         self.ddq_by_tau.fill(T::default());
-        for (i, row) in self.ddq_by.chunks_exact_mut(d).enumerate() {
+        for (i, row) in ddq_by.chunks_exact_mut(d).enumerate() {
             row.fill(T::default());
             for k in 0..n {
                 row[k] = -by_q[i * bodies + k];
@@ -97,6 +97,9 @@ impl<T: Scalar> ElasticDynamics<T> {
             for (k, rotor) in (n..).zip(&robot.rotors) {
                 row[layout.dtheta[rotor.motor]] -= by_dq[i * bodies + k] * rotor.ratio;
             }
+        }
+        if let Some(first) = layout.wrench {
+            kinematics.wrench_map(&robot.tree, |number, joint, by| ddq_by[joint * d + first + number] += by);
         }
         for (k, rotor) in robot.rotors.iter().enumerate() {
             self.differentiate_rotor(robot, layout, k, rotor.motor);

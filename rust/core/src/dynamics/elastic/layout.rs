@@ -3,7 +3,7 @@
 use crate::robot::{FrictionElement, Robot};
 
 /// Where in the state each joint's numbers are: (q, q̇, θ, θ̇ of the elastic joints, deflections of friction elements,
-/// disturbance torques of motors, of links).
+/// disturbance torques of motors, of links, varying wrenches from outside).
 #[derive(Clone, Debug)]
 pub struct ElasticLayout {
     /// Number of joints.
@@ -18,6 +18,8 @@ pub struct ElasticLayout {
     pub disturbance: Option<usize>,
     /// The first disturbance torque of a link.
     pub link_disturbance: Option<usize>,
+    /// The first number of a varying wrench.
+    pub wrench: Option<usize>,
     /// How fast the links' disturbance torques fade [1/s].
     pub forgetting: f64,
     /// Length of the whole.
@@ -27,7 +29,7 @@ pub struct ElasticLayout {
 impl ElasticLayout {
     /// That of `robot`; with a disturbance torque of every motor if `disturbances`.
     pub fn new(robot: &Robot, disturbances: bool) -> Self {
-        let n = robot.len();
+        let (n, wrenches) = (robot.len(), robot.wrench_states());
         let elastic = robot.drives.iter().filter(|d| d.elastic).count();
         let mut next = 2 * n;
         let mut theta: Vec<_> = (0..n).collect();
@@ -44,6 +46,7 @@ impl ElasticLayout {
             first - count
         };
         let deflections = robot.drives.iter().map(|d| number(d.hysteresis.elements.len())).collect();
+        let wrench = first + if disturbances { n } else { 0 };
         Self {
             joints: n,
             theta,
@@ -51,15 +54,17 @@ impl ElasticLayout {
             deflections,
             disturbance: disturbances.then_some(first),
             link_disturbance: None,
+            wrench: (wrenches > 0).then_some(wrench),
             forgetting: 0.0,
-            dense: first + if disturbances { n } else { 0 },
+            dense: wrench + wrenches,
         }
     }
 
     /// The same with a disturbance torque of each link, which forgets over `time` [s].
     pub fn with_link_disturbances(self, time: f64) -> Self {
-        let dense = self.dense + self.joints;
-        Self { link_disturbance: Some(self.dense), forgetting: 1.0 / time, dense, ..self }
+        let (first, dense) = (self.wrench.unwrap_or(self.dense), self.dense + self.joints);
+        let wrench = self.wrench.map(|wrench| wrench + self.joints);
+        Self { link_disturbance: Some(first), wrench, forgetting: 1.0 / time, dense, ..self }
     }
 
     /// Every friction element with its joint and its state.

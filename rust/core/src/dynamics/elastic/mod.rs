@@ -182,6 +182,9 @@ impl<T: Scalar> ElasticDynamics<T> {
             (tree, q, dq) = (&rotors.tree, &rotors.position, &rotors.velocity);
         }
         // Inverse dynamics at no acceleration are C q̇ + g, of a rotor what its carrier's turning takes.
+        if let Some(first) = layout.wrench {
+            kinematics.apply_wrenches(tree, &x[first..]);
+        }
         kinematics.set_motion(tree, q, dq, &self.zero);
         loads.inverse_dynamics_into(tree, kinematics, load);
         loads.mass_matrix_into(tree, kinematics, mass);

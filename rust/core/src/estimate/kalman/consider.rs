@@ -198,7 +198,8 @@ impl Consider {
                     *g = linear::dot(row, signature);
                 }
                 let known = linear::dot(&self.gain, signature);
-                self.variances[i] = 1.0 + known * weight * weight;
+                let kept = kept_of(&self.prior, &self.joint, &self.kept, signature);
+                self.variances[i] = 1.0 + (known + kept) * weight * weight;
                 let (value, variance) = (residual / weight, noise + known);
                 if learn && model.teaches(i) && value * value < STRANGE * STRANGE * variance {
                     self.learn(value, variance);
@@ -287,13 +288,13 @@ impl Consider {
         linear::dot(signature, &self.mean)
     }
 
-    /// Var[s · p] for a signature s.
+    /// Var[s · p] for a signature s, with what no reading takes away.
     #[inline(always)]
     pub(super) fn doubt(&self, signature: &[f64], gain: &mut [f64]) -> f64 {
         for (g, row) in gain.iter_mut().zip(self.spread.data.chunks_exact(self.spread.stride)) {
             *g = linear::dot(row, signature);
         }
-        linear::dot(gain, signature)
+        linear::dot(gain, signature) + kept_of(&self.prior, &self.joint, &self.kept, signature)
     }
 
     /// The most that the noise of channel `i`'s innovations lately lasted, in multiples of the filter's; at least 1.
@@ -312,6 +313,13 @@ impl Consider {
         let std = (0..self.count).map(|i| self.spread.at(i, i).max(0.0).sqrt()).collect();
         (self.mean[..self.count].to_vec(), std)
     }
+}
+
+/// Var[s · p] that no reading takes away.
+#[inline(always)]
+fn kept_of(prior: &[f64], joint: &[(usize, usize, f64)], kept: &[f64], signature: &[f64]) -> f64 {
+    let own: f64 = prior.iter().zip(kept).zip(signature).map(|((prior, kept), s)| kept * prior * s * s).sum();
+    own + joint.iter().map(|&(i, j, covariance)| 2.0 * kept[i] * covariance * signature[i] * signature[j]).sum::<f64>()
 }
 
 /// `out` ← C E[p pᵀ] Cᵀ for the first `rows` of `columns`, and for links C those of velocities over frequencies beside it.

@@ -7,6 +7,7 @@
 use super::drift::Biases;
 use super::gaussian::{Gaussian, Symmetric};
 use crate::check::{check_deviations, expect};
+use crate::dynamics::Kinematics;
 use crate::error::DesignError;
 use crate::robot::Robot;
 
@@ -31,21 +32,47 @@ impl LinkDisturbance {
     }
 }
 
-/// The states of the links' disturbance torques in the acceleration-driven model, if it has any.
+/// How varying wrenches on links wander, six numbers each; random walks.
+#[derive(Clone, Debug, Default)]
+pub struct WrenchLaw {
+    /// What each number may be at the first sample [N, N m].
+    pub initial: Vec<f64>,
+    /// By how much each wanders in one second [N/√s, N m/√s].
+    pub walk: Vec<f64>,
+}
+
+impl WrenchLaw {
+    /// # Errors
+    /// Not one each of the robot's, a standard deviation that is negative or not finite.
+    pub(super) fn check(&self, robot: &Robot) -> Result<(), DesignError> {
+        let numbers = robot.wrench_states();
+        check_deviations("wrench", &self.initial, numbers)?;
+        check_deviations("wrench_walk", &self.walk, numbers)
+    }
+}
+
+/// What acts on links from outside, as states of the acceleration-driven model: disturbance torques of the links, one each or
+/// none, then the numbers of varying wrenches.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Disturbances {
     states: Vec<Option<usize>>,
+    torques: usize,
     initial: Vec<f64>,
     pub(super) walk: Vec<f64>,
     time: Vec<f64>,
 }
 
 impl Disturbances {
-    /// Those that wander as `law` says, the first of them being state `first`.
-    pub(super) fn new(law: LinkDisturbance, first: usize) -> Self {
-        let LinkDisturbance { initial, walk, time } = law;
-        let n = initial.len();
-        Self { states: (first..first + n).map(Some).collect(), initial, walk, time: vec![time; n] }
+    /// Those that wander as the laws say, the first of them being state `first`.
+    pub(super) fn new(torques: Option<LinkDisturbance>, wrenches: WrenchLaw, first: usize) -> Self {
+        let none = LinkDisturbance { initial: Vec::new(), walk: Vec::new(), time: f64::INFINITY };
+        let LinkDisturbance { mut initial, mut walk, time } = torques.unwrap_or(none);
+        let torques = initial.len();
+        initial.extend(wrenches.initial);
+        walk.extend(wrenches.walk);
+        let mut times = vec![time; torques];
+        times.resize(initial.len(), f64::INFINITY);
+        Self { states: (first..first + initial.len()).map(Some).collect(), torques, initial, walk, time: times }
     }
 
     /// How many.
@@ -54,9 +81,19 @@ impl Disturbances {
         self.states.len()
     }
 
-    /// The first of them.
+    /// How many are torques, and how many numbers of wrenches.
+    pub(super) fn parts(&self) -> [usize; 2] {
+        [self.torques, self.len() - self.torques]
+    }
+
+    /// The first torque.
     pub(super) fn first(&self) -> Option<usize> {
-        self.states.first().copied().flatten()
+        self.states.first().copied().flatten().filter(|_| self.torques > 0)
+    }
+
+    /// The first number of a wrench.
+    pub(super) fn wrench(&self) -> Option<usize> {
+        self.states.get(self.torques).copied().flatten()
     }
 
     /// Standard deviations at the first sample.
@@ -90,6 +127,27 @@ pub(super) fn hold(robot: &Robot, theta: &[f64], first: usize, belief: &mut Gaus
     for (j, drive) in robot.drives.iter().enumerate().filter(|(_, drive)| drive.elastic) {
         let compliance = drive.compliance(drive.torsion_between(theta[j], mean[j]));
         depend(covariance, j, first + j, compliance);
+    }
+}
+
+/// The same of varying wrenches from state `first` on: several links depend on each of their numbers.
+pub(super) fn hold_wrenches(robot: &Robot, theta: &[f64], first: usize, belief: &mut Gaussian) {
+    let Gaussian { mean, covariance } = belief;
+    let (n, numbers) = (robot.len(), robot.wrench_states());
+    let (mut kinematics, mut by) = (Kinematics::new(&robot.tree), vec![0.0; n * numbers]);
+    kinematics.set_position(&robot.tree, &mean[..n]);
+    kinematics.wrench_map(&robot.tree, |number, joint, share| by[number * n + joint] += share);
+    for (number, by) in by.chunks_exact_mut(n).enumerate() {
+        for ((by, drive), (theta, q)) in by.iter_mut().zip(&robot.drives).zip(theta.iter().zip(&*mean)) {
+            *by *= if drive.elastic { drive.compliance(drive.torsion_between(*theta, *q)) } else { 0.0 };
+        }
+        let variance = covariance.at(first + number, first + number);
+        for i in 0..n {
+            for j in i..n {
+                covariance.put(i, j, covariance.at(i, j) + by[i] * by[j] * variance);
+            }
+            covariance.put(i, first + number, by[i] * variance);
+        }
     }
 }
 

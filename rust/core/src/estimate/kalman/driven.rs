@@ -97,7 +97,7 @@ impl JerkMeasurement {
     fn new(model: JerkModel, noise: JerkNoise, damping: bool) -> Self {
         let (n, m) = (model.joints(), model.channels());
         Self {
-            evaluation: Evaluation::disturbed(&model.robot, m, model.disturbances.len()),
+            evaluation: Evaluation::disturbed(&model.robot, m, model.disturbances.parts()),
             motors: model.channels.contains(&Channel::MotorVelocity(0)).then(|| Motors::new(&model)),
             reference: vec![0.0; model.dense()],
             dtheta: vec![f64::NAN; n],
@@ -319,7 +319,7 @@ impl Motors {
         let n = model.joints();
         Self {
             channels: (0..n).map(Channel::Motor).collect(),
-            evaluation: Evaluation::disturbed(&model.robot, n, model.disturbances.len()),
+            evaluation: Evaluation::disturbed(&model.robot, n, model.disturbances.parts()),
             state: vec![Dual::default(); model.dense()],
             rates: Vec::new(),
         }

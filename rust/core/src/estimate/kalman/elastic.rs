@@ -9,7 +9,7 @@
 //! `transition`, what sensors read is `elastic_measurement`, and what parameters do is `elastic_sensitivity`. A torque that
 //! is missing wanders from its last reading until the next, as a disturbance of its own.
 
-use super::disturbance::{LinkDisturbance, depend, hold};
+use super::disturbance::{LinkDisturbance, WrenchLaw, depend, hold, hold_wrenches};
 use super::drift::Biases;
 use super::elastic_measurement::ElasticMeasurement;
 use super::elastic_sensitivity::ElasticSensitivity;
@@ -77,7 +77,7 @@ pub struct ElasticSettings {
     pub discretization: Discretization,
 }
 
-/// State (q, q̇, θ, θ̇, deflections of friction elements, disturbance torques of motors, of links, biases) of an elastic-joint robot under measured motor torques
+/// State (q, q̇, θ, θ̇, deflections of friction elements, disturbance torques of motors, of links, varying wrenches, biases) of an elastic-joint robot under measured motor torques
 /// (Ulrich and Sasiadek 2011, with every sensor that a log can have).
 ///
 /// θ and θ̇ are those of the elastic joints: the motor of a rigid one moves as its link.
@@ -127,10 +127,10 @@ impl ElasticModel {
     /// # Errors
     /// Noise or biases that do not fit the channels, a negative standard deviation, a reading without noise.
     pub fn new(robot: Arc<Robot>, settings: &ElasticSettings, noise: ElasticNoise) -> Result<Self, DesignError> {
-        Self::disturbed(robot, settings, noise, None)
+        Self::disturbed(robot, settings, noise, None, WrenchLaw::default())
     }
 
-    /// The same with a disturbance torque of each link.
+    /// The same with what acts on links from outside: a disturbance torque of each, if any, and all varying wrenches.
     ///
     /// # Errors
     /// As [`new`](Self::new), and one that does not fit the robot.
@@ -139,6 +139,7 @@ impl ElasticModel {
         settings: &ElasticSettings,
         noise: ElasticNoise,
         links: Option<LinkDisturbance>,
+        wrenches: WrenchLaw,
     ) -> Result<Self, DesignError> {
         let channels = Kind::all_channels(&settings.kinds, &robot);
         expect_length("biased", settings.biased.len(), channels.len())?;
@@ -148,6 +149,7 @@ impl ElasticModel {
             links.check(robot.len())?;
             layout = layout.with_link_disturbances(links.time);
         }
+        wrenches.check(&robot)?;
         let mut states = layout.dense;
         let mut number = |&biased: &bool| {
             states += usize::from(biased);
@@ -160,6 +162,9 @@ impl ElasticModel {
         let mut sources = sources(&robot, &layout, &noise);
         if let (Some(first), Some(links)) = (layout.link_disturbance, &links) {
             sources.extend(links.walk.iter().enumerate().map(|(j, walk)| (first + j, *walk)));
+        }
+        if let Some(first) = layout.wrench {
+            sources.extend(wrenches.walk.iter().enumerate().map(|(k, walk)| (first + k, *walk)));
         }
         let n = robot.len();
         let process = ElasticProcess {
@@ -176,6 +181,7 @@ impl ElasticModel {
             states,
             noise,
             links: links.map_or_else(Vec::new, |links| links.initial),
+            wrenches: wrenches.initial,
         };
         Ok(Self::of(process, measurement))
     }
@@ -202,6 +208,8 @@ pub struct ElasticProcess {
     noise: ElasticNoise,
     /// What the links' disturbance torques may be at the first sample (n); empty where there are none.
     links: Vec<f64>,
+    /// The same of numbers of varying wrenches.
+    wrenches: Vec<f64>,
     /// The step of time with its scratch.
     transition: Transition,
     /// The latest torques that were read.
@@ -271,6 +279,18 @@ impl ElasticProcess {
         }
     }
 
+    /// A sampled torque may have changed at any time between two samples: its mean is off by as much as a uniform time has it.
+    #[inline(always)]
+    fn doubt_between_samples(&mut self) {
+        if !self.held {
+            for (variance, (before, after)) in
+                self.transition.torque.iter_mut().zip(self.before.iter().zip(&self.after))
+            {
+                *variance += (after - before) * (after - before) / 12.0;
+            }
+        }
+    }
+
     /// Whether a disturbance is again what it was before its torque's outage.
     #[inline(always)]
     fn is_replaced(&self, state: usize) -> bool {
@@ -309,6 +329,9 @@ impl ElasticProcess {
         if let Some(first) = layout.link_disturbance {
             self.links.iter().enumerate().for_each(|(j, s)| set(first + j, 0.0, *s));
         }
+        if let Some(first) = layout.wrench {
+            self.wrenches.iter().enumerate().for_each(|(k, s)| set(first + k, 0.0, *s));
+        }
         for (j, k, element) in layout.elements(&self.robot) {
             // What it holds the spring need not: the link is nearer to its motor.
             let drive = &self.robot.drives[j];
@@ -317,6 +340,9 @@ impl ElasticProcess {
         }
         if let Some(first) = layout.link_disturbance {
             hold(&self.robot, theta, first, belief);
+        }
+        if let Some(first) = layout.wrench {
+            hold_wrenches(&self.robot, theta, first, belief);
         }
     }
 }
@@ -337,6 +363,11 @@ impl Process for ElasticProcess {
 
     fn set_points(&mut self, rule: Option<SigmaRule>) {
         self.transition.set_points(rule);
+    }
+
+    #[inline(always)]
+    fn wrench(&self) -> Option<usize> {
+        self.transition.layout.wrench
     }
 
     #[inline(always)]
@@ -370,6 +401,7 @@ impl Process for ElasticProcess {
     fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
         self.expect_torques(belief, sample.inputs.tau, sample.dt);
         self.take_torques(sample.inputs.tau);
+        self.doubt_between_samples();
         // A held torque is in the log at the end of the step in which it acted.
         let before = if self.held { &self.after } else { &self.before };
         self.transition.advance(&self.robot, belief, (before, &self.after), sample.dt);

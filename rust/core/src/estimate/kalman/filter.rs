@@ -23,7 +23,7 @@ use std::sync::Arc;
 /// A sample's measurement is linearised no more often than this.
 pub const MOST_ITERATIONS: usize = 100;
 
-/// The first samples of links with disturbance torques are linearised so often: links stand far from where motors say.
+/// The first samples of links with disturbance torques or varying wrenches are linearised so often: links stand far from where motors say.
 const EARLY: (usize, usize) = (32, 5);
 
 /// A sample's readings are weighed so often where their noise has outliers.
@@ -458,7 +458,8 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         if self.path.is_some() {
             return 1;
         }
-        if self.taken < samples && self.model.link_disturbance().is_some() {
+        let pushed = self.model.link_disturbance().is_some() || self.model.wrench().is_some();
+        if self.taken < samples && pushed {
             return self.settings.iterations.max(passes);
         }
         self.settings.iterations

@@ -7,7 +7,7 @@
 //! with the exact integral of the white noise over h for Q: σ² times h⁵/20, h⁴/8, h³/6; h³/3, h²/2; h. A density found at one rate
 //! so holds at any other. Biases are Gauss–Markov processes, random walks where their time is infinite.
 
-use super::disturbance::{Disturbances, LinkDisturbance};
+use super::disturbance::{Disturbances, LinkDisturbance, WrenchLaw};
 use super::drift::Biases;
 use super::gaussian::{Gaussian, Symmetric};
 use crate::check::{check_deviations, check_readings, check_times, expect_length};
@@ -19,7 +19,7 @@ use crate::linear;
 use crate::robot::Robot;
 use std::sync::Arc;
 
-/// State (q, q̇, q̈, disturbance torques of links if any, biases) and the channels that measure it (Axelsson, Karlsson and Norrlöf 2012, eqs. (9)–(17)).
+/// State (q, q̇, q̈, disturbance torques of links and varying wrenches if any, biases) and the channels that measure it (Axelsson, Karlsson and Norrlöf 2012, eqs. (9)–(17)).
 #[derive(Clone, Debug)]
 pub struct JerkModel {
     /// Links, drives and sensors.
@@ -28,9 +28,9 @@ pub struct JerkModel {
     pub(crate) channels: Vec<Channel>,
     /// The state that is each channel's bias.
     pub(crate) biases: Vec<Option<usize>>,
-    /// Torques on links from outside, if they are in the state.
+    /// Torques and wrenches on links from outside, if they are in the state.
     pub(super) disturbances: Disturbances,
-    /// 3n, one for each disturbance torque, and one for each bias.
+    /// 3n, one for each disturbance torque and number of a wrench, and one for each bias.
     states: usize,
 }
 
@@ -86,16 +86,22 @@ impl JerkModel {
         Ok(Self { robot, channels, biases, disturbances: Disturbances::default(), states })
     }
 
-    /// The same with a disturbance torque of each link.
+    /// The same with what acts on links from outside: a disturbance torque of each, if any, and all varying wrenches.
     ///
     /// # Errors
     /// One that does not fit the robot.
-    pub fn with_disturbances(mut self, law: LinkDisturbance) -> Result<Self, DesignError> {
+    pub fn with_disturbances(
+        mut self,
+        torques: Option<LinkDisturbance>,
+        wrenches: WrenchLaw,
+    ) -> Result<Self, DesignError> {
         let n = self.joints();
-        law.check(n)?;
-        self.disturbances = Disturbances::new(law, 3 * n);
-        self.biases.iter_mut().flatten().for_each(|bias| *bias += n);
-        self.states += n;
+        torques.iter().try_for_each(|law| law.check(n))?;
+        wrenches.check(&self.robot)?;
+        self.disturbances = Disturbances::new(torques, wrenches, 3 * n);
+        let more = self.disturbances.len();
+        self.biases.iter_mut().flatten().for_each(|bias| *bias += more);
+        self.states += more;
         Ok(self)
     }
 

@@ -1,6 +1,6 @@
 //! The process of the jerk-driven model: links moved by commanded and random jerk, biases that wander.
 
-use super::disturbance::hold;
+use super::disturbance::{hold, hold_wrenches};
 use super::gaussian::{Gaussian, Symmetric};
 use super::jerk::{JerkModel, JerkNoise};
 use super::model::Process;
@@ -48,7 +48,15 @@ impl Process for JerkProcess {
         if let Some(first) = self.link_disturbance() {
             hold(&self.model.robot, theta, first, belief);
         }
+        if let Some(first) = self.model.disturbances.wrench() {
+            hold_wrenches(&self.model.robot, theta, first, belief);
+        }
         Ok(())
+    }
+
+    #[inline(always)]
+    fn wrench(&self) -> Option<usize> {
+        self.model.disturbances.wrench()
     }
 
     #[inline(always)]

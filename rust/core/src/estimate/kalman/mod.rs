@@ -55,7 +55,7 @@ mod tolerances;
 mod transition;
 mod uncertain;
 
-pub use disturbance::LinkDisturbance;
+pub use disturbance::{LinkDisturbance, WrenchLaw};
 pub use driven::{JerkDriven, JerkMeasurement};
 pub use elastic::{Discretization, ElasticModel, ElasticNoise, ElasticProcess, ElasticSettings};
 pub use elastic_measurement::ElasticMeasurement;

@@ -67,6 +67,12 @@ pub trait Process: Clone + Send + Sync {
         None
     }
 
+    /// The first number of the varying wrenches in the state.
+    #[inline(always)]
+    fn wrench(&self) -> Option<usize> {
+        None
+    }
+
     /// Time update from the sample before: x ← f(x), P ← F P Fᵀ + Q.
     fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian);
 
@@ -259,9 +265,15 @@ pub trait Model: Clone + Send + Sync {
         None
     }
 
+    /// See [`Process::wrench`].
+    fn wrench(&self) -> Option<usize> {
+        None
+    }
+
     /// Number of leading states whose standard deviations are reported, or have one that is among them.
     fn reported(&self) -> usize {
-        self.link_disturbance().unwrap_or(0) + self.robot().len()
+        let wrenches = self.wrench().map_or(0, |first| first + self.robot().wrench_states());
+        wrenches.max(self.link_disturbance().unwrap_or(0) + self.robot().len())
     }
 
     /// How many numbers [`remember`](Self::remember) writes.
@@ -448,6 +460,11 @@ impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
     #[inline(always)]
     fn link_disturbance(&self) -> Option<usize> {
         self.process.link_disturbance()
+    }
+
+    #[inline(always)]
+    fn wrench(&self) -> Option<usize> {
+        self.process.wrench()
     }
 
     #[inline(always)]

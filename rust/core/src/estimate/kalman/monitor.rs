@@ -14,7 +14,7 @@ use super::gaussian::Gaussian;
 use super::isolation::{Isolation, Squares};
 use super::model::Model;
 use super::recording::KalmanSample;
-use super::signal::{Fault, Signal};
+use super::signal::{Fault, Signal, Turned};
 use crate::estimate::Status;
 use crate::estimate::measurement::Channel;
 
@@ -61,6 +61,8 @@ pub(super) struct Monitor {
     turns: Vec<bool>,
     /// How often each channel's reading came in a row, of encoders: their errors are that correlated (channels).
     runs: Vec<f64>,
+    /// How far motors have turned meanwhile, by the velocities that the filter is given (n).
+    turned: Vec<Turned>,
     /// Signatures of steps.
     banks: [Bank; 3],
     /// Whether the window that begins with a contradiction is on.
@@ -88,6 +90,7 @@ impl Monitor {
             signals: vec![Signal::NEW; m],
             turns: model.channel_kinds().iter().map(|c| matches!(c, Channel::Motor(_) | Channel::Link(_))).collect(),
             runs: vec![1.0; m],
+            turned: vec![Turned::default(); model.robot().len()],
             onset: false,
             recent: 0.0,
             wrong: 0.0,
@@ -109,6 +112,7 @@ impl Monitor {
     /// Forgets everything: the next sample is a recording's first.
     pub(super) fn reset(&mut self) {
         self.signals.fill(Signal::NEW);
+        self.turned.fill(Turned::default());
         self.banks.iter_mut().for_each(Bank::restart);
         self.ring.fill(Default::default());
         self.effect.reset();
@@ -137,7 +141,7 @@ impl Monitor {
             return 0;
         }
         let [all, white] = self.isolation.load(correction, consider.as_deref(), &self.effect.signatures);
-        // 1. Each channel by itself: stuck, saturated or dead readings need no model but that the prediction moves.
+        // 1. Each channel by itself: stuck, saturated or dead readings need no model but that the prediction, or the motor, moves.
         let stuck = self.look(model, sample, correction);
         // 2. A step in some channel since a window began, by its signature in all of them.
         let jump = self.jump(correction);
@@ -187,17 +191,23 @@ impl Monitor {
         flags
     }
 
-    /// Takes note of each channel's readings; gives one that repeats itself.
+    /// Takes note of each channel's readings; gives one that repeats itself, and since how many samples.
     #[inline(always)]
-    fn look(&mut self, model: &impl Model, sample: &KalmanSample<'_>, correction: &Correction) -> Option<usize> {
+    fn look(&mut self, model: &impl Model, sample: &KalmanSample<'_>, correction: &Correction) -> Option<(usize, u32)> {
         let mut stuck = None;
         for (i, reading) in sample.readings.iter().enumerate().filter(|(_, r)| !r.is_nan()) {
             let predicted = reading - self.whole_innovation(correction, i);
             self.signals[i].take(*reading, predicted);
             if self.turns[i] {
-                self.runs[i] = f64::from(self.signals[i].run);
+                let run = self.signals[i].run;
+                self.runs[i] = f64::from(run);
+                if let (Channel::Motor(j), false) = (model.channel_kinds()[i], sample.inputs.dtheta.is_empty()) {
+                    self.turned[j].take(run, sample.inputs.dtheta[j], sample.dt);
+                    let turned = self.turned[j];
+                    stuck = stuck.or(turned.is_stuck(model.variance(i)).then(|| (i, turned.samples - 1)));
+                }
             } else if self.signals[i].is_stuck(model.variance(i)) {
-                stuck = stuck.or(Some(i));
+                stuck = stuck.or(Some((i, self.signals[i].run - 2)));
             }
         }
         stuck
@@ -296,11 +306,11 @@ impl Monitor {
     }
 
     /// The channel that repeats itself, unless a finding of another goes on.
-    fn repetition(&self, stuck: Option<usize>) -> Option<Alarm> {
-        let channel = stuck.filter(|_| self.findings.channel().is_none_or(|open| stuck == Some(open)))?;
-        let run = self.signals[channel].run;
-        let deviations = f64::from(run);
-        Some(Alarm { channel, size: 0.0, deviations, age: run - 2, variance: 0.0, bank: None })
+    fn repetition(&self, stuck: Option<(usize, u32)>) -> Option<Alarm> {
+        let (channel, age) =
+            stuck.filter(|(channel, _)| self.findings.channel().is_none_or(|open| open == *channel))?;
+        let deviations = f64::from(self.signals[channel].run);
+        Some(Alarm { channel, size: 0.0, deviations, age, variance: 0.0, bank: None })
     }
 
     /// The channel to name, if one explains what is wrong; while a finding goes on, its channel alone.

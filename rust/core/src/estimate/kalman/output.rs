@@ -40,6 +40,10 @@ pub struct FilterOutput {
     pub disturbance: Vec<f64>,
     /// Their standard deviations (n).
     pub disturbance_std: Vec<f64>,
+    /// Numbers of varying wrenches from outside (6 each) [N, N m]; empty where there are none.
+    pub wrench: Vec<f64>,
+    /// Their standard deviations.
+    pub wrench_std: Vec<f64>,
     /// Tool centre point (3); empty when the robot has none.
     pub tool: Vec<f64>,
     /// Its standard deviations (3).
@@ -64,6 +68,21 @@ pub struct FilterOutput {
     pub innovation_std: Vec<f64>,
 }
 
+/// States from `first` on, and their standard deviations.
+#[inline(always)]
+fn write_states(
+    mean: &mut [f64],
+    std: &mut [f64],
+    first: usize,
+    state: &[f64],
+    covariance: impl Fn(usize, usize) -> f64,
+) {
+    mean.copy_from_slice(&state[first..][..mean.len()]);
+    for (j, std) in std.iter_mut().enumerate() {
+        *std = covariance(first + j, first + j).max(0.0).sqrt();
+    }
+}
+
 impl FilterOutput {
     /// Room for `count` samples.
     ///
@@ -75,6 +94,7 @@ impl FilterOutput {
         let tool = if model.robot().tool.is_some() { 3 } else { 0 };
         let innovations = if keep.innovations { m } else { 0 };
         let disturbed = if model.link_disturbance().is_some() { n } else { 0 };
+        let wrenches = if model.wrench().is_some() { model.robot().wrench_states() } else { 0 };
         let states = if keep.covariance { states } else { 0 };
         Ok(Self {
             q: rows(n)?,
@@ -85,6 +105,8 @@ impl FilterOutput {
             q_std: rows(n)?,
             disturbance: rows(disturbed)?,
             disturbance_std: rows(disturbed)?,
+            wrench: rows(wrenches)?,
+            wrench_std: rows(wrenches)?,
             tool: rows(tool)?,
             tool_std: rows(tool)?,
             status: filled(0, count, 1)?,
@@ -146,10 +168,21 @@ impl FilterOutput {
         state: &[f64],
         covariance: impl Fn(usize, usize) -> f64,
     ) {
-        self.disturbance[i * n..][..n].copy_from_slice(&state[first..][..n]);
-        for (j, std) in self.disturbance_std[i * n..][..n].iter_mut().enumerate() {
-            *std = covariance(first + j, first + j).max(0.0).sqrt();
-        }
+        let row = i * n..(i + 1) * n;
+        write_states(&mut self.disturbance[row.clone()], &mut self.disturbance_std[row], first, state, covariance);
+    }
+
+    /// The same of `n` numbers of varying wrenches.
+    #[inline(always)]
+    pub(super) fn write_wrenches(
+        &mut self,
+        i: usize,
+        (first, n): (usize, usize),
+        state: &[f64],
+        covariance: impl Fn(usize, usize) -> f64,
+    ) {
+        let row = i * n..(i + 1) * n;
+        write_states(&mut self.wrench[row.clone()], &mut self.wrench_std[row], first, state, covariance);
     }
 
     /// The whole state of sample `i`, and its covariance, rows of which are `stride` apart in `covariance`.
@@ -186,7 +219,7 @@ impl FilterOutput {
     }
 
     /// All signals of numbers, row by row; taken apart by name, so that a new field is not forgotten here.
-    fn signals(&mut self) -> [&mut Vec<f64>; 16] {
+    fn signals(&mut self) -> [&mut Vec<f64>; 18] {
         let Self {
             q,
             dq,
@@ -196,6 +229,8 @@ impl FilterOutput {
             q_std,
             disturbance,
             disturbance_std: torque_std,
+            wrench,
+            wrench_std,
             tool,
             tool_std,
             nis,
@@ -217,6 +252,8 @@ impl FilterOutput {
             q_std,
             disturbance,
             torque_std,
+            wrench,
+            wrench_std,
             tool,
             tool_std,
             nis,

@@ -230,6 +230,9 @@ impl<M: Model> Kernel for WriteReport<'_, M> {
         if let Some(first) = model.link_disturbance() {
             out.write_disturbances(i, (first, model.robot().len()), mean, total);
         }
+        if let Some(first) = model.wrench() {
+            out.write_wrenches(i, (first, model.robot().wrench_states()), mean, total);
+        }
         if whole {
             out.write_state(i, mean, covariance, stride);
             if let Some((more, _)) = more {

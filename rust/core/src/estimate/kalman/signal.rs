@@ -39,6 +39,37 @@ const FINE: f64 = 0.2;
 /// Part of the noise that a channel should have below which its scatter is not noise.
 const QUIET: f64 = 0.3;
 
+/// Standard deviations of a position by which its motor must turn to show that it is stuck.
+const TURNED: f64 = 20.0;
+/// A motor turns that is faster than this [rad/s or m/s]: a tachometer's zero error is less.
+const TURNS: f64 = 0.02;
+
+/// How far a motor has turned by its velocity while its position stayed the same, to the last bit.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Turned {
+    by: f64,
+    /// In so many samples.
+    pub(super) samples: u32,
+}
+
+impl Turned {
+    /// Takes a velocity, NaN where missing, `dt` after the one before; `run` is how often the position has come in a row.
+    #[inline(always)]
+    pub(super) fn take(&mut self, run: u32, speed: f64, dt: f64) {
+        if run > 1 && speed.abs() > TURNS {
+            *self = Self { by: self.by + speed * dt, samples: self.samples + 1 };
+        } else {
+            *self = Self::default();
+        }
+    }
+
+    /// Whether a position of this variance is stuck.
+    #[inline(always)]
+    pub(super) fn is_stuck(self, variance: f64) -> bool {
+        self.samples >= RUN && self.by * self.by > TURNED * TURNED * variance
+    }
+}
+
 /// One channel's readings so far.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Signal {

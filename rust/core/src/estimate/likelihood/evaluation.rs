@@ -5,7 +5,9 @@ use super::parameters::Parameters;
 use super::recording::LikelihoodRecording;
 use crate::dynamics::Placed;
 use crate::estimate::kalman::{JerkModel, JerkNoise};
-use crate::estimate::measurement::{Channel, Driven, Jacobian, LinkMotion, Loading, Sensing, Springs, Wanted, read};
+use crate::estimate::measurement::{
+    Channel, Driven, Jacobian, LinkMotion, Loading, OutsideColumns, Sensing, Springs, Wanted, read,
+};
 use crate::robot::{Drive, Friction, Robot};
 use crate::scalar::Scalar;
 use crate::spatial::Mat3;
@@ -136,8 +138,15 @@ impl<T: Scalar> ParametricMeasurement<T> {
         jacobian[channel * 3 * n..][..width * 3 * n].fill(T::default());
         let links = Calibrated { motion, parameters, turns };
         let dtheta = &log.dtheta[instant.row * n..][..n];
-        let view = Driven { links: &links, state, dtheta, springs: &*parameters };
-        let mut wanted = Jacobian { prediction, rows: jacobian, joints: n, width: 3 * n, by_torque: &mut [] };
+        let view = Driven { links: &links, state, wrench: 3 * n, dtheta, springs: &*parameters };
+        let mut wanted = Jacobian {
+            prediction,
+            rows: jacobian,
+            joints: n,
+            width: 3 * n,
+            by_torque: &mut [],
+            outside: OutsideColumns::default(),
+        };
         read(robot, channels[channel], channel, &view, &mut wanted);
     }
 

@@ -33,6 +33,8 @@ pub enum Channel {
     Torque(usize),
     /// Link velocity of a joint [rad/s].
     LinkVelocity(usize),
+    /// A number of a wrench from outside, counted over all that vary [N, N m].
+    Wrench(usize),
 }
 
 /// What a sensor measures: all channels of a kind come together, joint by joint or axis by axis.
@@ -60,11 +62,13 @@ pub enum Kind {
     Torque,
     /// q̇ (n), of tachometers on the links [rad/s].
     LinkVelocity,
+    /// Forces and moments from outside, six numbers a sensor [N, N m].
+    Wrench,
 }
 
 impl Kind {
     /// All, in the order in which their channels stand.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Motor,
         Self::Acceleration,
         Self::MotorVelocity,
@@ -72,6 +76,7 @@ impl Kind {
         Self::Link,
         Self::Torque,
         Self::LinkVelocity,
+        Self::Wrench,
     ];
 
     /// As a log's columns begin.
@@ -84,6 +89,7 @@ impl Kind {
             Self::Link => "q",
             Self::Torque => "torque",
             Self::LinkVelocity => "dq",
+            Self::Wrench => "wrench",
         }
     }
 
@@ -104,6 +110,7 @@ impl Kind {
             Self::Acceleration => axes(robot.accelerometers.iter().map(|s| &s.axes), |sensor, axis| {
                 Channel::Acceleration { sensor, axis }
             }),
+            Self::Wrench => robot.wrench_channels().map(Channel::Wrench).collect(),
             Self::Rate => axes(robot.gyroscopes.iter().map(|s| &s.axes), |sensor, axis| Channel::Rate { sensor, axis }),
         }
     }
@@ -142,6 +149,7 @@ pub(crate) fn read<T: Scalar>(
             wanted.value(row, view.link(robot, j)[1]);
             wanted.add(row, j, [T::default(), T::constant(1.0)]);
         }
+        Channel::Wrench(number) => view.wrench(number, row, wanted),
         // All axes of a sensor at once, as they share its kinematics; `read_all` skips the others.
         Channel::Acceleration { sensor, .. } => {
             view.links().specific_force(robot, sensor, row, wanted);

@@ -2,6 +2,7 @@
 
 use super::motion::PlainMotion;
 use super::view::OfDrives;
+use super::wanted::OutsideColumns;
 use super::{Channel, Driven, Jacobian, LinkMotion, read_all};
 use crate::robot::{Robot, Wound};
 use crate::scalar::Scalar;
@@ -25,14 +26,18 @@ use crate::simd::{self, Kernel};
 pub struct Evaluation<T> {
     /// h (channels), without bias.
     pub prediction: Vec<T>,
-    /// ∂h/∂(q, q̇, q̈), and by the links' disturbance torques if there are any, channels × 3n or 4n, row-major.
+    /// ∂h/∂(q, q̇, q̈), by the links' disturbance torques and by varying wrenches if there are any, channels × their number,
+    /// row-major.
     pub jacobian: Vec<T>,
     /// ∂h by what a joint's transmission gives its link, of the channels that depend on it [unit/(N m)].
     pub(crate) by_torque: Vec<T>,
     /// Friction elements as the last sample left them (n); empty where no joint has them.
     pub(crate) wound: Vec<Wound>,
-    /// Numbers of a row.
+    /// Numbers of a row, and where in it wrenches from outside begin.
     width: usize,
+    wrench: usize,
+    /// What each joint's torque gains by each number of them (n × numbers).
+    map: Vec<T>,
     /// Motion and loads with derivatives, and without for values alone.
     pub(crate) motion: LinkMotion<T>,
     plain: PlainMotion<T>,
@@ -41,12 +46,14 @@ pub struct Evaluation<T> {
 impl<T: Scalar> Evaluation<T> {
     /// Room for `channels` of `robot`.
     pub fn new(robot: &Robot, channels: usize) -> Self {
-        Self::disturbed(robot, channels, 0)
+        Self::disturbed(robot, channels, [0, 0])
     }
 
-    /// The same where the state goes on with `disturbances` torques of the links, one each or none.
-    pub fn disturbed(robot: &Robot, channels: usize, disturbances: usize) -> Self {
-        let width = 3 * robot.len() + disturbances;
+    /// The same where the state goes on with so many torques of the links, one each or none, and so many numbers of varying
+    /// wrenches, all or none.
+    pub fn disturbed(robot: &Robot, channels: usize, [torques, wrenches]: [usize; 2]) -> Self {
+        let wrench = 3 * robot.len() + torques;
+        let width = wrench + wrenches;
         let plain = robot.drives.iter().all(|drive| drive.hysteresis.is_none());
         Self {
             prediction: vec![T::default(); channels],
@@ -54,6 +61,8 @@ impl<T: Scalar> Evaluation<T> {
             by_torque: vec![T::default(); channels],
             wound: if plain { Vec::new() } else { robot.drives.iter().map(Wound::new).collect() },
             width,
+            wrench,
+            map: vec![T::default(); robot.len() * wrenches],
             motion: LinkMotion::new(robot),
             plain: PlainMotion::new(robot),
         }
@@ -69,7 +78,8 @@ impl<T: Scalar> Evaluation<T> {
     /// Predictions alone, as [`evaluate`](Self::evaluate) but for rounding.
     #[inline]
     pub fn predict(&mut self, robot: &Robot, channels: &[Channel], state: &[T], dtheta: &[f64]) {
-        self.plain.predict(robot, channels, &state[..self.width], (dtheta, &self.wound), &mut self.prediction);
+        let Self { plain, wound, width, wrench, prediction, .. } = self;
+        plain.predict(robot, channels, (&state[..*width], *wrench), (dtheta, wound), prediction);
     }
 }
 
@@ -77,7 +87,7 @@ impl Evaluation<f64> {
     /// Lets friction elements go on to where a `state` winds them, from rest there if `anew`; the first of `channels` are
     /// the motors'.
     pub(crate) fn follow(&mut self, robot: &Robot, channels: &[Channel], state: &[f64], dtheta: &[f64], anew: bool) {
-        let state = &state[..self.width];
+        let state = (&state[..self.width], self.wrench);
         if anew {
             let loads = self.plain.loads(robot, state);
             for ((wound, drive), load) in self.wound.iter_mut().zip(&robot.drives).zip(loads) {
@@ -89,7 +99,7 @@ impl Evaluation<f64> {
         self.plain.predict(robot, &channels[..n], state, (dtheta, &self.wound), &mut self.prediction);
         for (j, (wound, drive)) in self.wound.iter_mut().zip(&robot.drives).enumerate() {
             if drive.elastic {
-                wound.follow(drive, drive.torsion_between(self.prediction[j], state[j]));
+                wound.follow(drive, drive.torsion_between(self.prediction[j], state.0[j]));
             }
         }
     }
@@ -111,14 +121,27 @@ impl<T: Scalar> Kernel for Evaluate<'_, T> {
     #[inline(always)]
     fn run(self) {
         let Self { evaluation, robot, channels, state, dtheta } = self;
-        let Evaluation { prediction, jacobian, by_torque, motion, width, wound, .. } = evaluation;
-        let (joints, width) = (robot.len(), *width);
+        let Evaluation { prediction, jacobian, by_torque, motion, width, wrench, map, wound, .. } = evaluation;
+        let (joints, width, wrench) = (robot.len(), *width, *wrench);
+        motion.kinematics.apply_wrenches(&robot.tree, &state[wrench..width]);
         motion.set(robot, state);
-        if width > 3 * joints {
-            motion.relieve(&state[3 * joints..width]);
+        let torques = wrench > 3 * joints;
+        if torques {
+            motion.relieve(&state[3 * joints..wrench]);
+        }
+        if !map.is_empty() {
+            let numbers = width - wrench;
+            map.fill(T::default());
+            motion.kinematics.wrench_map(&robot.tree, |number, joint, by| map[joint * numbers + number] += by);
         }
         jacobian.fill(T::default());
-        let view = Driven { links: motion, state, dtheta, springs: &OfDrives(wound) };
-        read_all(robot, channels, &view, &mut Jacobian { prediction, rows: jacobian, joints, width, by_torque });
+        let view = Driven { links: motion, state, wrench, dtheta, springs: &OfDrives(wound) };
+        let outside = OutsideColumns { torques, map };
+        read_all(
+            robot,
+            channels,
+            &view,
+            &mut Jacobian { prediction, rows: jacobian, joints, width, by_torque, outside },
+        );
     }
 }

@@ -20,4 +20,4 @@ pub use evaluation::Evaluation;
 pub(crate) use low_pass::{low_pass, low_pass_or_none};
 pub(crate) use motion::{LinkMotion, Loading, Sensing};
 pub(crate) use view::{Driven, Elastic, MotorStand, OfDrives, Springs};
-pub(crate) use wanted::{Chained, Jacobian, Values, Wanted};
+pub(crate) use wanted::{Chained, Jacobian, OutsideColumns, Values, Wanted};

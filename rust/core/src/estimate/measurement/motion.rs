@@ -191,27 +191,31 @@ impl<T: Scalar> PlainMotion<T> {
         self.motion.inverse_dynamics_into(tree, &mut self.tau);
     }
 
-    /// Torques that the transmissions give the links at `state` (n), disturbance torques taken off.
-    pub(super) fn loads(&mut self, robot: &Robot, state: &[T]) -> &[T] {
+    /// Torques that the transmissions give the links at `state` (n), what acts from outside taken off; see
+    /// [`predict`](Self::predict).
+    #[inline(always)]
+    pub(super) fn loads(&mut self, robot: &Robot, (state, wrench): (&[T], usize)) -> &[T] {
+        self.motion.apply_wrenches(&robot.tree, &state[wrench..]);
         self.set(robot, state);
-        for (tau, &by) in self.tau.iter_mut().zip(&state[3 * robot.len()..]) {
+        for (tau, &by) in self.tau.iter_mut().zip(&state[3 * robot.len()..wrench]) {
             *tau -= by;
         }
         &self.tau
     }
 
-    /// `channels` at `state` = (q, q̇, q̈) with the links' disturbance torques if any, links moved by jerk; `dtheta` (n) is each motor's velocity for the damping torque, NaN to
-    /// leave it out, friction elements being `wound`.
+    /// `channels` at `state` = (q, q̇, q̈, disturbance torques of links, varying wrenches from entry `wrench` on), links moved
+    /// by jerk; `dtheta` (n) is each motor's velocity for the damping torque, NaN to leave it out, friction elements being
+    /// `wound`.
     #[inline]
     pub(crate) fn predict(
         &mut self,
         robot: &Robot,
         channels: &[Channel],
-        state: &[T],
+        (state, wrench): (&[T], usize),
         (dtheta, wound): (&[f64], &[Wound]),
         prediction: &mut [T],
     ) {
-        simd::phase(PredictReadings { motion: self, robot, channels, state, dtheta, wound, prediction });
+        simd::phase(PredictReadings { motion: self, robot, channels, state, wrench, dtheta, wound, prediction });
     }
 }
 
@@ -221,6 +225,7 @@ struct PredictReadings<'a, T> {
     robot: &'a Robot,
     channels: &'a [Channel],
     state: &'a [T],
+    wrench: usize,
     dtheta: &'a [f64],
     wound: &'a [Wound],
     prediction: &'a mut [T],
@@ -232,12 +237,9 @@ impl<T: Scalar> Kernel for PredictReadings<'_, T> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { motion, robot, channels, state, dtheta, wound, prediction } = self;
-        motion.set(robot, state);
-        for (tau, &by) in motion.tau.iter_mut().zip(&state[3 * robot.len()..]) {
-            *tau -= by;
-        }
-        let view = Driven { links: motion, state, dtheta, springs: &OfDrives(wound) };
+        let Self { motion, robot, channels, state, wrench, dtheta, wound, prediction } = self;
+        motion.loads(robot, (state, wrench));
+        let view = Driven { links: motion, state, wrench, dtheta, springs: &OfDrives(wound) };
         read_all(robot, channels, &view, &mut Values(prediction));
     }
 }

@@ -24,6 +24,9 @@ pub(crate) trait View<T: Scalar> {
 
     /// What the transmission of joint `j` gives its link.
     fn joint_torque(&self, robot: &Robot, j: usize, row: usize, wanted: &mut impl Wanted<T>);
+
+    /// A number of the varying wrenches from outside.
+    fn wrench(&self, number: usize, row: usize, wanted: &mut impl Wanted<T>);
 }
 
 /// Springs and dampers between motors and links, by numbers of their own or by those of the robot's drives.
@@ -126,8 +129,10 @@ impl<T: Scalar> MotorStand<T> {
 pub(crate) struct Driven<'a, T, L, S> {
     /// Motion and loads at the state.
     pub(crate) links: &'a L,
-    /// (q, q̇, q̈).
+    /// (q, q̇, q̈), and what follows them.
     pub(crate) state: &'a [T],
+    /// Where wrenches from outside begin in it.
+    pub(crate) wrench: usize,
     /// Motor velocities for the damping torque (n), NaN to leave it out.
     pub(crate) dtheta: &'a [f64],
     /// How springs twist: as the robot's drives do, or as parameters under calibration say.
@@ -183,6 +188,12 @@ impl<T: Scalar, L: Sensing<T> + Loading<T>, S: Springs<T>> View<T> for Driven<'_
         wanted.add(row, j, [T::default(), friction.by_speed]);
         wanted.torque(row, j, by_load);
     }
+
+    #[inline(always)]
+    fn wrench(&self, number: usize, row: usize, wanted: &mut impl Wanted<T>) {
+        wanted.value(row, self.state[self.wrench + number]);
+        wanted.entry(row, self.wrench + number, T::constant(1.0));
+    }
 }
 
 /// Links and motors moved by motor torques (Ulrich and Sasiadek 2011): motors are states, accelerations functions of them.
@@ -191,7 +202,7 @@ pub(crate) struct Elastic<'a> {
     pub(crate) layout: &'a ElasticLayout,
     /// After `accelerate` at the state; its kinematics set with the accelerations.
     pub(crate) dynamics: &'a ElasticDynamics,
-    /// (q, q̇, θ, θ̇, disturbance torques).
+    /// (q, q̇, θ, θ̇, disturbance torques, wrenches).
     pub(crate) state: &'a [f64],
 }
 
@@ -225,6 +236,11 @@ impl View<f64> for Elastic<'_> {
     #[inline(always)]
     fn motor_velocity(&self, _: &Robot, j: usize, row: usize, wanted: &mut impl Wanted<f64>) {
         self.entry(self.layout.dtheta[j], row, wanted);
+    }
+
+    #[inline(always)]
+    fn wrench(&self, number: usize, row: usize, wanted: &mut impl Wanted<f64>) {
+        self.entry(self.layout.wrench.unwrap_or(0) + number, row, wanted);
     }
 
     /// τ_e, or behind a rigid drive what the motor has left for its link.

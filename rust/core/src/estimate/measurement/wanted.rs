@@ -55,6 +55,17 @@ pub(crate) struct Jacobian<'a, T> {
     pub(crate) width: usize,
     /// ∂h by what the transmission of the row's joint gives its link (rows); empty if not wanted.
     pub(crate) by_torque: &'a mut [T],
+    /// Torques and wrenches from outside in the state, and what these are to links; none where there are none.
+    pub(crate) outside: OutsideColumns<'a, T>,
+}
+
+/// What of the state acts on links from outside.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct OutsideColumns<'a, T> {
+    /// Whether a torque on each link follows (q, q̇, q̈).
+    pub(crate) torques: bool,
+    /// What each joint's torque gains by each number of a wrench (n × numbers); these are the last of the state.
+    pub(crate) map: &'a [T],
 }
 
 impl<T: Scalar> Wanted<T> for Jacobian<'_, T> {
@@ -79,16 +90,27 @@ impl<T: Scalar> Wanted<T> for Jacobian<'_, T> {
         }
     }
 
-    /// A disturbance torque of the link is taken off what its transmission has to give.
+    /// What acts on the link from outside is taken off what its transmission has to give.
     #[inline(always)]
     fn torque(&mut self, row: usize, joint: usize, by: T) {
         if let Some(out) = self.by_torque.get_mut(row) {
             *out = by;
         }
-        let n = self.joints;
-        if self.width > 3 * n {
-            self.rows[row * self.width + 3 * n + joint] = -by;
+        let (n, OutsideColumns { torques, map }) = (self.joints, self.outside);
+        let row = &mut self.rows[row * self.width..][..self.width];
+        if torques {
+            row[3 * n + joint] = -by;
         }
+        let numbers = map.len() / n;
+        let last = self.width - numbers;
+        for (out, &entry) in row[last..].iter_mut().zip(&map[joint * numbers..]) {
+            *out -= by * entry;
+        }
+    }
+
+    #[inline(always)]
+    fn entry(&mut self, row: usize, index: usize, by: T) {
+        self.rows[row * self.width + index] += by;
     }
 }
 

@@ -16,6 +16,7 @@ mod rest;
 mod run;
 mod sampled;
 mod settings;
+mod step;
 
 pub use acceleration::{AccelerationMap, Observability};
 pub use correction::LONGEST;
@@ -24,6 +25,6 @@ pub use poles::{Complex, Poles};
 pub use recording::{ObserverOutput, ObserverRecording, ObserverSample};
 pub(crate) use rest::Rest;
 pub use rest::link_position_at_rest;
-pub use run::AccelerationObserver;
 pub use sampled::Sampled;
 pub use settings::{AccelerationSource, Form, ObserverSettings, Start};
+pub use step::AccelerationObserver;

@@ -74,6 +74,7 @@ impl<'a> Sensors<'a> {
                 Channel::Torque(j) => self.torque(links, j, row),
                 Channel::Motor(j) => links.motors.theta[j],
                 Channel::MotorVelocity(j) => links.motors.dtheta[j],
+                Channel::Wrench(_) => f64::NAN, // robots with such sensors are not calibrated
             };
         }
     }

@@ -5,14 +5,11 @@ from __future__ import annotations
 import json
 from collections import Counter
 from dataclasses import asdict
-from pathlib import Path
-
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from linkside.findings import Fault
 from linkside.recording.checks.finding import Finding
 
+from .places import parquet_metadata
 from .tally import Tally
 
 METADATA = "linkside.outcome"
@@ -28,14 +25,14 @@ def record(tally: Tally, conversions: tuple[str, ...], suspicions: tuple[Finding
     return {METADATA: json.dumps(told, ensure_ascii=False)}
 
 
-def recall(path: Path) -> tuple[Tally, tuple[str, ...], tuple[Finding, ...]] | None:
+def recall(place: str) -> tuple[Tally, tuple[str, ...], tuple[Finding, ...]] | None:
     """Read it back; None where the file has none, or not as `record` writes it."""
     try:
-        told = json.loads((pq.read_metadata(path).metadata or {})[METADATA.encode()])
+        told = json.loads((parquet_metadata(place) or {})[METADATA.encode()])
         counts = dict(told["tally"])
         status: Counter[str] = Counter(counts.pop("status"))
         faults = tuple(Fault(**fault) for fault in counts.pop("findings"))
         suspicions = tuple(Finding(**found) for found in told["suspicions"])
         return Tally(status=status, findings=faults, **counts), tuple(told["conversions"]), suspicions
-    except (OSError, pa.ArrowException, KeyError, ValueError, TypeError):
+    except (KeyError, ValueError, TypeError):
         return None

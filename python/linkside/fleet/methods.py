@@ -1,9 +1,10 @@
-"""The methods that ``linkside estimate --with`` knows: one entry each."""
+"""The methods that `linkside.fleet` and ``linkside estimate --with`` know: one entry each."""
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -25,7 +26,7 @@ from linkside.kalman.linearisation import Linearisation
 from linkside.kalman.losses import Loss
 from linkside.kalman.noise import Noise
 from linkside.kalman.stretches import smooth_pieces
-from linkside.observers.poles import PolePattern
+from linkside.observers.poles import PolePattern, damped
 from linkside.observers.tuning_file import ObserverTuning
 from linkside.particle.filters import MarginalizedParticleFilter, ParticleFilter
 from linkside.recording.estimate import Estimate
@@ -39,19 +40,19 @@ Run: TypeAlias = Callable[[Iterable[Log]], Iterator[Estimate]]
 
 @dataclass(frozen=True)
 class Options:
-    """What the command line says about a method."""
+    """Options of the methods; ``spill`` is a folder for what does not fit into memory."""
 
-    poles: PolePattern
-    bias: bool
-    form: Literal["current", "predictor"]
-    tuning: Any
-    gate: float | None
-    link_disturbance: Literal["auto", "on", "off"]
-    loss: Loss
-    particles: int
-    seed: int
-    gain: float
-    spill: Path
+    poles: PolePattern = field(default_factory=lambda: damped(250.0))
+    bias: bool = False
+    form: Literal["current", "predictor"] = "current"
+    tuning: Any = None
+    gate: float | None = None
+    link_disturbance: Literal["auto", "on", "off"] = "auto"
+    loss: Loss = "squares"
+    particles: int = 1000
+    seed: int = 0
+    gain: float = 100.0
+    spill: Path = field(default_factory=lambda: Path(tempfile.gettempdir()))
 
     @property
     def of_filters(self) -> dict[str, Any]:
