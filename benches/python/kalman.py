@@ -9,7 +9,15 @@ import numpy as np
 from timing import Result, microseconds
 from two_link import Array, Problem
 
-from linkside import ExtendedKalmanFilter, Log, Noise, RauchTungStriebelSmoother, Robot
+from linkside import (
+    ExtendedKalmanFilter,
+    FixedLagSmoother,
+    Log,
+    Noise,
+    RauchTungStriebelSmoother,
+    Robot,
+    UnscentedKalmanFilter,
+)
 
 DATA = Path(__file__).parents[2] / "tests/data"
 AGREE = 1e-9  # rad
@@ -26,9 +34,13 @@ def bench() -> Iterator[Result]:
     yield from against_peers("EKF, 2 joints, 10 states", *two)
     yield smoother("smoother, 2 joints, 10 states", *two)
     yield step("EKF step from Python, 2 joints", *two, most=1.5)
+    yield lagged("fixed lag of 20, step from Python, 2 joints", *two)
+    yield unscented("UKF, 2 joints, 10 states", *two)
     yield Result("EKF, 6 joints, 33 states", timed(ExtendedKalmanFilter, *six), most=6.0)
     yield smoother("smoother, 6 joints, 33 states", *six)
     yield step("EKF step from Python, 6 joints", *six)
+    yield lagged("fixed lag of 20, step from Python, 6 joints", *six, least_ratio=0.2)
+    yield unscented("UKF, 6 joints, 33 states", *six)
 
 
 PLAIN: dict[str, Any] = {"start": "rest", "tolerances": False}
@@ -78,12 +90,33 @@ def smoother(what: str, robot: Robot, log: Log, noise: Noise) -> Result:
 
 def step(what: str, robot: Robot, log: Log, noise: Noise, most: float | None = None) -> Result:
     """One sample after the other, as a control loop would."""
-    ekf = ExtendedKalmanFilter(robot, noise, **PLAIN)
-    dt = log.period
+    return Result(what, stepped(ExtendedKalmanFilter(robot, noise, **PLAIN), log), most=most)
+
+
+def lagged(what: str, robot: Robot, log: Log, noise: Noise, least_ratio: float = 0.25) -> Result:
+    """Beside the filter's step: at most four of these, or as many as said."""
+    ours, plain = (
+        stepped(estimator, log)
+        for estimator in (
+            FixedLagSmoother(robot, noise, lag=20, **PLAIN),
+            ExtendedKalmanFilter(robot, noise, **PLAIN),
+        )
+    )
+    return Result(what, ours, "a step of the EKF", plain, least_ratio=least_ratio)
+
+
+def unscented(what: str, robot: Robot, log: Log, noise: Noise) -> Result:
+    """Beside the filter by derivatives: at most five times as long."""
+    ours, plain = (timed(m, robot, log, noise) for m in (UnscentedKalmanFilter, ExtendedKalmanFilter))
+    return Result(what, ours, "linkside's EKF", plain, least_ratio=0.2)
+
+
+def stepped(estimator: ExtendedKalmanFilter | FixedLagSmoother, log: Log) -> float:
+    """One sample after the other, as a control loop would."""
     samples = list(zip(log.theta, log.acceleration, log.dtheta, log.ddqref, strict=True))
 
     def loop() -> None:
         for theta, acceleration, dtheta, ddqref in samples:
-            ekf.step(dt=dt, theta=theta, acceleration=acceleration, dtheta=dtheta, ddqref=ddqref)
+            estimator.step(dt=log.period, theta=theta, acceleration=acceleration, dtheta=dtheta, ddqref=ddqref)
 
-    return Result(what, microseconds(loop, len(samples)), most=most)
+    return microseconds(loop, len(samples))

@@ -22,6 +22,7 @@ from .errors import (
     RobotWarning,
 )
 from .kalman import (
+    CubatureKalmanFilter,
     ElasticJointFilter,
     ElasticJointIteratedSmoother,
     ElasticJointSmoother,
@@ -32,6 +33,7 @@ from .kalman import (
     KalmanEstimate,
     Noise,
     RauchTungStriebelSmoother,
+    UnscentedKalmanFilter,
     smooth_file,
 )
 from .observability import sensors
@@ -45,6 +47,7 @@ from .velocity import GainMap, HybridGain, NicosiaTomeiObserver, ReducedOrderObs
 __all__ = [
     "AccelerationObserver",
     "ConfigError",
+    "CubatureKalmanFilter",
     "ElasticJointFilter",
     "ElasticJointIteratedSmoother",
     "ElasticJointSmoother",
@@ -79,6 +82,7 @@ __all__ = [
     "Sensor",
     "Simulation",
     "Status",
+    "UnscentedKalmanFilter",
     "VelocityEstimate",
     "control",
     "controllers",

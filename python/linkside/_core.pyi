@@ -13,6 +13,7 @@ __all__ = [
     "BagCollector",
     "ElasticJointFilter",
     "ExtendedKalmanFilter",
+    "FixedLagSmoother",
     "LearningLoop",
     "LearningStep",
     "Likelihood",
@@ -250,7 +251,23 @@ class StretchSmoother:
     def back(
         self, start: ExtendedKalmanFilter, arrays: _KalmanArrays, covariance: bool
     ) -> dict[str, npt.NDArray[Any]]: ...
-    def row(self, start: ExtendedKalmanFilter, arrays: _KalmanArrays, row: int, t: float) -> State: ...
+
+@final
+class FixedLagSmoother:
+    """Smoother of a stream: the estimate of some samples ago."""
+
+    def __new__(cls, filter: ExtendedKalmanFilter, lag: int) -> FixedLagSmoother: ...
+    def copy(self) -> FixedLagSmoother: ...
+    def step(
+        self,
+        dt: float,
+        theta: _Signal,
+        acceleration: _Signal | None = None,
+        dtheta: _Signal | None = None,
+        ddqref: _Signal | None = None,
+        further: _Signal | None = None,
+    ) -> State | None: ...
+    def flush(self) -> dict[str, npt.NDArray[Any]]: ...
 
 @final
 class ParticleFilter:

@@ -26,6 +26,7 @@ from linkside import (
     ReducedOrderObserver,
     Robot,
     Status,
+    UnscentedKalmanFilter,
 )
 from linkside.kalman.start import WINDOW
 
@@ -61,9 +62,13 @@ def velocity(method):
 METHODS = {
     "observer": lambda robot, start: AccelerationObserver(robot, start=start),
     "ekf": kalman(ExtendedKalmanFilter, tolerances=False),
+    "ukf": kalman(UnscentedKalmanFilter, tolerances=False),
     "smoother": kalman(RauchTungStriebelSmoother, tolerances=False),
     "map": kalman(IteratedSmoother, tolerances=False),
     "elastic-ekf": lambda robot, start: ElasticJointFilter(robot, tolerances=False, start=start),
+    "elastic-ckf": lambda robot, start: ElasticJointFilter(
+        robot, tolerances=False, start=start, linearisation="cubature"
+    ),
     "elastic-smoother": lambda robot, start: ElasticJointSmoother(robot, tolerances=False, start=start),
     "elastic-map": lambda robot, start: ElasticJointIteratedSmoother(robot, tolerances=False, start=start),
     "particle": kalman(ParticleFilter, particles=60, tolerances=False),
@@ -106,11 +111,11 @@ def samples(method, log):
             yield {"q": log.theta[i], "tau": log.tau[i]}
             continue
         sample = {"theta": log.theta[i], "acceleration": log.acceleration[i]}
-        if method in ("observer", "elastic-ekf"):
+        if method in ("observer", "elastic-ekf", "elastic-ckf"):
             sample["tau"] = log.tau[i]
         if method != "observer":
             sample |= {"dtheta": log.dtheta[i], "dt": log.t[i] - log.t[i - 1] if i else log.period}
-        if method not in ("observer", "elastic-ekf") and log.ddqref is not None:
+        if method not in ("observer", "elastic-ekf", "elastic-ckf") and log.ddqref is not None:
             sample["ddqref"] = log.ddqref[i]
         yield sample
 
@@ -198,7 +203,7 @@ def test_missing_torques_are_bridged_and_uncertain_where_they_are_used(method):
     gap = slice(300, 390)
     whole = METHODS[method](robot, "auto").run(log)
     cut = METHODS[method](robot, "auto").run(without(log, "tau", gap))
-    if method not in (*OBSERVERS, "elastic-ekf", "elastic-smoother", "elastic-map"):
+    if method not in (*OBSERVERS, "elastic-ekf", "elastic-ckf", "elastic-smoother", "elastic-map"):
         assert np.array_equal(cut.q, whole.q)
         return
     assert bridged(cut)[gap].all()

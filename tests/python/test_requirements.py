@@ -20,6 +20,7 @@ from linkside import (
     ReducedOrderObserver,
     Robot,
     Sensor,
+    UnscentedKalmanFilter,
     simulate,
 )
 from linkside.calibration import calibrate
@@ -143,6 +144,7 @@ def residual(robot, log, side="motors"):
 METHODS = {
     "observer": lambda robot, log: AccelerationObserver(robot).run(log).q,
     "ekf": lambda robot, log: ExtendedKalmanFilter(robot, NOISE).run(log).q,
+    "ukf": lambda robot, log: UnscentedKalmanFilter(robot, NOISE).run(log).q,
     "smoother": lambda robot, log: RauchTungStriebelSmoother(robot, NOISE).run(log).q,
     "map": lambda robot, log: IteratedSmoother(robot, NOISE).run(log).q,
     "fixed-lag": fixed_lag,
@@ -173,7 +175,7 @@ UNCONCERNED = {
     ),
     **{
         method: {"motor_friction", "asymmetry", "efficiency"}
-        for method in ("ekf", "smoother", "map", "fixed-lag", "particle", "marginalized")
+        for method in ("ekf", "ukf", "smoother", "map", "fixed-lag", "particle", "marginalized")
     },
     "observer": {"link_friction", "bearing_friction"} | BEHIND_GEARS,
     "feedforward": SENSOR | BEHIND_GEARS | {"encoder_error"},

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from linkside import (
     Estimate,
     EstimatorError,
+    ExtendedKalmanFilter,
     Log,
     LogError,
     Noise,
@@ -189,13 +190,17 @@ def stream(lagged, log):
         yield lagged.step(dt=dt, **there)
 
 
+def fixed_lag(lag, **settings):
+    return FixedLagSmoother(ROBOT, NOISE, lag=lag, tolerances=False, **settings)
+
+
 @given(st.integers(1, 40), st.integers(41, 90), st.integers(0, 2**32 - 1))
 @settings(max_examples=15, deadline=None)
 def test_a_fixed_lag_equals_the_smoother_up_to_now(lag, now, seed):
     log = holey(now, seed)
-    estimates = list(stream(FixedLagSmoother(ROBOT, NOISE, lag=lag), log))
+    estimates = list(stream(fixed_lag(lag), log))
     assert estimates[:lag] == [None] * lag
-    whole = smoother().run(log, covariance=True)
+    whole = smoother(tolerances=False).run(log, covariance=True)
     row = now - 1 - lag
     late = estimates[-1]
     for name in ("q", "dq", "theta", "q_std", "tool_position", "tool_std", "state", "covariance"):
@@ -203,21 +208,49 @@ def test_a_fixed_lag_equals_the_smoother_up_to_now(lag, now, seed):
     assert late.t == pytest.approx(log.t[row] - log.t[0])
 
 
+def test_what_tolerances_add_is_held_forwards():
+    """The smoother's falls off backwards, the filter's and that of a lag forwards; the estimate is the same."""
+    lag, log = 20, LOG[:600]
+    rows = [e for e in stream(FixedLagSmoother(ROBOT, NOISE, lag=lag), log) if e is not None]
+    plain = [e for e in stream(fixed_lag(lag), log) if e is not None]
+    whole, filtered = smoother().run(log), ExtendedKalmanFilter(ROBOT, NOISE).run(log)
+    assert all(np.array_equal(a.q, b.q) and (a.q_std >= b.q_std).all() for a, b in zip(rows, plain, strict=True))
+    q_std = np.array([e.q_std for e in rows])[200:]
+    assert np.all(np.median(q_std / whole.q_std[200:-lag], axis=0) > 0.9)
+    assert np.all(np.median(q_std / filtered.q_std[200:-lag], axis=0) < 1.05)
+
+
+@given(st.integers(1, 40), st.integers(35, 300), st.integers(2, 70))
+@settings(max_examples=10, deadline=None)
+def test_a_lag_is_accurate_after_a_dropout(lag, gap, after):
+    """P⁻ is then many powers of ten above what later readings leave of it."""
+    now = 40 + gap + after
+    log = LOG[:now]
+    theta, acceleration = log.theta.copy(), log.acceleration.copy()
+    theta[40 : 40 + gap], acceleration[40 : 40 + gap] = np.nan, np.nan
+    columns = {"t": log.t} | dict(zip([f"theta_{n}" for n in ROBOT.names], theta.T, strict=True))
+    log = Log.from_table(columns | dict(zip(ROBOT.acceleration_channels, acceleration.T, strict=True)), ROBOT)
+    late = list(stream(fixed_lag(lag), log))[-1]
+    whole = smoother(tolerances=False).run(log)
+    np.testing.assert_allclose(late.q_std, whole.q_std[now - 1 - lag], rtol=1e-6)
+    assert np.all(np.abs(late.q - whole.q[now - 1 - lag]) < 1e-4 * late.q_std)
+
+
 def test_the_end_of_a_stream_is_smoothed_too():
-    lagged = FixedLagSmoother(ROBOT, NOISE, lag=30)
+    lagged = fixed_lag(30)
     for _ in range(2):  # afterwards it starts anew
         parts = [e for e in stream(lagged, LOG[:100]) if e is not None]
         assert len(parts) == 70
         last = lagged.flush()
-        assert_same(last, smoother().run(LOG[:100])[70:])
+        assert_same(last, smoother(tolerances=False).run(LOG[:100])[70:])
         np.testing.assert_allclose(last.t, LOG.t[70:100] - LOG.t[0], atol=1e-12)
     assert lagged.flush() is None
 
 
 def test_a_stream_shorter_than_the_lag():
-    lagged = FixedLagSmoother(ROBOT, NOISE, lag=30)
+    lagged = fixed_lag(30)
     assert list(stream(lagged, LOG[:12])) == [None] * 12
-    assert_same(lagged.flush(), smoother().run(LOG[:12]))
+    assert_same(lagged.flush(), smoother(tolerances=False).run(LOG[:12]))
 
 
 def test_a_lag_smooths():
@@ -225,10 +258,16 @@ def test_a_lag_smooths():
     whole = smoother().run(LOG[:400])
 
     def distance(lag):
-        rows = [e.q for e in stream(FixedLagSmoother(ROBOT, NOISE, lag=lag), LOG[:400]) if e is not None]
+        rows = [e.q for e in stream(fixed_lag(lag), LOG[:400]) if e is not None]
         return np.sqrt(np.mean((np.array(rows) - whole.q[: len(rows)])[100:300] ** 2))
 
     assert distance(80) < 0.6 * distance(1)
+
+
+def test_a_lag_that_does_not_fit_into_memory_is_refused():
+    lagged = fixed_lag(2**50)
+    with pytest.raises(MemoryError):
+        lagged.step(dt=LOG.period, theta=LOG.theta[0], acceleration=LOG.acceleration[0])
 
 
 @pytest.mark.parametrize("lag", [0, -1, 2.5, None])
@@ -243,9 +282,9 @@ def test_a_lag_that_is_none_is_refused(lag):
         ({"theta": [0.1]}, "theta has shape"),
         ({"theta": [0.1, np.nan]}, "axis3 is missing"),
         ({"acceleration": [0.0, 0.0]}, "acceleration has shape"),
-        ({"ddqref": [1.0]}, "ddqref has shape"),
+        ({"ddqref": [1.0]}, "ddqref has 1 entries"),
         ({"dtheta": [1.0]}, "dtheta has shape"),
-        ({"further": [1.0]}, "further has shape"),
+        ({"further": [1.0]}, "further has 1 entries"),
         ({"dt": 0.0}, "dt is 0.0"),
         ({"dt": np.nan}, "dt is nan"),
     ],

@@ -8,8 +8,8 @@ use core::cell::Cell;
 use core::hint::black_box;
 use linkside_core::dynamics::{Kinematics, Loads};
 use linkside_core::estimate::kalman::{
-    ExtendedKalmanFilter, FilterSettings, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanSample, Lateness,
-    LinkDisturbance, NoiseLoss,
+    ExtendedKalmanFilter, FilterSettings, FixedLagSmoother, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanSample,
+    Lateness, LinkDisturbance, NoiseLoss, SigmaRule, WrenchLaw,
 };
 use linkside_core::estimate::measurement::Kind;
 use linkside_core::estimate::observer::{
@@ -125,11 +125,12 @@ fn a_step_allocates_nothing() {
 
 #[test]
 fn a_kalman_step_allocates_nothing() {
-    check_kalman_step(false);
-    check_kalman_step(true);
+    check_kalman_step(false, None);
+    check_kalman_step(true, None);
+    check_kalman_step(false, Some(SigmaRule::Unscented));
 }
 
-fn check_kalman_step(disturbed: bool) {
+fn check_kalman_step(disturbed: bool, points: Option<SigmaRule>) {
     let mut robot = robot();
     robot.drives[1].hysteresis = Hysteresis { elements: vec![FrictionElement::dahl(5e4, 20.0)] };
     let mut model = JerkModel::new(
@@ -140,7 +141,7 @@ fn check_kalman_step(disturbed: bool) {
     .unwrap();
     if disturbed {
         let law = LinkDisturbance { initial: vec![5.0; 6], walk: vec![20.0; 6], time: 1.0 };
-        model = model.with_disturbances(law).unwrap();
+        model = model.with_disturbances(Some(law), WrenchLaw::default()).unwrap();
     }
     let noise = JerkNoise {
         jerk: vec![20.0; 6],
@@ -155,10 +156,13 @@ fn check_kalman_step(disturbed: bool) {
     let settings = FilterSettings { gate: Some(50.0), iterations: 2 };
     let mut filter = ExtendedKalmanFilter::new(JerkDriven::new(model, noise, true).unwrap(), settings).unwrap();
     filter.set_losses(&[NoiseLoss::StudentT; 30]).unwrap();
+    filter.set_points(points);
+    let mut lagged = FixedLagSmoother::new(&filter, 3).unwrap();
     let (readings, missing) = ([0.1; 30], [f64::NAN; 30]);
     let mut step = |readings: &[f64], dtheta: &[f64]| {
         let inputs = Inputs { dtheta, jerk: &[0.5; 6], tau: &[] };
         filter.step(KalmanSample { dt: 5e-4, readings, inputs }).unwrap();
+        lagged.step(KalmanSample { dt: 5e-4, readings, inputs }).unwrap();
     };
     step(&readings, &[0.0; 6]);
     let count = allocations(|| {

@@ -4,8 +4,9 @@ mod arm;
 
 use arm::{Mounting, arm, drive};
 use linkside_core::estimate::kalman::{
-    ExtendedKalmanFilter, FilterSettings, Gaussian, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanRecording,
-    KalmanSample, Keep, LinkDisturbance, Measurement, Model, Smoother, WrenchLaw,
+    Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterSettings,
+    FixedLagSmoother, Gaussian, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanRecording, KalmanSample, Keep,
+    Lateness, LinkDisturbance, Measurement, Model, Phases, Smoother, WrenchLaw,
 };
 use linkside_core::estimate::measurement::{Evaluation, Kind};
 use linkside_core::robot::{
@@ -220,4 +221,107 @@ fn check_cuts(disturbed: bool) {
         assert_eq!(part.state, whole.state[a * states..b * states]);
         assert_eq!(part.covariance, whole.covariance[a * states * states..b * states * states]);
     }
+}
+
+fn plain<M: Phases>(model: M) -> ExtendedKalmanFilter<M> {
+    ExtendedKalmanFilter::new(model, FilterSettings { gate: None, iterations: 1 }).unwrap()
+}
+
+/// With a filter and a delay inside the accelerometer.
+fn late() -> ExtendedKalmanFilter<JerkDriven> {
+    let mut inside = [None; CHANNELS];
+    inside[JOINTS] = Some(Lateness { time_constant: 2e-3, delay: 2.4e-3, steps: 3 });
+    inside[JOINTS + 1] = inside[JOINTS];
+    plain(model(false).with_late(&inside).unwrap())
+}
+
+fn elastic() -> ExtendedKalmanFilter<ElasticModel> {
+    let settings = ElasticSettings {
+        kinds: vec![Kind::Motor, Kind::Acceleration],
+        disturbances: true,
+        biased: vec![false, false, false, true, true],
+        held: true,
+        relaxed: true,
+        discretization: Discretization::Exact,
+    };
+    let noise = ElasticNoise {
+        link: vec![3e-3; JOINTS],
+        motor: vec![1e-2; JOINTS],
+        torque: vec![1.0; JOINTS],
+        disturbance_walk: vec![0.1; JOINTS],
+        reading: [vec![1e-4; JOINTS], vec![0.1; 2]].concat(),
+        torque_walk: vec![1.0; JOINTS],
+        bias_walk: vec![1e-4; JOINTS + 2],
+        bias_time: vec![f64::INFINITY; JOINTS + 2],
+        initial: vec![1e-3; 3 * JOINTS],
+        initial_bias: vec![0.1; JOINTS + 2],
+    };
+    plain(ElasticModel::new(Arc::new(robot()), &settings, noise).unwrap())
+}
+
+/// Every sample's smoothed state by all samples up to a lag later, against the smoother of the recording that ends there.
+fn check_lag<M: Phases>(filter: &ExtendedKalmanFilter<M>, recording: impl Fn(usize) -> Vec<[Vec<f64>; 5]>) {
+    const COUNT: usize = 45;
+    let keep = Keep { covariance: true, innovations: false };
+    let rows = recording(COUNT);
+    fn sample(row: &[Vec<f64>; 5]) -> KalmanSample<'_> {
+        let [dt, readings, dtheta, jerk, tau] = row;
+        KalmanSample { dt: dt[0], readings, inputs: Inputs { dtheta, jerk, tau } }
+    }
+    let joined = |count: usize| -> [Vec<f64>; 5] {
+        core::array::from_fn(|k| rows[..count].iter().flat_map(|row| row[k].clone()).collect())
+    };
+    for lag in [1, 2, 3, 4, 7, 12] {
+        let mut lagged = FixedLagSmoother::new(filter, lag).unwrap();
+        for (now, row) in rows.iter().enumerate() {
+            let Some((_, found)) = lagged.step(sample(row)).unwrap() else { continue };
+            if now % 11 != 0 && now + 1 < COUNT {
+                continue;
+            }
+            let [dt, readings, dtheta, jerk, tau] = &joined(now + 1);
+            let inputs = Inputs { dtheta, jerk, tau };
+            let whole = Smoother::new(filter).run(KalmanRecording { dt, readings, inputs }, keep).unwrap();
+            let (at, states) = (now - lag, filter.model().states());
+            for (own, other) in found.state.iter().zip(&whole.state[at * states..]) {
+                assert!((own - other).abs() < 1e-9 * (1.0 + other.abs()), "{lag} {now}: {own} {other}");
+            }
+            let covariance = &whole.covariance[at * states * states..];
+            for i in 0..states {
+                for j in 0..states {
+                    let size = (covariance[i * states + i] * covariance[j * states + j]).sqrt();
+                    let apart = found.covariance[i * states + j] - covariance[i * states + j];
+                    assert!(apart.abs() <= 1e-6 * size, "{lag} {now} {i} {j}: {apart} of {size}");
+                }
+            }
+        }
+    }
+}
+
+/// Rows of the signals that the jerk-driven model takes.
+fn jerk_rows(count: usize) -> Vec<[Vec<f64>; 5]> {
+    let [dt, readings, dtheta, jerk] = signals(count);
+    let row = |values: &[f64], width: usize, i: usize| values[i * width..(i + 1) * width].to_vec();
+    (0..count)
+        .map(|i| {
+            let [dtheta, jerk] = [&dtheta, &jerk].map(|signal| row(signal, JOINTS, i));
+            [row(&dt, 1, i), row(&readings, CHANNELS, i), dtheta, jerk, vec![]]
+        })
+        .collect()
+}
+
+fn elastic_rows(count: usize) -> Vec<[Vec<f64>; 5]> {
+    let mut rows = jerk_rows(count);
+    for [_, readings, dtheta, jerk, tau] in &mut rows {
+        readings.truncate(JOINTS + 2);
+        *tau = core::mem::take(dtheta);
+        jerk.clear();
+    }
+    rows
+}
+
+#[test]
+fn a_fixed_lag_is_the_smoother_up_to_now() {
+    check_lag(&plain(model(true)), jerk_rows);
+    check_lag(&late(), jerk_rows);
+    check_lag(&elastic(), elastic_rows);
 }

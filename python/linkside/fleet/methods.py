@@ -15,7 +15,14 @@ from linkside.kalman.elastic_joint import (
     ElasticJointSmoother,
     ElasticNoise,
 )
-from linkside.kalman.jerk_driven import ExtendedKalmanFilter, IteratedSmoother, RauchTungStriebelSmoother
+from linkside.kalman.jerk_driven import (
+    CubatureKalmanFilter,
+    ExtendedKalmanFilter,
+    IteratedSmoother,
+    RauchTungStriebelSmoother,
+    UnscentedKalmanFilter,
+)
+from linkside.kalman.linearisation import Linearisation
 from linkside.kalman.losses import Loss
 from linkside.kalman.noise import Noise
 from linkside.kalman.stretches import smooth_pieces
@@ -87,9 +94,8 @@ def _observer(robot: Robot, options: Options) -> Run:
     return tuning.observer(robot, options.poles, bias=options.bias, form=options.form).run_pieces
 
 
-def _ekf(robot: Robot, options: Options) -> Run:
-    ekf = ExtendedKalmanFilter(robot, options.tuning, **options.of_filters)
-    return ekf.run_pieces
+def _filter(method: type[ExtendedKalmanFilter], robot: Robot, options: Options) -> Run:
+    return method(robot, options.tuning, **options.of_filters).run_pieces
 
 
 def _smoother(robot: Robot, options: Options) -> Run:
@@ -101,8 +107,9 @@ def _map(robot: Robot, options: Options) -> Run:
     return partial(map, IteratedSmoother(robot, options.tuning, **options.of_filters).run)
 
 
-def _elastic_ekf(robot: Robot, options: Options) -> Run:
-    return ElasticJointFilter(robot, options.tuning, **options.of_filters).run_pieces
+def _elastic_filter(linearisation: Linearisation, robot: Robot, options: Options) -> Run:
+    settings = options.of_filters | {"linearisation": linearisation}
+    return ElasticJointFilter(robot, options.tuning, **settings).run_pieces
 
 
 def _elastic_smoother(robot: Robot, options: Options) -> Run:
@@ -132,8 +139,14 @@ METHODS = {
         uneven=False,
         read_tuning=ObserverTuning.read,
     ),
-    "ekf": Method("Kalman filter with link dynamics and standard deviations", OF_FILTERS, _ekf),
-    "smoother": Method("the same, using all samples, later ones included", OF_FILTERS, _smoother),
+    "ekf": Method(
+        "Kalman filter with link dynamics and standard deviations", OF_FILTERS, partial(_filter, ExtendedKalmanFilter)
+    ),
+    "ukf": Method(
+        "the same by sigma points in place of derivatives", OF_FILTERS, partial(_filter, UnscentedKalmanFilter)
+    ),
+    "ckf": Method("the same without their centre", OF_FILTERS, partial(_filter, CubatureKalmanFilter)),
+    "smoother": Method("ekf using all samples, later ones included", OF_FILTERS, _smoother),
     "map": Method(
         "the most probable motion, linearised at itself; --loss huber or student-t for outliers",
         OF_FILTERS,
@@ -143,11 +156,23 @@ METHODS = {
     "elastic-ekf": Method(
         "Kalman filter on the elastic-joint dynamics, driven by the motor torques; needs no accelerometer",
         OF_FILTERS,
-        _elastic_ekf,
+        partial(_elastic_filter, "derivatives"),
+        read_tuning=ElasticNoise.read,
+    ),
+    "elastic-ukf": Method(
+        "the same by sigma points in place of derivatives",
+        OF_FILTERS,
+        partial(_elastic_filter, "unscented"),
+        read_tuning=ElasticNoise.read,
+    ),
+    "elastic-ckf": Method(
+        "the same without their centre",
+        OF_FILTERS,
+        partial(_elastic_filter, "cubature"),
         read_tuning=ElasticNoise.read,
     ),
     "elastic-smoother": Method(
-        "the same, using all samples, later ones included",
+        "elastic-ekf using all samples, later ones included",
         OF_FILTERS,
         _elastic_smoother,
         whole=lambda _: True,

@@ -4,12 +4,19 @@ from .cramer_rao import Bound, bound
 from .elastic_joint import ElasticJointFilter, ElasticJointIteratedSmoother, ElasticJointSmoother, ElasticNoise
 from .filtering import KalmanEstimate
 from .fixed_lag import FixedLagSmoother
-from .jerk_driven import ExtendedKalmanFilter, IteratedSmoother, RauchTungStriebelSmoother
+from .jerk_driven import (
+    CubatureKalmanFilter,
+    ExtendedKalmanFilter,
+    IteratedSmoother,
+    RauchTungStriebelSmoother,
+    UnscentedKalmanFilter,
+)
 from .noise import Noise
 from .stretches import smooth_file, smooth_pieces
 
 __all__ = [
     "Bound",
+    "CubatureKalmanFilter",
     "ElasticJointFilter",
     "ElasticJointIteratedSmoother",
     "ElasticJointSmoother",
@@ -20,6 +27,7 @@ __all__ = [
     "KalmanEstimate",
     "Noise",
     "RauchTungStriebelSmoother",
+    "UnscentedKalmanFilter",
     "bound",
     "smooth_file",
     "smooth_pieces",

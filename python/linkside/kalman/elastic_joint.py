@@ -20,6 +20,7 @@ from linkside.robot.requirements import refuse_unsupported
 
 from .filtering import KalmanEstimate, KalmanMethod
 from .late_sensors import inside
+from .linearisation import Linearisation
 from .link_disturbance import LinkDisturbance, Wanted
 from .losses import Losses
 from .noise import PositiveStd, ReadingNoise, Std, channel_arrays, jerk_scale, motor_noise, torque_noise
@@ -111,10 +112,11 @@ class ElasticJoint(KalmanMethod):
         start: Start = "auto",
         link_disturbance: Wanted = "auto",
         loss: Losses = "squares",
+        linearisation: Linearisation = "derivatives",
     ) -> None:
         wanted = {"acceleration": accelerations, "dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
         refuse_unsupported(robot, "a filter on the elastic-joint model")
-        super().__init__(robot, wanted, biases, gate, iterations, start, link_disturbance, loss)
+        super().__init__(robot, wanted, biases, gate, iterations, start, link_disturbance, loss, linearisation)
         one_of("transition", transition, ("exact", "first-order"))
         one_of("motor_torque", motor_torque, ("sampled", "held"))
         self.noise = noise or ElasticNoise()
@@ -210,6 +212,7 @@ class ElasticJoint(KalmanMethod):
             "late": inside(self.robot, kinds, period),
             **core_settings(self.robot, [one for one in self._uncertain if self._counts(one, kinds)]),
             "losses": self._loss_names(kinds),
+            "points": self._points,
             "link_disturbance": None if law is None else law.arrays,
             "wrenches": self._wrench_law,
         }
@@ -258,9 +261,9 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter],
     transition
         How the covariance is carried over a step: ``"exact"``, by the exponential of the derivatives, or
         ``"first-order"``, 1 + A h, as in the paper.
-    gate, iterations, tolerances, start, link_disturbance, loss
-        As of `ExtendedKalmanFilter`. With ``link_disturbance=True`` the motors' torques tell a disturbance even without
-        further sensors, as far as the motors' friction is known.
+    gate, iterations, tolerances, start, link_disturbance, loss, linearisation
+        As of `ExtendedKalmanFilter`; sigma points go through the step of time as well. With ``link_disturbance=True``
+        the motors' torques tell a disturbance even without further sensors, as far as the motors' friction is known.
 
     Raises
     ------

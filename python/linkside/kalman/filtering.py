@@ -24,6 +24,7 @@ from linkside.robot.compiled import period_of
 from .cleaning import cleaned
 from .disturbance_evidence import explains, is_seen, is_suspicious, looks_broken, of_estimate, of_load
 from .late_sensors import sensors
+from .linearisation import Linearisation, checked
 from .link_disturbance import LinkDisturbance, Outside, Wanted, check, given_law
 from .losses import Losses, by_kind
 from .scale import blame_settings
@@ -133,8 +134,10 @@ class KalmanMethod(Described, ABC):
         start: Start = "auto",
         link_disturbance: Wanted = False,
         loss: Losses = "squares",
+        linearisation: Linearisation = "derivatives",
     ) -> None:
         super().__init__()
+        self._linearisation = checked(linearisation, self._way)
         self._losses = by_kind(loss)
         self._link_disturbance = check(link_disturbance)
         if isinstance(start, str) and start not in ("auto", "rest"):
@@ -158,7 +161,13 @@ class KalmanMethod(Described, ABC):
             "start": start,
             "link_disturbance": self._link_disturbance,
             "loss": self._described_losses(),
+            "linearisation": self._linearisation,
         }
+
+    @property
+    def _points(self) -> str | None:
+        """The sigma points that are in place of derivatives, if any."""
+        return None if self._linearisation == "derivatives" else self._linearisation
 
     def _described_losses(self) -> Any:
         """The loss of all kinds, or of each that has another than squares."""

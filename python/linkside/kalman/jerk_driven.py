@@ -20,6 +20,7 @@ from linkside.robot.requirements import refuse_unsupported
 
 from .filtering import CoreFilter, KalmanEstimate, KalmanMethod, LiveFilter, Startable
 from .late_sensors import inside
+from .linearisation import Linearisation
 from .link_disturbance import LinkDisturbance, Wanted
 from .losses import Losses
 from .noise import LEAST_JERK, Noise
@@ -122,10 +123,11 @@ class JerkDriven(KalmanMethod):
         start: Start = "auto",
         link_disturbance: Wanted = "auto",
         loss: Losses = "squares",
+        linearisation: Linearisation = "derivatives",
     ) -> None:
         refuse_unsupported(robot, "a filter on the jerk-driven model")
         wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
-        super().__init__(robot, wanted, biases, gate, iterations, start, link_disturbance, loss)
+        super().__init__(robot, wanted, biases, gate, iterations, start, link_disturbance, loss, linearisation)
         self.noise = noise or Noise()
         self._damping = damping
         self._uncertain = considered(robot) if tolerances else []
@@ -167,6 +169,7 @@ class JerkDriven(KalmanMethod):
             "gate": self._gate,
             "iterations": self._iterations,
             "losses": self._loss_names(kinds),
+            "points": self._points,
             "link_disturbance": None if law is None else law.arrays,
             "wrenches": self._wrench_law,
         }
@@ -268,6 +271,9 @@ class ExtendedKalmanFilter(
         What an error of a sensor's readings costs: ``"squares"``, for Gaussian noise, or where there are outliers
         ``"huber"`` or ``"student-t"``; for all sensors, or by kind as in ``{"acceleration": "student-t"}``. The more
         an error is beyond what is expected, the less its sensor counts at that sample.
+    linearisation
+        ``"derivatives"`` at the estimate; or values at points about it, ``"unscented"`` or ``"cubature"``: see
+        `UnscentedKalmanFilter`.
 
     Raises
     ------
@@ -329,6 +335,27 @@ class ExtendedKalmanFilter(
             return core.run(self.arrays(piece, kinds, before), False, False)
 
         return in_pieces(pieces, start, run, self._estimate)
+
+
+class UnscentedKalmanFilter(ExtendedKalmanFilter):
+    """The same by values of the channels at points about the estimate; parameters as of `ExtendedKalmanFilter`.
+
+    S. J. Julier and J. K. Uhlmann, "Unscented filtering and nonlinear estimation", Proc. IEEE 92 (2004), with α = 1,
+    β = 2 and κ = 0: no weight is negative. Mean, slope and what the slope leaves are those of the regression of the
+    channels on the points; with ``iterations`` it is repeated where readings put the estimate. What a sensor with a
+    filter or a delay inside reads is predicted by derivatives.
+    """
+
+    _default: Linearisation = "unscented"
+
+    def __init__(self, robot: Robot, noise: Noise | None = None, **settings: Any) -> None:
+        super().__init__(robot, noise, **{"linearisation": self._default} | settings)
+
+
+class CubatureKalmanFilter(UnscentedKalmanFilter):
+    """The same without the centre: I. Arasaratnam and S. Haykin, IEEE Trans. Automatic Control 54 (2009)."""
+
+    _default = "cubature"
 
 
 class RauchTungStriebelSmoother(JerkDriven):

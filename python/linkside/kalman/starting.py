@@ -55,7 +55,7 @@ class DecidingFilter(LiveFilter[Core]):
         self, sample: dict[str, Any], step: Callable[..., _core.State], begin: Callable[[Readings], None]
     ) -> _core.State:
         """Take one of the first samples; when their number has doubled, restart and take all of them again."""
-        sample = {name: _copied(name, value) for name, value in sample.items()}
+        sample = own_sample(sample)
         if not self._early:
             self._period = sample["dt"]
         before = self._started, self.status
@@ -64,7 +64,7 @@ class DecidingFilter(LiveFilter[Core]):
             anew = _decides(len(self._early))
             if anew:
                 self._start_anew()
-                begin(self._early_readings())
+                begin(early_readings(self.robot, self._early))
             for early in self._early if anew else [sample]:
                 state = step(**early)
         except EstimatorError:
@@ -83,14 +83,14 @@ class DecidingFilter(LiveFilter[Core]):
     def _deciding(self) -> bool:
         return self._at == "auto" and len(self._early) < WINDOW
 
-    def _early_readings(self) -> Readings:
-        """The first samples that `step` took."""
-        n = self.robot.n
-        columns = {"theta": n, "dtheta": n, "acceleration": len(self.robot.acceleration_channels)}
-        signals = {name: np.array([sized(name, s.get(name), k) for s in self._early]) for name, k in columns.items()}
-        t = np.cumsum([s["dt"] for s in self._early])
-        there = {name: None if np.isnan(values).all() else values for name, values in signals.items()}
-        return Readings(t, signals["theta"], there["dtheta"], there["acceleration"])
+
+def early_readings(robot: Robot, samples: list[dict[str, Any]]) -> Readings:
+    """The first samples that `step` took."""
+    columns = {"theta": robot.n, "dtheta": robot.n, "acceleration": len(robot.acceleration_channels)}
+    signals = {name: np.array([sized(name, s.get(name), k) for s in samples]) for name, k in columns.items()}
+    t = np.cumsum([s["dt"] for s in samples])
+    there = {name: None if np.isnan(values).all() else values for name, values in signals.items()}
+    return Readings(t, signals["theta"], there["dtheta"], there["acceleration"])
 
 
 def _decides(samples: int) -> bool:
@@ -98,8 +98,13 @@ def _decides(samples: int) -> bool:
     return samples.bit_count() == 1 or samples == WINDOW
 
 
+def own_sample(sample: dict[str, Any]) -> dict[str, Any]:
+    """A sample of `step` that may be taken again later: a caller may write into its arrays."""
+    return {name: _copied(name, value) for name, value in sample.items()}
+
+
 def _copied(name: str, value: Any) -> Any:
-    """A signal of a sample, or its step of time, that a filter can take; its own, as a caller may write into it."""
+    """A signal of a sample, or its step of time, that a filter can take."""
     if name == "dt":
         return time_step(value)
     return None if value is None else finite_or_missing(name, np.array(numbers(name, value)))

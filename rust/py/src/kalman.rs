@@ -10,7 +10,7 @@ use crate::robot::Robot;
 use crate::state::State;
 use linkside_compiled::description;
 use linkside_core::estimate::kalman::{self, Inputs, JerkDriven, KalmanRecording, Keep, Model};
-use numpy::{PyReadonlyArray1, PyUntypedArrayMethods};
+use numpy::{PyArray1, PyReadonlyArray1, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -186,25 +186,53 @@ impl StretchSmoother {
         let out = py.release(|| smoother.stretch_back(filter, recording, Keep { covariance, innovations: false }))?;
         into_dict(py, out, filter.model())
     }
+}
 
-    /// One row of a stretch, smoothed; `t` is its time.
-    fn row(
+/// Smoother of a stream: the estimate of some samples ago.
+#[pyclass(module = "linkside._core")]
+#[derive(Clone)]
+pub(crate) struct FixedLagSmoother {
+    smoother: kalman::FixedLagSmoother<JerkDriven>,
+    live: Live,
+}
+
+#[pymethods]
+impl FixedLagSmoother {
+    #[new]
+    fn new(filter: &ExtendedKalmanFilter, lag: usize) -> PyResult<Self> {
+        let smoother = kalman::FixedLagSmoother::new(&filter.filter, lag).map_err(IntoPyErr::into_py_err)?;
+        Ok(Self { live: Live::new(smoother.model())?, smoother })
+    }
+
+    /// A copy with the same samples.
+    fn copy(&self) -> Self {
+        self.clone()
+    }
+
+    /// Takes one sample; what is not given is missing. Gives the state of a lag ago once there are as many samples.
+    #[pyo3(signature = (dt, theta, acceleration=None, dtheta=None, ddqref=None, further=None))]
+    fn step(
         &mut self,
-        py: Python<'_>,
-        start: PyRef<'_, ExtendedKalmanFilter>,
-        arrays: Arrays<'_>,
-        row: usize,
-        t: f64,
-    ) -> PyResult<State> {
-        let recording = recording(start.filter.model(), &arrays)?;
-        let (smoother, filter) = (&mut self.smoother, &start.filter);
-        let keep = Keep { covariance: true, innovations: false };
-        let out = py.release(|| smoother.stretch_back(filter, recording, keep))?;
-        let states = filter.model().states();
-        let state = State::of_row(t, filter.model().robot().len(), &out, row);
-        Ok(state.with_whole(
-            &out.state[row * states..][..states],
-            &out.covariance[row * states * states..][..states * states],
-        ))
+        dt: f64,
+        theta: Signal<'_>,
+        acceleration: Option<Signal<'_>>,
+        dtheta: Option<Signal<'_>>,
+        ddqref: Option<Signal<'_>>,
+        further: Option<Signal<'_>>,
+    ) -> PyResult<Option<State>> {
+        check_step(dt)?;
+        let Self { smoother, live } = self;
+        let (sensors, n) = (smoother.model().acceleration_channels(), smoother.model().robot().len());
+        live.set(dt, sensors, &Signals { theta, acceleration, dtheta, ddqref, further })?;
+        let earlier = smoother.step(live.parts(dt).0).map_err(IntoPyErr::into_py_err)?;
+        Ok(earlier.map(|(t, row)| State::of_row(t, n, row, 0).with_whole(&row.state, &row.covariance)))
+    }
+
+    /// The estimates that no step has given yet, with their times; starts anew.
+    fn flush<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let (t, rows) = self.smoother.flush().map_err(IntoPyErr::into_py_err)?;
+        let out = into_dict(py, rows, self.smoother.model())?;
+        out.set_item("t", PyArray1::from_vec(py, t))?;
+        Ok(out)
     }
 }

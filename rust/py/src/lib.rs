@@ -34,7 +34,7 @@ mod _core {
     #[pymodule_export]
     use crate::elastic_filter::ElasticJointFilter;
     #[pymodule_export]
-    use crate::kalman::{ExtendedKalmanFilter, StretchSmoother, largest_nis};
+    use crate::kalman::{ExtendedKalmanFilter, FixedLagSmoother, StretchSmoother, largest_nis};
     #[pymodule_export]
     use crate::learning::{LearningLoop, LearningStep};
     #[pymodule_export]

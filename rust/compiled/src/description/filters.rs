@@ -4,7 +4,7 @@ use super::BuildError;
 use linkside_core::error::DesignError;
 use linkside_core::estimate::kalman::{
     self, Discretization, ElasticModel, ElasticSettings, ExtendedKalmanFilter, FilterSettings, Gaussian, JerkDriven,
-    JerkModel, Lateness, NoiseLoss, Phases, Tolerances, Uncertain,
+    JerkModel, Lateness, NoiseLoss, Phases, SigmaRule, Tolerances, Uncertain,
 };
 use linkside_core::estimate::measurement::Kind;
 use linkside_core::robot::Robot;
@@ -42,6 +42,9 @@ pub struct JerkFilter {
     /// What errors of each channel cost, as [`NoiseLoss::named`]; empty where all cost squares.
     #[serde(default)]
     pub losses: Vec<String>,
+    /// Which sigma points are in place of derivatives, as [`SigmaRule::named`].
+    #[serde(default)]
+    pub points: Option<String>,
     /// How disturbance torques of links wander, where they have any.
     #[serde(default)]
     pub link_disturbance: Option<LinkDisturbance>,
@@ -79,6 +82,8 @@ pub struct ElasticFilter {
     pub late: Vec<Option<Late>>,
     #[serde(default)]
     pub losses: Vec<String>,
+    #[serde(default)]
+    pub points: Option<String>,
     #[serde(default)]
     pub link_disturbance: Option<LinkDisturbance>,
     /// How varying wrenches on links wander.
@@ -172,6 +177,7 @@ impl JerkFilter {
             model,
             FilterSettings { gate: self.gate, iterations: self.iterations },
             &self.losses,
+            self.points.as_ref(),
             self.start.as_ref(),
         )
     }
@@ -205,6 +211,7 @@ impl ElasticFilter {
             model,
             FilterSettings { gate: self.gate, iterations: self.iterations },
             &self.losses,
+            self.points.as_ref(),
             self.start.as_ref(),
         )
     }
@@ -265,6 +272,7 @@ fn filter<M: Phases>(
     model: M,
     settings: FilterSettings,
     losses: &[String],
+    points: Option<&String>,
     start: Option<&Belief>,
 ) -> Result<ExtendedKalmanFilter<M>, BuildError> {
     let mut filter = ExtendedKalmanFilter::new(model, settings)?;
@@ -272,6 +280,8 @@ fn filter<M: Phases>(
         let find = |name: &String| NoiseLoss::named(name).ok_or_else(|| BuildError::unknown("a loss", name));
         filter.set_losses(&losses.iter().map(find).collect::<Result<Vec<_>, _>>()?)?;
     }
+    let rule = |name: &String| SigmaRule::named(name).ok_or_else(|| BuildError::unknown("sigma points", name));
+    filter.set_points(points.map(rule).transpose()?);
     filter.set_start(start.map(Belief::build).transpose()?)?;
     Ok(filter)
 }

@@ -1,7 +1,7 @@
 //! Triangular factors of matrices with padded rows, and solutions by them.
 
 use super::LANES;
-use super::block::{BlockSums, ROWS, accumulate, by_columns, by_rows, lanes, outer_block};
+use super::block::{BlockSums, ROWS, accumulate, by_columns, by_rows, lanes, outer_block, product_block};
 use crate::simd::{self, Kernel};
 
 /// X of Uᵀ X = B, in place: `upper` has n rows of `size` numbers, what is below its diagonal is not looked at; B has n rows
@@ -58,6 +58,58 @@ fn forward_block<const R: usize, const W: usize>(
         let own = &mut own[c * LANES..][..W * LANES];
         for s in 0..r {
             super::add_scaled(own, -upper[(i + s) * size + i + r], &before[s * stride + c * LANES..][..W * LANES]);
+        }
+        let inverse = 1.0 / upper[(i + r) * size + i + r];
+        own.iter_mut().for_each(|x| *x *= inverse);
+    }
+}
+
+/// X of U X = B, otherwise as [`forward`].
+pub(crate) fn backward(upper: &[f64], size: usize, b: &mut [f64], stride: usize) {
+    simd::phase(Backward { upper, size, b, stride });
+}
+
+/// [`backward`], likewise.
+struct Backward<'a> {
+    upper: &'a [f64],
+    size: usize,
+    b: &'a mut [f64],
+    stride: usize,
+}
+
+impl Kernel for Backward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { upper, size, b, stride } = self;
+        let mut end = b.len() / stride;
+        while end >= ROWS {
+            end -= ROWS;
+            backward_block::<ROWS>(upper, size, b, stride, end);
+        }
+        while end > 0 {
+            end -= 1;
+            backward_block::<1>(upper, size, b, stride, end);
+        }
+    }
+}
+
+/// Rows `i` to `i + R` of X, those below being done.
+#[inline(always)]
+fn backward_block<const R: usize>(upper: &[f64], size: usize, b: &mut [f64], stride: usize, i: usize) {
+    let (own, done) = b.split_at_mut((i + R) * stride);
+    let (own, below) = (&mut own[i * stride..], done.len() / stride);
+    if below > 0 {
+        let factors = (&upper[i * size + i + R..], size);
+        by_columns!(0, stride / LANES, |c, W| {
+            product_block::<R, W>(factors, 0..below, done, stride, c).add(-1.0, own, stride, c, R);
+        });
+    }
+    for r in (0..R).rev() {
+        let (own, after) = own[r * stride..].split_at_mut(stride);
+        for (s, row) in after.chunks_exact(stride).enumerate() {
+            super::add_scaled(own, -upper[(i + r) * size + i + r + 1 + s], row);
         }
         let inverse = 1.0 / upper[(i + r) * size + i + r];
         own.iter_mut().for_each(|x| *x *= inverse);

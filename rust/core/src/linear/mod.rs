@@ -11,8 +11,8 @@ mod products;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use factors::{forward, upper_factor};
-pub(crate) use products::{add_outer, add_squares, congruence, mirror, product};
+pub(crate) use factors::{backward, forward, upper_factor};
+pub(crate) use products::{add_outer, add_squares, add_symmetric, congruence, mirror, product};
 
 use crate::scalar::Scalar;
 

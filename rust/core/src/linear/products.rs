@@ -71,28 +71,34 @@ impl Kernel for AddOuter<'_> {
 ///
 /// `p` has `n` rows of `stride`, `a` one row of `stride` for each i.
 pub(crate) fn add_squares(factor: f64, a: &[f64], n: usize, stride: usize, p: &mut [f64]) {
-    simd::phase(AddSquares { factor, a, n, stride, p });
+    simd::phase(AddSymmetric { factor, a, b: a, n, stride, p });
 }
 
-/// [`add_squares`], likewise.
-struct AddSquares<'a> {
+/// `p += Σᵢ aᵢ bᵢᵀ` where that sum is symmetric, otherwise as [`add_squares`].
+pub(crate) fn add_symmetric(a: &[f64], b: &[f64], n: usize, stride: usize, p: &mut [f64]) {
+    simd::phase(AddSymmetric { factor: 1.0, a, b, n, stride, p });
+}
+
+/// [`add_squares`] and [`add_symmetric`], likewise.
+struct AddSymmetric<'a> {
     factor: f64,
     a: &'a [f64],
+    b: &'a [f64],
     n: usize,
     stride: usize,
     p: &'a mut [f64],
 }
 
-impl Kernel for AddSquares<'_> {
+impl Kernel for AddSymmetric<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run(self) {
-        let Self { factor, a, n, stride, p } = self;
+        let Self { factor, a, b, n, stride, p } = self;
         let inner = a.len() / stride;
         for r in 0..stride / LANES {
             let (out, rows) = (&mut p[r * LANES * stride..], LANES.min(n - r * LANES));
-            by_columns!(r, stride / LANES, |c, W| outer_block::<W>((a, stride), (a, stride), inner, r, c)
+            by_columns!(r, stride / LANES, |c, W| outer_block::<W>((a, stride), (b, stride), inner, r, c)
                 .add(factor, out, stride, c, rows));
         }
         mirror(p, n, stride);

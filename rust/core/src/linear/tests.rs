@@ -1,6 +1,8 @@
 //! Kernels on padded rows against plain loops.
 
-use super::{LANES, add_outer, add_squares, congruence, forward, mirror, product, upper_factor};
+use super::{
+    LANES, add_outer, add_squares, add_symmetric, backward, congruence, forward, mirror, product, upper_factor,
+};
 use proptest::collection::vec;
 use proptest::prelude::*;
 
@@ -92,6 +94,21 @@ proptest! {
     }
 
     #[test]
+    fn symmetric_products_are_added_to_both_triangles(
+        (a, m, n) in (1_usize..14, 1_usize..14).prop_flat_map(|(inner, n)| {
+            (matrix(inner, n), matrix(inner, inner), Just(n))
+        })
+    ) {
+        // Aᵀ (M A) with symmetric M.
+        let whole = definite(&m, m.len());
+        let product = gram(&whole, &a, m.len(), n);
+        let ((left, stride), (right, _)) = (padded(&a, n), padded(&product, n));
+        let mut out = vec![0.0; n * stride];
+        add_symmetric(&left, &right, n, stride, &mut out);
+        agree(&out, stride, &gram(&a, &product, n, n), ALL)?;
+    }
+
+    #[test]
     fn upper_triangle_is_copied((a, n) in (1_usize..14).prop_flat_map(|n| (matrix(n, n), Just(n)))) {
         let (mut out, stride) = padded(&a, n);
         mirror(&mut out, n, stride);
@@ -100,7 +117,7 @@ proptest! {
     }
 
     #[test]
-    fn factor_squared_is_the_matrix_and_forward_undoes_it(
+    fn factor_squared_is_the_matrix_and_forward_and_backward_undo_it(
         (m, x, n, columns) in (1_usize..14, 1_usize..11).prop_flat_map(|(n, columns)| {
             (matrix(n, n), matrix(n, columns), Just(n), Just(columns))
         })
@@ -115,6 +132,9 @@ proptest! {
 
         let (mut solution, width) = padded(&gram(&u, &x, n, columns), columns);
         forward(&upper, stride, &mut solution, width);
+        agree(&solution, width, &x, ALL)?;
+        let (mut solution, width) = padded(&gram(&transposed(&u, n), &x, n, columns), columns);
+        backward(&upper, stride, &mut solution, width);
         agree(&solution, width, &x, ALL)?;
     }
 

@@ -100,11 +100,16 @@ impl Correction {
         }
         self.project(model, belief);
         self.read(model, belief, readings);
-        if self.is_sharp() {
+        if self.is_sharp(model) {
+            // One by one, each must have its own: no less than that in any combination of channels.
+            for (i, variance) in self.variances.iter_mut().enumerate() {
+                *variance += model.residual().map_or(0.0, |left| left.row(i).iter().map(|x| x.abs()).sum());
+            }
             for i in 0..readings.len() {
                 self.use_one(model, belief, i, gate);
             }
         } else {
+            self.add_residual(model);
             while !self.use_all(belief.covariance.stride, gate) {}
             belief.covariance.add_squares(-1.0, &self.projections);
         }
@@ -158,10 +163,19 @@ impl Correction {
 
     /// Whether some reading's noise is lost beside the variance of its prediction.
     #[inline(always)]
-    fn is_sharp(&self) -> bool {
+    fn is_sharp(&self, model: &impl Model) -> bool {
         let own = self.own();
         let mut read = self.raw.iter().enumerate().filter(|(_, raw)| !raw.is_nan());
-        read.any(|(i, _)| self.shares[i * own + i] > SHARP * self.variances[i])
+        let left = |i: usize| model.residual().map_or(0.0, |left| left.at(i, i));
+        read.any(|(i, _)| self.shares[i * own + i] > SHARP * (self.variances[i] + left(i)))
+    }
+
+    /// H P Hᵀ with what a regression leaves.
+    #[inline(always)]
+    fn add_residual(&mut self, model: &impl Model) {
+        if let Some(left) = model.residual() {
+            linear::add_scaled(&mut self.shares, 1.0, &left.data);
+        }
     }
 
     /// Whether channel `i` is read and not shut out.
@@ -288,6 +302,7 @@ impl Correction {
     #[inline(always)]
     pub(super) fn weigh(&mut self, model: &impl Model, belief: &Gaussian, read: Readings<'_>, sensors: &SensorLosses) {
         self.project(model, belief);
+        self.add_residual(model);
         self.read(model, belief, read.values);
         let own = self.own();
         for (i, error) in self.raw.iter_mut().enumerate() {
@@ -330,6 +345,7 @@ impl Correction {
         std: &mut [f64],
     ) {
         self.project(model, belief);
+        self.add_residual(model);
         self.read(model, belief, readings);
         innovation.copy_from_slice(&self.raw);
         let own = self.own();

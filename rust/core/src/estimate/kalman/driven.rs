@@ -229,6 +229,10 @@ impl Measurement for JerkMeasurement {
         Linearised { prediction: &self.evaluation.prediction, jacobian: &self.evaluation.jacobian }
     }
 
+    fn linearised_mut(&mut self) -> (&mut [f64], &mut [f64]) {
+        (&mut self.evaluation.prediction, &mut self.evaluation.jacobian)
+    }
+
     /// A motor position's has a part that grows with its predicted torsion; a motor velocity's, what the jerk that is not
     /// known does to the torsion's rate: with acceleration a random walk, that rate has no variance but over a step.
     #[inline(always)]

@@ -16,6 +16,7 @@ use super::elastic_sensitivity::ElasticSensitivity;
 use super::gaussian::{Gaussian, Symmetric};
 use super::model::{Paired, Process};
 use super::recording::{KalmanRecording, KalmanSample};
+use super::sigma_points::SigmaRule;
 use super::tolerances::Tolerances;
 use super::transition::Transition;
 use crate::check::{check_deviations, check_readings, check_times, expect_length};
@@ -365,6 +366,10 @@ impl Process for ElasticProcess {
 
     fn widen(&mut self, states: usize) {
         self.transition.widen(states);
+    }
+
+    fn set_points(&mut self, rule: Option<SigmaRule>) {
+        self.transition.set_points(rule);
     }
 
     #[inline(always)]

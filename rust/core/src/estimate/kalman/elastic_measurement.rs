@@ -220,6 +220,10 @@ impl Measurement for ElasticMeasurement {
         Linearised { prediction: &self.prediction, jacobian: &self.jacobian }
     }
 
+    fn linearised_mut(&mut self) -> (&mut [f64], &mut [f64]) {
+        (&mut self.prediction, &mut self.jacobian)
+    }
+
     #[inline(always)]
     fn variance(&self, channel: usize) -> f64 {
         self.variance[channel]

@@ -10,8 +10,9 @@ use super::loss::{NoiseLoss, SensorLosses};
 use super::monitor::Monitor;
 use super::output::{FilterOutput, Tool};
 use super::path::StatePath;
-use super::phases::{Judge, Linearise, Phases, Predict, Update, WeighReadings};
+use super::phases::{Judge, Linearise, Phases, Predict, Regress, Update, WeighReadings};
 use super::recording::KalmanSample;
+use super::sigma_points::SigmaRule;
 use crate::check::{expect, expect_length};
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
@@ -166,6 +167,15 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         }
         self.start = start;
         Ok(())
+    }
+
+    /// From now on goes by values at sigma points in place of derivatives: it is then the unscented or the cubature Kalman filter
+    /// (S. J. Julier and J. K. Uhlmann 2004; I. Arasaratnam and S. Haykin 2009), and with several
+    /// [`iterations`](FilterSettings::iterations) the iterated posterior linearisation (Á. F. García-Fernández et al. 2015).
+    ///
+    /// None: by derivatives. Sensors that are late are predicted by derivatives in any case.
+    pub fn set_points(&mut self, rule: Option<SigmaRule>) {
+        self.model.set_points(rule);
     }
 
     /// From now on errors of readings cost this (channels); the sensor's first channel counts for all of its axes.
@@ -484,6 +494,11 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         } else {
             reference.copy_from_slice(&self.belief.mean[..d]);
         }
-        M::linearise_phase(Linearise { model: &mut self.model, reference });
+        let model = &mut self.model;
+        if self.path.is_none() && model.has_points() {
+            M::regress_phase(Regress { model, reference, covariance: &self.belief.covariance });
+        } else {
+            M::linearise_phase(Linearise { model, reference });
+        }
     }
 }

@@ -10,7 +10,7 @@
 //! | motors | measure the links through springs | are states |
 //! | from | Axelsson, Karlsson and Norrlöf 2012 | Ulrich and Sasiadek 2011 |
 //!
-//! What else may be in it, for either: sensors that are late ([`Lateness`]), numbers known to a tolerance only
+//! Either may go by values at [sigma points](SigmaRule) in place of derivatives. What else may be in it, for either: sensors that are late ([`Lateness`]), numbers known to a tolerance only
 //! ([`Tolerance`]), and a judge of the innovations ([`Finding`]).
 
 mod bank;
@@ -26,12 +26,14 @@ mod elastic_measurement;
 mod elastic_sensitivity;
 mod filter;
 mod findings;
+mod fixed_lag;
 mod gaussian;
 mod information;
 mod isolation;
 mod iterated;
 mod jerk;
 mod jerk_process;
+mod lag_window;
 mod late;
 mod loss;
 mod misfit;
@@ -42,8 +44,10 @@ mod output;
 mod path;
 mod phases;
 mod recording;
+mod regression;
 mod run;
 mod sensitivity;
+mod sigma_points;
 mod signal;
 mod smoother;
 mod step_noise;
@@ -57,6 +61,7 @@ pub use elastic::{Discretization, ElasticModel, ElasticNoise, ElasticProcess, El
 pub use elastic_measurement::ElasticMeasurement;
 pub use filter::{ExtendedKalmanFilter, FilterSettings, MOST_ITERATIONS};
 pub use findings::Finding;
+pub use fixed_lag::FixedLagSmoother;
 pub use gaussian::{Gaussian, Row, Symmetric};
 pub use iterated::IteratedSmoother;
 pub use jerk::{JerkModel, JerkNoise};
@@ -71,6 +76,7 @@ pub use phases::Phases;
 pub(crate) use phases::{Linearise, Predict};
 pub use recording::{Inputs, KalmanRecording, KalmanSample};
 pub use run::Way;
+pub use sigma_points::SigmaRule;
 pub use signal::Fault;
 pub use smoother::Smoother;
 pub use tolerances::Tolerances;

@@ -14,6 +14,7 @@ use super::gaussian::{Gaussian, Symmetric};
 use super::late::{Late, LateChannel, Lateness};
 use super::output::FilterOutput;
 use super::recording::{KalmanRecording, KalmanSample};
+use super::sigma_points::{SigmaPoints, SigmaRule};
 use super::tolerances::Tolerances;
 use crate::check::{expect, expect_length};
 use crate::error::DesignError;
@@ -36,6 +37,9 @@ pub trait Process: Clone + Send + Sync {
 
     /// Makes room for beliefs of `states`, of which those that are not its own stay as they are.
     fn widen(&mut self, _states: usize) {}
+
+    /// From now on goes by sigma points where it is not linear; none: by derivatives.
+    fn set_points(&mut self, _rule: Option<SigmaRule>) {}
 
     /// Whether a recording has the signals that drive the process, in arrays that fit.
     ///
@@ -129,6 +133,9 @@ pub trait Measurement: Clone + Send + Sync {
 
     /// What [`linearise`](Self::linearise) found.
     fn linearised(&self) -> Linearised<'_>;
+
+    /// The same, predictions and derivatives, to be replaced by those of a regression.
+    fn linearised_mut(&mut self) -> (&mut [f64], &mut [f64]);
 
     /// Variance of a channel's noise, where the channels were linearised.
     fn variance(&self, channel: usize) -> f64;
@@ -230,7 +237,19 @@ pub trait Model: Clone + Send + Sync {
     /// Predicts the channels of the sample last predicted to, and their derivatives; see [`Measurement::linearise`].
     fn linearise(&mut self, reference: &[f64]);
 
-    /// What [`linearise`](Self::linearise) found.
+    /// From now on goes by sigma points in place of derivatives where it can; none: by derivatives.
+    fn set_points(&mut self, rule: Option<SigmaRule>);
+
+    /// Whether it goes by sigma points.
+    fn has_points(&self) -> bool;
+
+    /// As [`linearise`](Self::linearise), by the regression on a belief of this mean and covariance.
+    fn regress(&mut self, reference: &[f64], covariance: &Symmetric);
+
+    /// Covariance of what the regression leaves of the channels (channels × channels), where there is one.
+    fn residual(&self) -> Option<&Symmetric>;
+
+    /// What [`linearise`](Self::linearise) found, or [`regress`](Self::regress).
     fn linearised(&self) -> Linearised<'_>;
 
     /// See [`Measurement::variance`].
@@ -288,7 +307,17 @@ pub trait Model: Clone + Send + Sync {
     fn carry_noise_free(&mut self, columns: &mut [f64], stride: usize, dt: f64);
 
     /// The adjoint of what F does in [`carry`](Self::carry): Λ ← Fᵀ Λ.
-    fn carry_back(&mut self, memory: &[f64], columns: &mut [f64], stride: usize, dt: f64);
+    #[inline(always)]
+    fn carry_back(&mut self, memory: &[f64], columns: &mut [f64], stride: usize, dt: f64) {
+        self.carry_back_sensors(memory, columns, stride);
+        self.carry_back_process(memory, columns, stride, dt);
+    }
+
+    /// Its part by late sensors, which moved last: between the two is where noise entered.
+    fn carry_back_sensors(&mut self, memory: &[f64], columns: &mut [f64], stride: usize);
+
+    /// Its part by the process.
+    fn carry_back_process(&mut self, memory: &[f64], columns: &mut [f64], stride: usize, dt: f64);
 
     /// See [`Measurement::signatures`].
     fn signatures(&mut self, stride: usize, out: &mut [f64]);
@@ -317,12 +346,14 @@ pub struct Paired<P, M> {
     late: Option<Box<Late>>,
     /// Scratch: ∂h/∂p of the late channels.
     driven: Vec<f64>,
+    /// Sigma points of the channels; none: derivatives.
+    points: Option<Box<SigmaPoints>>,
 }
 
 impl<P: Process, M: Measurement> Paired<P, M> {
     /// A process and the measurement of its state.
     pub fn of(process: P, measurement: M) -> Self {
-        Self { process, measurement, late: None, driven: Vec::new() }
+        Self { process, measurement, late: None, driven: Vec::new(), points: None }
     }
 
     /// With what is `inside` the sensor of each channel, as states behind the model's own; an empty list is nothing.
@@ -455,6 +486,39 @@ impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
         }
     }
 
+    fn set_points(&mut self, rule: Option<SigmaRule>) {
+        self.process.set_points(rule);
+        let (dense, channels) = (self.measurement.dense(), self.measurement.channels().len());
+        self.points = rule.map(|rule| Box::new(SigmaPoints::new(rule, dense, channels)));
+    }
+
+    fn has_points(&self) -> bool {
+        self.points.is_some()
+    }
+
+    #[inline(always)]
+    fn regress(&mut self, reference: &[f64], covariance: &Symmetric) {
+        let Self { measurement, late, points, .. } = self;
+        let Some(points) = points else { return self.linearise(reference) };
+        points.evaluate(reference, covariance, |state, values| values.copy_from_slice(measurement.evaluate(state)));
+        measurement.linearise(reference);
+        let (prediction, jacobian) = measurement.linearised_mut();
+        prediction.copy_from_slice(&points.mean);
+        points.correct(jacobian, reference.len());
+        if let Some(late) = late {
+            late.mask(measurement.linearised());
+            // Of a late channel a state is read, and that is no function.
+            for channel in late.channels().map(|late| late.channel) {
+                (0..points.mean.len()).for_each(|other| points.residual.put(channel, other, 0.0));
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn residual(&self) -> Option<&Symmetric> {
+        self.points.as_ref().map(|points| &points.residual)
+    }
+
     #[inline(always)]
     fn linearised(&self) -> Linearised<'_> {
         self.late.as_ref().map_or(self.measurement.linearised(), |late| late.masked())
@@ -531,11 +595,15 @@ impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
     }
 
     #[inline(always)]
-    fn carry_back(&mut self, memory: &[f64], columns: &mut [f64], stride: usize, dt: f64) {
-        let own = self.process.memory();
+    fn carry_back_sensors(&mut self, memory: &[f64], columns: &mut [f64], stride: usize) {
         if let Some(late) = &self.late {
-            late.carry_back(&memory[own + self.measurement.memory()..], columns, stride);
+            late.carry_back(&memory[self.process.memory() + self.measurement.memory()..], columns, stride);
         }
+    }
+
+    #[inline(always)]
+    fn carry_back_process(&mut self, memory: &[f64], columns: &mut [f64], stride: usize, dt: f64) {
+        let own = self.process.memory();
         self.process.carry_back(&memory[..own], columns, stride, dt);
     }
 

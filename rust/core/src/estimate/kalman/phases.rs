@@ -7,7 +7,7 @@ use super::consider::Consider;
 use super::correction::{Correction, Readings};
 use super::driven::JerkDriven;
 use super::elastic::ElasticModel;
-use super::gaussian::Gaussian;
+use super::gaussian::{Gaussian, Symmetric};
 use super::iterated::MeanBack;
 use super::loss::SensorLosses;
 use super::model::Model;
@@ -25,6 +25,8 @@ pub trait Phases: Model {
     fn predict_phase(phase: Predict<'_, '_, Self>);
     #[doc(hidden)]
     fn linearise_phase(phase: Linearise<'_, Self>);
+    #[doc(hidden)]
+    fn regress_phase(phase: Regress<'_, Self>);
     #[doc(hidden)]
     fn update_phase(phase: Update<'_, Self>);
     #[doc(hidden)]
@@ -51,6 +53,10 @@ macro_rules! phases {
             }
 
             fn linearise_phase(phase: Linearise<'_, Self>) {
+                simd::phase(phase);
+            }
+
+            fn regress_phase(phase: Regress<'_, Self>) {
                 simd::phase(phase);
             }
 
@@ -115,6 +121,22 @@ impl<M: Model> Kernel for Linearise<'_, M> {
     #[inline(always)]
     fn run(self) {
         self.model.linearise(self.reference);
+    }
+}
+
+/// The same by sigma points of a belief whose leading states have the mean `reference`.
+pub(super) struct Regress<'a, M> {
+    pub(super) model: &'a mut M,
+    pub(super) reference: &'a [f64],
+    pub(super) covariance: &'a Symmetric,
+}
+
+impl<M: Model> Kernel for Regress<'_, M> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.model.regress(self.reference, self.covariance);
     }
 }
 

@@ -134,6 +134,12 @@ impl StepNoise {
         }
     }
 
+    /// Q with a covariance more.
+    #[inline(always)]
+    pub(super) fn add(&mut self, more: &Symmetric) {
+        linear::add_scaled(&mut self.covariance.data, 1.0, &more.data);
+    }
+
     /// Room for further inputs, up to this many.
     pub(super) fn set_inputs(&mut self, inputs: usize) {
         self.inputs = vec![0.0; inputs * self.covariance.stride];

@@ -17,6 +17,7 @@
 use super::elastic::Discretization;
 use super::elastic_sensitivity::ElasticSensitivity;
 use super::gaussian::{Gaussian, Symmetric};
+use super::sigma_points::{SigmaPoints, SigmaRule};
 use super::step_noise::StepNoise;
 use crate::dynamics::{ElasticDynamics, ElasticLayout, ElementRow};
 use crate::linear;
@@ -70,6 +71,8 @@ pub(super) struct Transition {
     carried: Vec<f64>,
     /// Where the model was last linearised.
     sensitivity: ElasticSensitivity,
+    /// Points that go through the step in place of Φ; none: Φ.
+    points: Option<Box<SigmaPoints>>,
 }
 
 /// Motor torques (n) at the beginning and at the end of a step; in between they change linearly.
@@ -105,6 +108,7 @@ impl Transition {
             tau: vec![0.0; robot.len()],
             carried: Vec::new(),
             sensitivity: ElasticSensitivity::default(),
+            points: None,
             layout,
         }
     }
@@ -112,6 +116,12 @@ impl Transition {
     /// Makes room for beliefs of `states`.
     pub(super) fn widen(&mut self, states: usize) {
         self.wide = vec![0.0; self.layout.dense * states.next_multiple_of(linear::LANES)];
+    }
+
+    /// From now on sigma points go through the step; none: Φ does.
+    pub(super) fn set_points(&mut self, rule: Option<SigmaRule>) {
+        let d = self.layout.dense;
+        self.points = rule.map(|rule| Box::new(SigmaPoints::new(rule, d, d)));
     }
 
     /// Some numbers of the robot are known to a tolerance only; see [`drive`](Self::drive).
@@ -148,9 +158,7 @@ impl Transition {
         let (substeps, length) = (1_u32 << doublings, 1.0 / f64::from(1_u32 << doublings));
         // The mean, nonlinear and in substeps; the covariance below, once, about the middle of what the mean went
         // through.
-        for i in 0..substeps {
-            self.integrate(robot, &mut belief.mean[..d], torques, f64::from(i) * length, length, dt * length);
-        }
+        self.integrate(robot, &mut belief.mean[..d], torques, substeps, dt);
         match self.discretization {
             // As printed: Φ = 1 + A dt at the step's beginning, whatever the stiffness.
             Discretization::FirstOrder => self.expand(robot, dt, 1),
@@ -167,6 +175,11 @@ impl Transition {
                 self.square(doublings);
             }
         }
+        // Taken out while it is used, for each point goes through the same step.
+        if let Some(mut points) = self.points.take() {
+            self.regress(robot, &mut points, belief, torques, substeps, dt);
+            self.points = Some(points);
+        }
         // A torque's reading is one number for the whole step: its noise enters by Ψ Ψᵀ and not as white noise.
         self.noise.add_torques(&self.torque);
         // A disturbance that ends with an outage: no longer correlated with anything, so its row of Φ goes as well.
@@ -180,6 +193,32 @@ impl Transition {
         for (row, noise) in p.data.chunks_exact_mut(p.stride).zip(q.data.chunks_exact(q.stride)) {
             linear::add_scaled(&mut row[..d], 1.0, noise);
         }
+    }
+
+    /// The mean at the step's end, Φ and Q by sigma points: Φ is corrected to the slope of the regression, and Q gets what that
+    /// leaves.
+    #[inline(always)]
+    fn regress(
+        &mut self,
+        robot: &Robot,
+        points: &mut SigmaPoints,
+        belief: &mut Gaussian,
+        torques: Torques<'_>,
+        substeps: u32,
+        dt: f64,
+    ) {
+        let d = self.layout.dense;
+        let start = core::mem::take(&mut self.start);
+        points.evaluate(&start, &belief.covariance, |from, to| {
+            to.copy_from_slice(from);
+            self.layout.confine(robot, to);
+            self.integrate(robot, to, torques, substeps, dt);
+        });
+        self.start = start;
+        belief.mean[..d].copy_from_slice(&points.mean);
+        self.layout.confine(robot, &mut belief.mean[..d]);
+        points.correct(&mut self.phi, self.stride);
+        self.noise.add(&points.residual);
     }
 
     /// The torques after a `part` of the step.
@@ -223,9 +262,18 @@ impl Transition {
         0.5 * damped + (0.25 * damped * damped + stiff).sqrt()
     }
 
+    /// `x` through a step of `dt` [s].
+    #[inline(always)]
+    fn integrate(&mut self, robot: &Robot, x: &mut [f64], torques: Torques<'_>, substeps: u32, dt: f64) {
+        let length = 1.0 / f64::from(substeps);
+        for i in 0..substeps {
+            self.substep(robot, x, torques, f64::from(i) * length, length, dt * length);
+        }
+    }
+
     /// One step of the classical fourth-order rule, from a `part` of the step on.
     #[inline(always)]
-    fn integrate(&mut self, robot: &Robot, x: &mut [f64], torques: Torques<'_>, part: f64, length: f64, h: f64) {
+    fn substep(&mut self, robot: &Robot, x: &mut [f64], torques: Torques<'_>, part: f64, length: f64, h: f64) {
         for (stage, (node, carry)) in [(0.0, 0.0), (0.5, 0.5 * h), (0.5, 0.5 * h), (1.0, h)].into_iter().enumerate() {
             self.probe.copy_from_slice(x);
             if stage > 0 {
