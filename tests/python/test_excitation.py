@@ -253,7 +253,7 @@ def test_what_cannot_be_planned_is_refused(folder, arguments, words):
 
 
 def test_a_robot_without_sensors_or_limits_is_refused(robot):
-    with pytest.raises(EstimatorError, match="joint 'axis2': the URDF has no limit of effort"):
+    with pytest.raises(EstimatorError, match="joints axis2, axis3: the URDF has no limit of effort"):
         excite(robot)
     joints = [{"name": name, "stiffness": 1e4, "motor_inertia": 1.0} for name in ("shoulder", "elbow")]
     with pytest.raises(EstimatorError, match="no sensor behind the springs"):

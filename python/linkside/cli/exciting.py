@@ -31,9 +31,11 @@ from .terminal import bar, show
 @click.option("--reach", type=float, default=0.5, show_default=True, help="How far each joint moves [rad, m].")
 @click.option("--posture", metavar="JOINT=POSITION", multiple=True, help="Where a joint begins and ends [rad, m].")
 @click.option("--range", "ranges", metavar="JOINT=LOW:HIGH", multiple=True, help="Limits of a position [rad, m].")
-@click.option("--velocity", metavar="JOINT=LIMIT", multiple=True, help="Limit of a velocity.  [default: URDF]")
-@click.option("--acceleration", metavar="JOINT=LIMIT", multiple=True, help="Limit of an acceleration.  [default: none]")
-@click.option("--torque", metavar="JOINT=LIMIT", multiple=True, help="Limit of a motor's torque, link side.")
+@click.option("--velocity", metavar="[JOINT=]LIMIT", multiple=True, help="Limit of a velocity.  [default: URDF]")
+@click.option(
+    "--acceleration", metavar="[JOINT=]LIMIT", multiple=True, help="Limit of an acceleration.  [default: none]"
+)
+@click.option("--torque", metavar="[JOINT=]LIMIT", multiple=True, help="Limit of a motor's torque, link side.")
 @click.option("--one-by-one", is_flag=True, help="Move one joint after the other, not all together.")
 @click.option("--evaluations", type=click.IntRange(2), default=200, show_default=True, help="Motions to try.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed, the same motion.")
@@ -72,7 +74,7 @@ def excite(
     limits = Limits.of(
         loaded,
         ranges=dict(map(_range, options["ranges"])),
-        **{what: _named(what, options[what]) for what in ("velocity", "acceleration", "torque")},
+        **{what: _limit(loaded, what, options[what]) for what in ("velocity", "acceleration", "torque")},
     )
     settings = {name: options[name] for name in ("duration", "rate", "bandwidth", "reach", "one_by_one", "seed")}
     count = options["evaluations"]
@@ -101,6 +103,13 @@ def excite(
 
 def _named(what: str, texts: tuple[str, ...]) -> dict[str, float]:
     return dict(named_number(f"--{what}", text) for text in texts)
+
+
+def _limit(robot: Robot, what: str, texts: tuple[str, ...]) -> dict[str, float]:
+    """Limits by joint; a number without a joint is that of all others."""
+    limits = _named(what, texts)
+    others = limits.pop("", None)
+    return limits if others is None else dict.fromkeys(robot.names, others) | limits
 
 
 def _range(text: str) -> tuple[str, tuple[float, float]]:

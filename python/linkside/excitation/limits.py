@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
@@ -61,13 +62,9 @@ class Limits:
             "acceleration": _given(robot, "acceleration", np.full(robot.n, np.inf), acceleration),
             "torque": _given(robot, "torque", _plausible([joint.torque for joint in joints]), torque),
         }
-        for j, name in enumerate(robot.names):
-            if np.isinf(limits["velocity"][j]):
-                raise EstimatorError(f"joint '{name}': the URDF has no limit of velocity; give one (velocity)")
-            if np.isinf(limits["torque"][j]) and np.isinf(limits["acceleration"][j]):
-                raise EstimatorError(
-                    f"joint '{name}': the URDF has no limit of effort; give one (torque), or one of acceleration"
-                )
+        _require(robot, np.isfinite(limits["velocity"]), "velocity", "give one (velocity)")
+        forces = np.isfinite(limits["torque"]) | np.isfinite(limits["acceleration"])
+        _require(robot, forces, "effort", "give one (torque), or one of acceleration")
         return cls(position, **limits)
 
 
@@ -83,6 +80,14 @@ def _given(robot: Robot, what: str, limits: FloatArray, given: Mapping[str, floa
             raise EstimatorError(f"{what} of '{name}': expected a limit greater than 0, got {value:g}")
         limits[_index(robot, name, what)] = value
     return limits
+
+
+def _require(robot: Robot, known: npt.NDArray[np.bool_], what: str, remedy: str) -> None:
+    """Name the joints without a limit, all of them."""
+    if not known.all():
+        names = ", ".join(name for name, there in zip(robot.names, known, strict=True) if not there)
+        joints = "joint" if np.count_nonzero(~known) == 1 else "joints"
+        raise EstimatorError(f"{joints} {names}: the URDF has no limit of {what}; {remedy}")
 
 
 def _index(robot: Robot, name: str, what: str) -> int:
