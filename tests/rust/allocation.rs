@@ -9,7 +9,7 @@ use core::hint::black_box;
 use linkside_core::dynamics::{Kinematics, Loads};
 use linkside_core::estimate::kalman::{
     ExtendedKalmanFilter, FilterSettings, FixedLagSmoother, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanSample,
-    Lateness, LinkDisturbance, NoiseLoss, SigmaRule,
+    Lateness, LinkDisturbance, NoiseLoss, SigmaRule, WrenchLaw,
 };
 use linkside_core::estimate::measurement::Kind;
 use linkside_core::estimate::observer::{
@@ -141,7 +141,7 @@ fn check_kalman_step(disturbed: bool, points: Option<SigmaRule>) {
     .unwrap();
     if disturbed {
         let law = LinkDisturbance { initial: vec![5.0; 6], walk: vec![20.0; 6], time: 1.0 };
-        model = model.with_disturbances(law).unwrap();
+        model = model.with_disturbances(Some(law), WrenchLaw::default()).unwrap();
     }
     let noise = JerkNoise {
         jerk: vec![20.0; 6],

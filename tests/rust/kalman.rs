@@ -6,7 +6,7 @@ use arm::{Mounting, arm, drive};
 use linkside_core::estimate::kalman::{
     Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterSettings,
     FixedLagSmoother, Gaussian, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanRecording, KalmanSample, Keep,
-    Lateness, LinkDisturbance, Measurement, Model, Phases, Smoother,
+    Lateness, LinkDisturbance, Measurement, Model, Phases, Smoother, WrenchLaw,
 };
 use linkside_core::estimate::measurement::{Evaluation, Kind};
 use linkside_core::robot::{
@@ -57,7 +57,7 @@ fn model(disturbed: bool) -> JerkDriven {
     let mut model = JerkModel::new(Arc::new(robot()), ALL, &[true; CHANNELS]).unwrap();
     if disturbed {
         let law = LinkDisturbance { initial: vec![5.0; JOINTS], walk: vec![20.0; JOINTS], time: 0.7 };
-        model = model.with_disturbances(law).unwrap();
+        model = model.with_disturbances(Some(law), WrenchLaw::default()).unwrap();
     }
     JerkDriven::new(model, noise(), true).unwrap()
 }
@@ -84,9 +84,9 @@ proptest! {
         robot.drives[1].bearing_friction = Friction { coulomb: 9.0, asymmetry: 2.0, ..Friction::default() };
         robot.drives[1].bearing_loss = LoadFriction { driving: share, driven: share, rounding: 5.0 };
         let channels = JerkModel::new(Arc::new(robot.clone()), ALL, &[true; CHANNELS]).unwrap().channel_list().to_vec();
-        let mut plain = Evaluation::disturbed(&robot, CHANNELS, JOINTS);
+        let mut plain = Evaluation::disturbed(&robot, CHANNELS, [JOINTS, 0]);
         plain.evaluate(&robot, &channels, &state, &dtheta);
-        let mut dual = Evaluation::<Dual<12>>::disturbed(&robot, CHANNELS, JOINTS);
+        let mut dual = Evaluation::<Dual<12>>::disturbed(&robot, CHANNELS, [JOINTS, 0]);
         let variables: Vec<_> = state.iter().enumerate().map(|(i, &x)| Dual::variable(x, i)).collect();
         dual.evaluate(&robot, &channels, &variables, &dtheta);
         for (i, h) in dual.prediction.iter().enumerate() {
