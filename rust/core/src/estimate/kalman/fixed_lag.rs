@@ -207,8 +207,8 @@ impl<M: Phases> FixedLagSmoother<M> {
         let fault = steps.last().is_some_and(|step| step.found == now as u64);
         // A start is fitted to readings that contradict the model, or a fault began before it was found.
         let doubted = correction.status & Status::CONTRADICTED != 0 && !*contradicted && now < Status::START;
-        let flags =
-            (u8::from(doubted) * Status::CONTRADICTED) | (u8::from(fault) * (Status::CONTRADICTED | Status::FAULTY));
+        let so = |there: bool, flags: u8| if there { flags } else { 0 };
+        let flags = so(doubted, Status::CONTRADICTED) | so(fault, Status::CONTRADICTED | Status::FAULTY);
         waiting.iter_mut().for_each(|row| row.status |= flags);
         *contradicted |= correction.status & Status::CONTRADICTED != 0;
         let own = &mut waiting[now % rows];
