@@ -82,6 +82,7 @@ impl Held {
             ddq: at(7),
             torque: at(8),
             ddqref: at(9),
+            wrench: ptr::null(), // these robots have no force sensor
         };
         // SAFETY: each signal has as many numbers as any is wide.
         unsafe { linkside_step(self.0, &raw const sample) }
