@@ -9,7 +9,7 @@ use core::hint::black_box;
 use linkside_core::dynamics::{Kinematics, Loads};
 use linkside_core::estimate::kalman::{
     ExtendedKalmanFilter, FilterSettings, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanSample, Lateness,
-    LinkDisturbance, NoiseLoss,
+    LinkDisturbance, NoiseLoss, WrenchLaw,
 };
 use linkside_core::estimate::measurement::Kind;
 use linkside_core::estimate::observer::{
@@ -21,7 +21,8 @@ use linkside_core::estimate::particle::{
 };
 use linkside_core::estimate::velocity::{self, GainMap, Gains, Logic, Schedule, VelocityObserver};
 use linkside_core::robot::{
-    Anchor, Counterbalance, Drive, FrictionElement, Hysteresis, Robot, Strut, TorqueHarmonic, TorqueSeries,
+    Acting, Anchor, Counterbalance, Drive, FrictionElement, Hysteresis, Robot, Strut, TorqueHarmonic, TorqueSeries,
+    Wrench,
 };
 use linkside_core::simulate::{Adaptive, Plant, StepTolerance};
 use linkside_core::spatial::Vec3;
@@ -132,6 +133,10 @@ fn a_kalman_step_allocates_nothing() {
 fn check_kalman_step(disturbed: bool) {
     let mut robot = robot();
     robot.drives[1].hysteresis = Hysteresis { elements: vec![FrictionElement::dahl(5e4, 20.0)] };
+    if disturbed {
+        let frame = robot.tool.clone().unwrap();
+        robot = robot.with_wrenches(vec![Wrench { frame, acting: Acting::Varying { measured: false } }]).unwrap();
+    }
     let mut model = JerkModel::new(
         Arc::new(robot),
         &[Kind::Motor, Kind::Acceleration, Kind::MotorVelocity, Kind::Link, Kind::Torque],
@@ -140,7 +145,8 @@ fn check_kalman_step(disturbed: bool) {
     .unwrap();
     if disturbed {
         let law = LinkDisturbance { initial: vec![5.0; 6], walk: vec![20.0; 6], time: 1.0 };
-        model = model.with_disturbances(law).unwrap();
+        let wrenches = WrenchLaw { initial: vec![20.0; 6], walk: vec![30.0; 6] };
+        model = model.with_disturbances(Some(law), wrenches).unwrap();
     }
     let noise = JerkNoise {
         jerk: vec![20.0; 6],
