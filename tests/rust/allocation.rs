@@ -21,7 +21,8 @@ use linkside_core::estimate::particle::{
 };
 use linkside_core::estimate::velocity::{self, GainMap, Gains, Logic, Schedule, VelocityObserver};
 use linkside_core::robot::{
-    Anchor, Counterbalance, Drive, FrictionElement, Hysteresis, Robot, Strut, TorqueHarmonic, TorqueSeries,
+    Acting, Anchor, Counterbalance, Drive, FrictionElement, Hysteresis, Robot, Strut, TorqueHarmonic, TorqueSeries,
+    Wrench,
 };
 use linkside_core::simulate::{Adaptive, Plant, StepTolerance};
 use linkside_core::spatial::Vec3;
@@ -133,6 +134,10 @@ fn a_kalman_step_allocates_nothing() {
 fn check_kalman_step(disturbed: bool, points: Option<SigmaRule>) {
     let mut robot = robot();
     robot.drives[1].hysteresis = Hysteresis { elements: vec![FrictionElement::dahl(5e4, 20.0)] };
+    if disturbed {
+        let frame = robot.tool.clone().unwrap();
+        robot = robot.with_wrenches(vec![Wrench { frame, acting: Acting::Varying { measured: false } }]).unwrap();
+    }
     let mut model = JerkModel::new(
         Arc::new(robot),
         &[Kind::Motor, Kind::Acceleration, Kind::MotorVelocity, Kind::Link, Kind::Torque],
@@ -141,7 +146,8 @@ fn check_kalman_step(disturbed: bool, points: Option<SigmaRule>) {
     .unwrap();
     if disturbed {
         let law = LinkDisturbance { initial: vec![5.0; 6], walk: vec![20.0; 6], time: 1.0 };
-        model = model.with_disturbances(Some(law), WrenchLaw::default()).unwrap();
+        let wrenches = WrenchLaw { initial: vec![20.0; 6], walk: vec![30.0; 6] };
+        model = model.with_disturbances(Some(law), wrenches).unwrap();
     }
     let noise = JerkNoise {
         jerk: vec![20.0; 6],
