@@ -122,7 +122,7 @@ impl Drop for Held {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 128, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 128, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn no_order_of_calls_and_no_numbers_make_a_panic(which in 0..FILES.len(), calls in prop::collection::vec(call(), 1..60)) {
@@ -143,4 +143,14 @@ proptest! {
             prop_assert_eq!(estimator.step(1e-3, &[true; SIGNALS], &rest), LinksideResult::LinksideOk);
         }
     }
+}
+
+#[test]
+fn an_acceleration_beyond_all_numbers_loses_the_estimate_of_an_observer() {
+    let estimator = Held::new(FILES[0]);
+    let mut numbers = vec![0.0; NUMBERS];
+    numbers[8 * 3 + 2] = 1e308;
+    assert_eq!(estimator.step(1e-3, &[true; SIGNALS], &numbers), LinksideResult::LinksideLost);
+    numbers[8 * 3 + 2] = 9.81;
+    assert_eq!(estimator.step(1e-3, &[true; SIGNALS], &numbers), LinksideResult::LinksideOk);
 }

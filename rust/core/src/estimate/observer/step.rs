@@ -220,9 +220,9 @@ impl AccelerationObserver {
         }
     }
 
-    /// Whether links still have positions and velocities.
+    /// Whether links still have positions, velocities and accelerations.
     pub(super) fn is_finite(&self) -> bool {
-        self.q.iter().chain(&self.dq).all(|x| x.is_finite())
+        [&self.q, &self.dq, &self.ddq].into_iter().flatten().all(|x| x.is_finite())
     }
 
     /// [`step`](Self::step) with a sample that has been checked.
