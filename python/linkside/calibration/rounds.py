@@ -28,6 +28,9 @@ OF_GROUPS = ("payload_mass", "payload_xyz")
 OF_LOGS = ("bias",)
 """Kinds that each log has for itself."""
 
+COMMON = 1.0
+"""Errors that all logs have in common, as of motors' smoothing, in standard errors of one log: they stay in a mean."""
+
 STEPS = 12
 """Most steps in one band."""
 
@@ -136,6 +139,12 @@ class SharedColumns:
         own = [k for k, p in enumerate(free) if scope(p) == "log"]
         return cls(tuple(free), groups, columns, own, common, [b.reshape(len(common), len(columns)) for b in by])
 
+    @property
+    def counts(self) -> FloatArray:
+        """How many logs have a column in common, (d,); none of a drift, which is a difference between logs."""
+        shared = np.sum([np.any(share != 0, axis=0) for share in self.by], axis=0)
+        return np.where([owner == "drift" for owner, _ in self.columns], 0.0, shared)
+
     def z(self, i: int, a: FloatArray, own: FloatArray) -> FloatArray:
         """The parameters of log ``i``, (p,)."""
         z = np.empty(len(self.free))
@@ -221,7 +230,8 @@ class Rounds:
 
         As in `linkside.calibration.uncertainty`, the larger of those by the information and by the variance of the
         gradient: its long-run variance within logs, and its variance between logs (K.-Y. Liang and S. L. Zeger,
-        Biometrika 73, 1986), whose errors of the model differ with the motion.
+        Biometrika 73, 1986), whose errors of the model differ with the motion. To what logs share, errors are added
+        that all of them have in common, which no scatter shows.
         """
         reduced = self._reduced(self.here)
         plain = np.linalg.inv(reduced.curvature)
@@ -234,7 +244,7 @@ class Rounds:
             lasting = within @ (found.lasting[own] + np.eye(len(within))) @ within
             alone = np.maximum(np.diag(within), np.diag(lasting))
             of_logs.append(np.sqrt(alone + np.einsum("ij,jk,ik->i", pull, covariance, pull)))
-        return np.sqrt(np.diag(covariance)), of_logs
+        return np.sqrt(np.diag(covariance) * (1.0 + COMMON**2 * self.layout.counts)), of_logs
 
     def _at(self, a: FloatArray, own: list[FloatArray], corner: float) -> _Everywhere:
         tasks = [Task(log, self.layout.z(i, a, own[i]), corner, self._wider[i]) for i, log in enumerate(self.logs)]
