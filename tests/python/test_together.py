@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 from linkside import EstimatorError, Log, Robot, demo, simulate
 from linkside.calibration import calibrate_together
 from linkside.calibration.parameters import choose
-from linkside.calibration.rounds import Task, evaluate
+from linkside.calibration.rounds import LogEvidence, Task, evaluate
 from linkside.calibration.together import FREE
 from linkside.control.controllers import JointPD
 
@@ -116,6 +116,16 @@ def test_a_task_and_its_evidence_can_be_sent_and_are_small(few):
     found = evaluate(pickle.loads(pickle.dumps(truth.robot)), free, task)
     assert len(pickle.dumps(found)) < 20 * len(free) ** 2 + 2000
     assert found.information == pytest.approx(found.information.T)
+
+
+def test_what_no_log_shows_keeps_its_tolerance():
+    def silent(_, tasks):
+        p = len(tasks[0].z)
+        return [LogEvidence(0.0, np.zeros(p), np.zeros((p, p)), np.zeros((p, p)), 1.0) for _ in tasks]
+
+    found = calibrate_together(Robot.load(demo.ROBOT), ["log"] * 50, free=("stiffness", "bias"), run=silent)
+    for own in (*found.robot.values(), *found.logs[0].values()):
+        assert own.std == pytest.approx(own.prior_std)
 
 
 @pytest.mark.parametrize(

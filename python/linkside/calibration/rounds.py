@@ -244,7 +244,9 @@ class Rounds:
             lasting = within @ (found.lasting[own] + np.eye(len(within))) @ within
             alone = np.maximum(np.diag(within), np.diag(lasting))
             of_logs.append(np.sqrt(alone + np.einsum("ij,jk,ik->i", pull, covariance, pull)))
-        return np.sqrt(np.diag(covariance) * (1.0 + COMMON**2 * self.layout.counts)), of_logs
+        std = np.sqrt(np.diag(covariance))
+        # No more than the prior leaves: a parameter that no log shows keeps its tolerance.
+        return np.minimum(std * np.sqrt(1.0 + COMMON**2 * self.layout.counts), np.maximum(std, 1.0)), of_logs
 
     def _at(self, a: FloatArray, own: list[FloatArray], corner: float) -> _Everywhere:
         tasks = [Task(log, self.layout.z(i, a, own[i]), corner, self._wider[i]) for i, log in enumerate(self.logs)]
