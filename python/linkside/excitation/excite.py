@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+import scipy.linalg
 
 from linkside.arguments import positive, whole
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
-from linkside.files.yaml_source import suggest
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
 from .excitation import Excitation
 from .expected import ExpectedErrors, MotorMotion, Sensing, expect, motion_of
-from .limits import Limits
+from .limits import Limits, joint_index
 from .planner import PER_PERIOD, Planner, Progress, Room
 from .series import TERMS, FourierSeries
 
@@ -139,9 +139,7 @@ def _posture(robot: Robot, limits: Limits, given: Mapping[str, float]) -> FloatA
     low, high = limits.position
     at = np.asarray((low + high) / 2)
     for name, value in given.items():
-        if name not in robot.names:
-            raise EstimatorError(f"posture: no joint '{name}'; {suggest(name, robot.names)}")
-        j = robot.names.index(name)
+        j = joint_index(robot, name, "posture")
         if not low[j] < value < high[j]:
             raise EstimatorError(
                 f"posture of '{name}': {value:g} is not between its limits, {low[j]:g} and {high[j]:g}"
@@ -167,8 +165,6 @@ def _series(robot: Robot, at: FloatArray, duration: float, rate: float, bandwidt
 
 def _lowest_frequency(robot: Robot, at: FloatArray) -> float:
     """At which the links swing on their springs while motors stand still [Hz]."""
-    import scipy.linalg
-
     own = np.flatnonzero(robot.elastic)
     stiffness = np.diag([robot.drives[j].stiffness or 0.0 for j in own])
     mass = robot.mass_matrix(at[None])[0][np.ix_(own, own)]

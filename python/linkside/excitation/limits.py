@@ -55,7 +55,7 @@ class Limits:
         for name, (low, high) in (ranges or {}).items():
             if not low < high:
                 raise EstimatorError(f"range of '{name}': {low:g} to {high:g} leave no position")
-            position[:, _index(robot, name, "range")] = low, high
+            position[:, joint_index(robot, name, "range")] = low, high
         joints = [robot.tree.joint(name) for name in robot.names]
         limits = {
             "velocity": _given(robot, "velocity", _plausible([joint.velocity for joint in joints]), velocity),
@@ -78,7 +78,7 @@ def _given(robot: Robot, what: str, limits: FloatArray, given: Mapping[str, floa
     for name, value in (given or {}).items():
         if not 0 < value < np.inf:
             raise EstimatorError(f"{what} of '{name}': expected a limit greater than 0, got {value:g}")
-        limits[_index(robot, name, what)] = value
+        limits[joint_index(robot, name, what)] = value
     return limits
 
 
@@ -90,7 +90,8 @@ def _require(robot: Robot, known: npt.NDArray[np.bool_], what: str, remedy: str)
         raise EstimatorError(f"{joints} {names}: the URDF has no limit of {what}; {remedy}")
 
 
-def _index(robot: Robot, name: str, what: str) -> int:
+def joint_index(robot: Robot, name: str, what: str) -> int:
+    """Find a joint that a user names, of ``what``."""
     if name not in robot.names:
         raise EstimatorError(f"{what}: no joint '{name}'; {suggest(name, robot.names)}")
     return robot.names.index(name)
