@@ -198,8 +198,7 @@ impl Consider {
                     *g = linear::dot(row, signature);
                 }
                 let known = linear::dot(&self.gain, signature);
-                let kept = kept_of(&self.prior, &self.joint, &self.kept, signature);
-                self.variances[i] = 1.0 + (known + kept) * weight * weight;
+                self.variances[i] = 1.0 + (known + self.kept_doubt(signature)) * weight * weight;
                 let (value, variance) = (residual / weight, noise + known);
                 if learn && model.teaches(i) && value * value < STRANGE * STRANGE * variance {
                     self.learn(value, variance);
@@ -294,7 +293,16 @@ impl Consider {
         for (g, row) in gain.iter_mut().zip(self.spread.data.chunks_exact(self.spread.stride)) {
             *g = linear::dot(row, signature);
         }
-        linear::dot(gain, signature) + kept_of(&self.prior, &self.joint, &self.kept, signature)
+        linear::dot(gain, signature) + self.kept_doubt(signature)
+    }
+
+    /// The part of it that no reading takes away.
+    #[inline(always)]
+    fn kept_doubt(&self, signature: &[f64]) -> f64 {
+        let each = self.prior.iter().zip(&self.kept).zip(signature);
+        let shared =
+            |&(i, j, covariance): &(usize, usize, f64)| 2.0 * self.kept[i] * covariance * signature[i] * signature[j];
+        each.map(|((prior, kept), s)| kept * prior * s * s).sum::<f64>() + self.joint.iter().map(shared).sum::<f64>()
     }
 
     /// The most that the noise of channel `i`'s innovations lately lasted, in multiples of the filter's; at least 1.
@@ -313,13 +321,6 @@ impl Consider {
         let std = (0..self.count).map(|i| self.spread.at(i, i).max(0.0).sqrt()).collect();
         (self.mean[..self.count].to_vec(), std)
     }
-}
-
-/// Var[s · p] that no reading takes away.
-#[inline(always)]
-fn kept_of(prior: &[f64], joint: &[(usize, usize, f64)], kept: &[f64], signature: &[f64]) -> f64 {
-    let own: f64 = prior.iter().zip(kept).zip(signature).map(|((prior, kept), s)| kept * prior * s * s).sum();
-    own + joint.iter().map(|&(i, j, covariance)| 2.0 * kept[i] * covariance * signature[i] * signature[j]).sum::<f64>()
 }
 
 /// `out` ← C E[p pᵀ] Cᵀ for the first `rows` of `columns`, and for links C those of velocities over frequencies beside it.
