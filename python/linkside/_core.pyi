@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 __all__ = [
+    "RELAXED",
     "START_SAMPLES",
     "AccelerationObserver",
     "BagCollector",
@@ -36,6 +37,7 @@ __all__ = [
 ]
 
 START_SAMPLES: int
+RELAXED: float
 
 _Array = npt.NDArray[np.float64]
 _Signal = _Array | Sequence[float]

@@ -29,9 +29,6 @@ from .starting import DecidingFilter, first_readings, in_pieces
 
 Arrays = tuple[FloatArray, FloatArray, FloatArray]
 
-RELAXED = 0.05
-"""Part of their way within which friction elements that start relaxed are."""
-
 TORQUE_TIME = 0.5
 """Times over which a log is asked how far its torques wander end here [s]."""
 
@@ -166,7 +163,7 @@ class ElasticJoint(KalmanMethod):
         std = [moving.q_std, moving.dq_std, motors[elastic], moving.dtheta_std[elastic]]
         reach = [element.reach for drive in self.robot.drives for element in drive.hysteresis]
         mean.append(np.zeros(len(reach)))
-        gone = RELAXED if self._relaxed(kinds) else 1.0
+        gone = _core.RELAXED if self._relaxed(kinds) else 1.0
         std.append(gone * np.array(reach) / np.sqrt(3))  # anywhere between the limits, or near the middle
         if self._disturbances:
             mean.append(np.zeros(self.robot.n))

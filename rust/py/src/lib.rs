@@ -50,6 +50,8 @@ mod _core {
     #[pymodule_export]
     const START_SAMPLES: usize = linkside_core::estimate::Status::START;
     #[pymodule_export]
+    const RELAXED: f64 = linkside_core::estimate::kalman::ElasticSettings::RELAXED;
+    #[pymodule_export]
     use crate::state::State;
     #[pymodule_export]
     use crate::velocity::VelocityObserver;

@@ -80,6 +80,11 @@ pub struct ElasticSettings {
     pub relaxed: bool,
 }
 
+impl ElasticSettings {
+    /// Part of their way within which friction elements that start relaxed are.
+    pub const RELAXED: f64 = 0.05;
+}
+
 /// State (q, q̇, θ, θ̇, deflections of friction elements, disturbance torques of motors, of links, varying wrenches, biases) of an elastic-joint robot under measured motor torques
 /// (Ulrich and Sasiadek 2011, with every sensor that a log can have).
 ///
@@ -179,7 +184,7 @@ impl ElasticModel {
             after: vec![0.0; n],
             outage: vec![(0.0, 0.0); n],
             held: settings.held,
-            gone: if settings.relaxed { RELAXED } else { 1.0 },
+            gone: if settings.relaxed { ElasticSettings::RELAXED } else { 1.0 },
             rest: Rest::new(&robot),
             robot,
             biases,
@@ -462,9 +467,6 @@ impl Process for ElasticProcess {
         self.transition.retreat(memory, lambda, big);
     }
 }
-
-/// Part of their way within which friction elements that start relaxed are.
-const RELAXED: f64 = 0.05;
 
 /// Where nothing drives a joint, the fixed end of its spring is known so much better than a motor at the start.
 const FIXED: f64 = 1e-6;
