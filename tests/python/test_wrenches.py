@@ -17,6 +17,7 @@ from linkside import (
     Estimate,
     EstimatorError,
     ExtendedKalmanFilter,
+    FixedLagSmoother,
     Log,
     LogError,
     Noise,
@@ -24,6 +25,8 @@ from linkside import (
     Robot,
     simulate,
 )
+from linkside.control.controllers import JointPD
+from linkside.kalman import smooth_pieces
 from linkside.kalman.elastic_joint import ElasticJoint
 from linkside.observability.elements import element_words
 
@@ -33,6 +36,7 @@ from .transmissions import Gear, move, tool_error
 PLACE = {"link": "hand", "xyz": [0.05, 0.02, 0.1], "rpy": [0.3, -0.4, 0.2]}
 TIP = {"name": "tip", "link": "hand", "xyz": [0.1, 0, 0.05], "noise_std": 0.02}
 HELD = [30.0, 5.0, -40.0, 0.5, 2.0, -1.0]
+SMOOTHERS = ((RauchTungStriebelSmoother, {}), (FixedLagSmoother, {"lag": 20}))
 METHODS = (ExtendedKalmanFilter, RauchTungStriebelSmoother, ElasticJointFilter, ElasticJointSmoother)
 
 
@@ -52,6 +56,22 @@ def measured(name="press", place=PLACE, **others):
 def unknown(std, walk, place=PLACE):
     sizes = {key: {"force": f, "moment": m} for key, (f, m) in {"std": std, "walk": walk}.items()}
     return {"name": "contact", "kind": "random-walk", **sizes, **place}
+
+
+def test_smoothers_of_pieces_and_streams_have_the_wrench_of_the_whole():
+    robot = arm(unknown((20.0, 2.0), (5.0, 0.5)))
+    control = JointPD(1e4, 1e3, [0, 0.5], [[0, 0], [0.2, 0.1]], tau=robot.gravity_torque(np.zeros(2)))
+    log = simulate(robot, control, 0.2, 1000.0, q=[0, 0], substeps=4).log
+    smoother, lagged = (method(robot, Noise(jerk=50.0), **more) for method, more in SMOOTHERS)
+    whole = smoother.run(log)
+    parts = Estimate.concatenate(list(smooth_pieces(smoother, [log[:120], log[120:]])))
+    for row in range(len(log)):
+        lagged.step(dt=1e-3, theta=log.theta[row], acceleration=log.acceleration[row], dtheta=log.dtheta[row])
+    last = lagged.flush()
+    for estimate, rows in ((parts, slice(None)), (last, slice(-20, None))):
+        assert estimate.wrenches == ("contact",)
+        assert (np.abs(estimate.q - whole.q[rows]) < 1e-6 * whole.q_std[rows]).all()
+        assert (np.abs(estimate.wrench - whole.wrench[rows]) < 1e-6 * whole.wrench_std[rows]).all()
 
 
 def outside(robot, wrench, values):

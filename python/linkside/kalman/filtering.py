@@ -382,12 +382,9 @@ class KalmanMethod(Described, ABC):
     def _estimate(self, log: Log, kinds: tuple[str, ...], result: dict[str, Any]) -> KalmanEstimate:
         columns = self.columns(log, kinds)
         found = named(result.pop("findings", ()), columns)
-        return KalmanEstimate(
-            t=log.t,
-            names=self.robot.names,
-            channels=columns,
-            findings=found,
-            left_out=self.left_out,
-            wrenches=tuple(wrench.name for wrench in self.robot.varying_wrenches),
-            **without_waits(log, result),
-        )
+        return self.told(t=log.t, channels=columns, findings=found, **without_waits(log, result))
+
+    def told(self, **fields: Any) -> KalmanEstimate:
+        """Make an estimate of these fields, with the names of what it is of."""
+        outside = tuple(wrench.name for wrench in self.robot.varying_wrenches)
+        return KalmanEstimate(names=self.robot.names, wrenches=outside, left_out=self.left_out, **fields)

@@ -116,7 +116,7 @@ class FixedLagSmoother(Copies):
         result: dict[str, Any] = self._core.flush()
         self.reset()
         del result["findings"]
-        return KalmanEstimate(names=self.robot.names, left_out=self._filter.left_out, **result)
+        return self._filter.told(**result)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restart."""

@@ -116,9 +116,7 @@ def smooth_pieces(
         _backward(starts, spill)
         for index in range(len(starts)):
             arrays: dict[str, Any] = _load(spill / f"{index}.estimate")
-            yield KalmanEstimate(
-                names=smoother.robot.names, channels=columns, findings=found, left_out=smoother.left_out, **arrays
-            )
+            yield smoother.told(channels=columns, findings=found, **arrays)
 
 
 @contextmanager
