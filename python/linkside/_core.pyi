@@ -46,7 +46,7 @@ _KalmanArrays = tuple[_Array, _Array, _Array, _Array]
 
 @final
 class Robot:
-    """A robot flattened for the kernels. Methods take rows (T, n) and give one array a row."""
+    """A robot flattened for the kernels. Methods take a state (n,) or rows (T, n), and give one array, or one a row."""
 
     def __new__(cls, description: Mapping[str, Any]) -> Robot: ...
     @property
@@ -233,7 +233,15 @@ class ElasticJointFilter:
     def copy(self) -> ElasticJointFilter: ...
     def reset(self) -> None: ...
     def set_start(self, mean: _Signal, covariance: _Array) -> None: ...
-    def step(self, dt: float, readings: _Signal, tau: _Signal) -> State: ...
+    def step(
+        self,
+        dt: float,
+        theta: _Signal,
+        tau: _Signal,
+        dtheta: _Signal | None = None,
+        acceleration: _Signal | None = None,
+        further: _Signal | None = None,
+    ) -> State: ...
     def run(self, arrays: tuple[_Array, _Array, _Array]) -> dict[str, npt.NDArray[Any]]: ...
     @staticmethod
     def run_all(

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from linkside import _core
-from linkside.arguments import one_of, per_joint, sized, time_step
+from linkside.arguments import one_of, per_joint, time_step
 from linkside.arrays import FloatArray, Signal
 from linkside.recording.batch import Job
 from linkside.recording.log import Log
@@ -333,12 +333,7 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter],
     ) -> _core.State:
         if self._started is None:
             self._period = time_step(dt)
-        live, kinds = self._live, self.live_kinds
-        given = {"motor": theta, "acceleration": acceleration, "dtheta": dtheta}
-        names = {"motor": "theta"}
-        parts = [sized(names.get(kind, kind), given[kind], self.width(kind)) for kind in kinds if kind in given]
-        parts.append(sized("further", further, sum(self.width(kind) for kind in kinds if kind not in given)))
-        state = live.step(dt, np.concatenate(parts), tau)
+        state = self._live.step(dt, theta, tau, dtheta, acceleration, further)
         self.status = state.status
         return state
 

@@ -3,7 +3,7 @@
 use crate::array::{Signal, rows};
 use crate::error::{EstimatorError, IntoPyErr};
 use crate::filtering::{self, Matrix};
-use crate::live::check_step;
+use crate::live::{check_step, fill, given};
 use crate::plain::Plain;
 use crate::robot::Robot;
 use crate::state::State;
@@ -11,6 +11,7 @@ use linkside_compiled::description;
 use linkside_core::estimate::kalman::{
     ElasticModel, ExtendedKalmanFilter, FilterOutput, Inputs, KalmanRecording, KalmanSample, Keep, Model,
 };
+use linkside_core::estimate::measurement::Channel;
 use numpy::{PyReadonlyArray1, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -20,6 +21,10 @@ use pyo3::types::PyDict;
 #[derive(Clone)]
 pub(crate) struct ElasticJointFilter {
     pub(crate) filter: ExtendedKalmanFilter<ElasticModel>,
+    /// Readings of accelerometers and of motor velocities; those of motor positions come before them.
+    widths: [usize; 2],
+    /// A sample put together from its signals.
+    readings: Vec<f64>,
     /// Time since the first sample of `step` [s], and the estimate at the last one.
     t: f64,
     row: FilterOutput,
@@ -33,7 +38,13 @@ impl ElasticJointFilter {
     fn new(robot: &Robot, settings: Plain<description::ElasticFilter>) -> PyResult<Self> {
         let filter = settings.0.build(&robot.0).map_err(IntoPyErr::into_py_err)?;
         let row = FilterOutput::zeros(1, filter.model(), Keep::default()).map_err(IntoPyErr::into_py_err)?;
-        Ok(Self { filter, t: 0.0, row })
+        let kinds = filter.model().channel_kinds();
+        let count = |is: fn(&Channel) -> bool| kinds.iter().filter(|channel| is(channel)).count();
+        let widths = [
+            count(|channel| matches!(channel, Channel::Acceleration { .. })),
+            count(|channel| matches!(channel, Channel::MotorVelocity(_))),
+        ];
+        Ok(Self { readings: vec![f64::NAN; kinds.len()], widths, filter, t: 0.0, row })
     }
 
     /// Number of states.
@@ -71,17 +82,37 @@ impl ElasticJointFilter {
         self.filter.set_start(Some(start)).map_err(IntoPyErr::into_py_err)
     }
 
-    /// Takes one sample: one reading a channel, NaN where missing, and the motor torques.
-    fn step(&mut self, dt: f64, readings: Signal<'_>, tau: Signal<'_>) -> PyResult<State> {
+    /// Takes one sample; what is not given is missing, and what the filter does not measure is not looked at.
+    #[pyo3(signature = (dt, theta, tau, dtheta=None, acceleration=None, further=None))]
+    fn step(
+        &mut self,
+        dt: f64,
+        theta: Signal<'_>,
+        tau: Signal<'_>,
+        dtheta: Option<Signal<'_>>,
+        acceleration: Option<Signal<'_>>,
+        further: Option<Signal<'_>>,
+    ) -> PyResult<State> {
         check_step(dt)?;
-        let model = self.filter.model();
-        let readings = readings.readings("readings", model.channels())?;
-        let tau = tau.sized("tau", model.robot().len())?;
+        let Self { filter, widths: [sensed, turned], readings, t, row } = self;
+        let (n, m) = (filter.model().robot().len(), readings.len());
+        let theta = theta.readings("theta", n)?;
+        let acceleration = given(acceleration.as_ref().filter(|_| *sensed > 0), "acceleration", *sensed)?;
+        let dtheta = given(dtheta.as_ref().filter(|_| *turned > 0), "dtheta", n)?;
+        let further = given(further.as_ref(), "further", m - n - *sensed - *turned)?;
+        let tau = tau.sized("tau", n)?;
         if let Some(joint) = tau.iter().position(|t| !t.is_finite()) {
             return Err(EstimatorError::new_err(format!("tau of joint {joint} is {}, expected a number", tau[joint])));
         }
+        let (motors, rest) = readings.split_at_mut(n);
+        let (accelerations, rest) = rest.split_at_mut(*sensed);
+        let (velocities, others) = rest.split_at_mut(*turned);
+        motors.copy_from_slice(theta);
+        fill(accelerations, acceleration);
+        fill(velocities, dtheta);
+        fill(others, further);
         let inputs = Inputs { tau, ..Inputs::default() };
-        filtering::step(&mut self.filter, KalmanSample { dt, readings, inputs }, &mut self.t, &mut self.row)
+        filtering::step(filter, KalmanSample { dt, readings, inputs }, t, row)
     }
 
     /// Covariance of the state after the last sample.

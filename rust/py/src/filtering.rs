@@ -31,8 +31,10 @@ pub(crate) fn step<M: Phases>(
     filter.step(sample).map_err(IntoPyErr::into_py_err)?;
     *t = now;
     filter.report_into(row);
+    let mut covariance = vec![0.0; filter.model().states().pow(2)];
+    filter.covariance_into(&mut covariance).map_err(IntoPyErr::into_py_err)?;
     let state = State::of_row(now, filter.model().robot().len(), row, 0);
-    Ok(state.with_belief(&filter.belief().mean, &filter.covariance()))
+    Ok(state.with_whole(&filter.belief().mean, covariance))
 }
 
 /// Covariance of the state after the last sample.

@@ -225,7 +225,7 @@ impl FixedLagSmoother {
         let (sensors, n) = (smoother.model().acceleration_channels(), smoother.model().robot().len());
         live.set(dt, sensors, &Signals { theta, acceleration, dtheta, ddqref, further })?;
         let earlier = smoother.step(live.parts(dt).0).map_err(IntoPyErr::into_py_err)?;
-        Ok(earlier.map(|(t, row)| State::of_row(t, n, row, 0).with_whole(&row.state, &row.covariance)))
+        Ok(earlier.map(|(t, row)| State::of_row(t, n, row, 0).with_whole(&row.state, row.covariance.clone())))
     }
 
     /// The estimates that no step has given yet, with their times; starts anew.

@@ -75,7 +75,7 @@ pub(crate) struct Signals<'py> {
 }
 
 /// The readings of a signal that may not be there.
-fn given<'a>(signal: Option<&'a Signal<'_>>, name: &str, expected: usize) -> PyResult<Option<&'a [f64]>> {
+pub(crate) fn given<'a>(signal: Option<&'a Signal<'_>>, name: &str, expected: usize) -> PyResult<Option<&'a [f64]>> {
     signal.map(|signal| signal.readings(name, expected)).transpose()
 }
 
@@ -89,7 +89,7 @@ pub(crate) fn check_step(dt: f64) -> PyResult<()> {
 }
 
 /// Copies readings, or NaN where there are none.
-fn fill(to: &mut [f64], readings: Option<&[f64]>) {
+pub(crate) fn fill(to: &mut [f64], readings: Option<&[f64]>) {
     match readings {
         Some(readings) => to.copy_from_slice(readings),
         None => to.fill(f64::NAN),

@@ -1,6 +1,6 @@
 //! What a step gives back.
 
-use linkside_core::estimate::kalman::{FilterOutput, Symmetric};
+use linkside_core::estimate::kalman::FilterOutput;
 use linkside_core::estimate::{observer, velocity};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
@@ -36,7 +36,7 @@ pub(crate) struct State {
     /// Level of a velocity observer's gain.
     #[pyo3(get)]
     level: Option<usize>,
-    /// The filter's whole state, and its covariance with padded rows.
+    /// The filter's whole state, and its covariance.
     mean: Box<[f64]>,
     covariance: Box<[f64]>,
 }
@@ -87,13 +87,8 @@ impl State {
         }
     }
 
-    /// With the whole state and its covariance.
-    pub(crate) fn with_belief(self, mean: &[f64], covariance: &Symmetric) -> Self {
-        Self { mean: mean.into(), covariance: covariance.padded().into(), ..self }
-    }
-
     /// With the whole state and its covariance, row-major.
-    pub(crate) fn with_whole(self, mean: &[f64], covariance: &[f64]) -> Self {
+    pub(crate) fn with_whole(self, mean: &[f64], covariance: Vec<f64>) -> Self {
         Self { mean: mean.into(), covariance: covariance.into(), ..self }
     }
 
@@ -217,9 +212,7 @@ impl State {
             return Ok(None);
         }
         let size = self.mean.len();
-        let rows = self.covariance.chunks_exact(self.covariance.len() / size);
-        let dense: Vec<f64> = rows.flat_map(|row| &row[..size]).copied().collect();
-        PyArray1::from_vec(py, dense).reshape([size, size]).map(Some)
+        PyArray1::from_slice(py, &self.covariance).reshape([size, size]).map(Some)
     }
 
     fn __repr__(&self) -> String {
