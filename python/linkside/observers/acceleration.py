@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside import _core
-from linkside.arguments import one_of, start_of
+from linkside.arguments import one_of, start_of, time_step
 from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError
 from linkside.recording.batch import run_each
@@ -22,6 +22,7 @@ from linkside.robot import Robot
 from linkside.robot.compiled import Compiles, period_of
 from linkside.robot.requirements import refuse_unsupported
 
+from .bound import ErrorBound, error_bound
 from .poles import PolePattern, damped
 from .uncertainty import uncertainty
 
@@ -58,7 +59,7 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         sample. Or a state one period before the first sample, a mapping of ``theta``, ``q``, ``dtheta`` and ``dq``,
         each (n,).
     std
-        Whether the estimate has standard deviations, ``q_std`` and ``tool_std``; it is the same without, at half the cost.
+        Whether the estimate has standard deviations, ``q_std`` and ``tool_std``. It is the same without, and faster.
     tolerances
         Whether the ``tolerances`` of robot.yaml count in them. The estimate itself is the same.
 
@@ -72,8 +73,9 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
     -----
     Motor positions may be slower than the log, NaN between, as slow as one in 0.05 s: each then counts for the time
     since the one before. Where innovations have for 0.05 s been as large as an error of
-    ``worst_acceleration_std`` in the measured accelerations makes them, ``status`` says CONTRADICTED. With ``std`` it does where
-    they are on one side by more than three standard deviations of what ``tolerances`` make of them.
+    ``worst_acceleration_std`` in the measured accelerations makes them, ``status`` says CONTRADICTED. With ``std`` it
+    also does where they lean to one side by more than three standard deviations of what noise and ``tolerances`` make
+    of them, and where a channel repeats a reading that it cannot have.
 
     The innovation is used at the sampling instants only; between them the model is integrated exactly, with the
     torque held and the acceleration interpolated.
@@ -134,7 +136,8 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         Returns
         -------
         State
-            ``q``, ``dq``, ``ddq``, ``theta``, ``dtheta``, ``q_std`` (n,), ``tool_position``, ``tool_std`` (3,) and ``status``.
+            ``q``, ``dq``, ``ddq``, ``theta``, ``dtheta`` (n,), ``tool_position`` (3,) and ``status``; with ``std``
+            also ``q_std`` (n,) and ``tool_std`` (3,).
 
         Raises
         ------
@@ -177,6 +180,47 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         """Continuous-time gains L of each joint in closed form (Remark 3), by the order of its states."""
         names = self.robot.names
         return {name: _core.observer_gains(self.robot.core, names.index(name), p) for name, p in self.poles.items()}
+
+    def bound(
+        self,
+        *,
+        torque: npt.ArrayLike = 0.0,
+        acceleration: npt.ArrayLike = 0.0,
+        theta: npt.ArrayLike = 0.0,
+        period: float | None = None,
+    ) -> ErrorBound:
+        """Give the ultimate bound of the error: how far off links can get by what is bounded, whatever its course.
+
+        The sum of the error's impulse response without signs (its L₁ norm), from the gains alone. Nonlinear springs and
+        dry friction are taken to be compensated: what is left of them is a torque.
+
+        Parameters
+        ----------
+        torque
+            Largest torque on a motor beside those of the model, for all joints or (n,) [N m].
+        acceleration
+            Largest error of a measured link acceleration, likewise [rad/s²].
+        theta
+            Largest error of a motor position, likewise [rad].
+        period
+            Sampling period [s]; by default that of `step`.
+
+        Returns
+        -------
+        ErrorBound
+            ``q`` and ``dq`` (n,), and what a unit of each disturbance does.
+
+        Raises
+        ------
+        EstimatorError
+            No period is known, or a disturbance has neither 1 nor n entries.
+        """
+        period = self._period if period is None else time_step(period)
+        if period is None:
+            raise EstimatorError("bound needs the sampling period: give period=…, or rate_hz in robot.yaml")
+        self._designed(period)  # what is wrong is said with names of joints
+        disturbances = {"torque": torque, "acceleration": acceleration, "theta": theta}
+        return error_bound(self.robot, self.poles, period, disturbances, predictor=self.form == "predictor")
 
     def fresh(self, period: float) -> _core.AccelerationObserver:
         """Build an observer of the core, of accelerometers, that has taken no sample."""

@@ -9,7 +9,8 @@ use crate::state::State;
 use linkside_compiled::description;
 use linkside_core::error::RunError;
 use linkside_core::estimate::observer::{
-    self, AccelerationMap, Complex, JointModel, ObserverOutput, ObserverRecording, ObserverSample, Poles, Sampled,
+    self, AccelerationMap, Complex, Form, JointModel, ObserverOutput, ObserverRecording, ObserverSample, Poles,
+    Sampled, UltimateBound,
 };
 use linkside_core::robot::Drive;
 use numpy::{PyArray1, PyArrayDyn, PyReadonlyArray2, PyUntypedArrayMethods};
@@ -163,6 +164,21 @@ pub(crate) fn sampled_observer<'py>(
         shaped(py, ramp, vec![order, 2])?,
         shaped(py, gain, vec![order])?,
     ])
+}
+
+/// What one joint's link position and velocity can be off by at most, for a unit of torque, acceleration and reading each.
+#[pyfunction]
+pub(crate) fn observer_bound(
+    robot: &Robot,
+    joint: usize,
+    poles: Vec<Complex>,
+    period: f64,
+    predictor: bool,
+) -> PyResult<[[f64; 2]; 3]> {
+    let (drive, model, poles) = joint_design(robot, joint, &poles)?;
+    let form = if predictor { Form::Predictor } else { Form::Current };
+    let bound = UltimateBound::new(model, drive, &poles, period, form);
+    Ok([bound.torque, bound.acceleration, bound.reading])
 }
 
 /// By how much each joint's acceleration grows with each accelerometer reading, at rest: the damped inverse of their map.

@@ -78,6 +78,8 @@ pub use recording::{Inputs, KalmanRecording, KalmanSample};
 pub use run::Way;
 pub use sigma_points::SigmaRule;
 pub use signal::Fault;
+pub(crate) use signal::Signal;
 pub use smoother::Smoother;
 pub use tolerances::Tolerances;
+pub(crate) use uncertain::shares_of_link;
 pub use uncertain::{Tolerance, Uncertain};

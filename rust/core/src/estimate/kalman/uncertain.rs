@@ -234,7 +234,7 @@ impl<T: Scalar> LinkMotion<T> {
 
 /// Hands over each joint that carries `link`, and the torque that it holds on account of this link's inertia.
 #[inline(always)]
-pub(super) fn shares_of_link<T: Scalar>(
+pub(crate) fn shares_of_link<T: Scalar>(
     kinematics: &Kinematics<T>,
     tree: &Tree,
     link: usize,

@@ -9,7 +9,7 @@ use super::settings::Start;
 pub const LONGEST: f64 = 0.05;
 
 /// Time over which innovations are judged [s].
-const WINDOW: f64 = 0.05;
+pub(super) const WINDOW: f64 = 0.05;
 /// An innovation that noise alone does not make, in multiples of what a position reading may be off by.
 const NOISE: f64 = 5.0;
 
@@ -40,8 +40,7 @@ pub(super) struct JointCorrection {
     share: f64,
     square: f64,
     limit: f64,
-    /// What numbers that are not known exactly may do to an innovation, its variance [rad²]; and where that is known, the means
-    /// of these variances and of innovations.
+    /// What the variance of an innovation is to be [rad²]; and where that is known, the means of these variances and of innovations.
     surprise: Option<f64>,
     allowed: f64,
     mean: f64,
@@ -99,16 +98,16 @@ impl JointCorrection {
         self.since >= self.gains.len()
     }
 
-    /// How far off the next innovation may be by numbers that are not known exactly, its variance [rad²].
+    /// What the variance of the next innovation is to be [rad²].
     #[inline(always)]
     pub(super) fn expect(&mut self, surprise: f64) {
         self.surprise = Some(surprise);
     }
 
-    /// Mean square of the innovations [rad²].
+    /// Mean square of the innovations, and the mean of what was expected of it [rad²].
     #[inline(always)]
-    pub(super) fn mean_square(&self) -> f64 {
-        self.square
+    pub(super) fn means(&self) -> [f64; 2] {
+        [self.square, self.allowed]
     }
 
     /// Takes an innovation into a predicted state; NaN where there is no position. Says how.

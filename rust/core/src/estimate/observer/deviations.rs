@@ -4,23 +4,32 @@
 //! every few samples, as it changes no faster than the robot moves; so are the standard deviations.
 
 use super::acceleration::AccelerationMap;
+use super::correction::WINDOW;
+use super::excess::Excess;
 use super::gains::JointModel;
 use super::joint_error::{JointError, Used};
+use super::last_torque::LastTorque;
 use super::late::{JointCovariance, READING};
+use super::link_load::LinkLoad;
+use super::recording::ObserverSample;
+use super::repeats::Repeats;
 use super::sampled::{JointState, Sampled};
 use super::sensor_errors::SensorErrors;
 use super::settings::AccelerationSource;
 use super::uncertainty::{Columns, Place, Uncertainty};
-use crate::dynamics::{Kinematics, Loads};
+use crate::dynamics::Kinematics;
 use crate::estimate::kalman::Uncertain;
 use crate::linear;
 use crate::robot::{Drive, Robot};
 
-/// For how long it is remembered how fast torques change [s].
-const MEMORY: f64 = 0.2;
 /// Samples that are taken at once span at most this share of the time of the fastest pole, and are at most so many.
 const SHARE: f64 = 1.0;
 const MOST: f64 = 8.0;
+
+/// Dry friction has either sign at standstill: off by twice its size at most, which is three standard deviations.
+const STICKING: f64 = 2.0 / 3.0;
+/// Speed below which its sign is hardly known [rad/s].
+const CREEP: f64 = 1e-2;
 
 /// An observer at a sample, for who judges it.
 #[derive(Clone, Copy)]
@@ -31,13 +40,12 @@ pub(super) struct ObserverView<'a> {
     /// Corrected states (n), and what is reported: q, q̇ and q̈ (n).
     pub(super) state: &'a [JointState],
     pub(super) links: [&'a [f64]; 3],
-    /// Measured accelerations of links (n), and what they were solved from.
+    /// Measured accelerations of links (n).
     pub(super) measured: &'a [f64],
-    pub(super) acceleration: &'a [f64],
     /// Torque on each motor's row of the linear model (n), coupling included.
     pub(super) torque: &'a [f64],
-    /// Mean squares of the innovations (n).
-    pub(super) innovations: &'a [f64],
+    /// Mean squares of the innovations, and what they are to be (n).
+    pub(super) innovations: &'a [[f64; 2]],
 }
 
 /// See the [module](self).
@@ -48,9 +56,13 @@ pub(super) struct ObserverDeviations {
     joints: Vec<JointError>,
     sensors: SensorErrors,
     kinematics: Kinematics<f64>,
-    yielding: Option<Yielding>,
+    load: Option<LinkLoad>,
+    /// Readings that repeat themselves.
+    repeats: Repeats,
     /// Variance of a constant between motor and link (n) [rad²].
     offsets: Vec<f64>,
+    /// What dry friction may be off by at standstill, a standard deviation (n) [N m].
+    sticking: Vec<f64>,
     /// By how much a joint's load may be off at the start, as a share of it (n).
     loads: Vec<f64>,
     /// Bias and scale of measured joint accelerations.
@@ -70,9 +82,10 @@ pub(super) struct ObserverDeviations {
     along: Vec<f64>,
     pub(super) q_std: Vec<f64>,
     pub(super) tool_std: [f64; 3],
-    /// By how much numbers may change the innovations (n), and what steps of lost motion do to them at most [rad²].
+    /// What the variances of innovations are to be (n), and what a step of lost motion makes of them [rad²].
     surprises: Vec<f64>,
     shocks: Vec<f64>,
+    excess: Vec<Excess>,
 }
 
 impl ObserverDeviations {
@@ -103,9 +116,15 @@ impl ObserverDeviations {
             let each = [of(Uncertain::EncoderZero(j)), of(Uncertain::LostMotion(j)), uncertainty.encoder[j], READING];
             each.iter().map(|std| std * std).sum()
         };
+        let samples = (WINDOW / period).max(1.0) as usize;
         let shock = |j: usize| {
             let torque = of(Uncertain::LostMotion(j)) * robot.drives[j].stiffness;
-            if models[j] == JointModel::Rigid { 0.0 } else { (torque * joints[j].shock()).powi(2) }
+            if models[j] == JointModel::Rigid { 0.0 } else { torque * torque * joints[j].shock(samples) }
+        };
+        let sticking = |j: usize| {
+            let friction = &robot.drives[j].motor_friction;
+            let known = of(Uncertain::MotorFriction(j)) == 0.0;
+            if known { 0.0 } else { STICKING * (friction.coulomb + friction.stribeck) }
         };
         let heaviest = (0..n).map(|j| of(Uncertain::Mass(j))).fold(0.0, f64::max);
         Self {
@@ -114,7 +133,9 @@ impl ObserverDeviations {
             loads: vec![heaviest; n],
             sensors: SensorErrors::new(robot, &uncertainty.tolerances, uncertainty.bias),
             kinematics: Kinematics::new(&robot.tree),
-            yielding: Yielding::new(robot, uncertainty),
+            load: LinkLoad::new(robot, uncertainty, f64::from(every) * period),
+            repeats: Repeats::new(robot, uncertainty, source, period),
+            sticking: (0..n).map(sticking).collect(),
             measured: [uncertainty.bias, uncertainty.scale],
             torques: uncertainty.torque.iter().map(|&std| LastTorque::new(std, period)).collect(),
             uneven: false,
@@ -127,6 +148,7 @@ impl ObserverDeviations {
             q_std: vec![0.0; n],
             tool_std: [f64::NAN; 3],
             surprises: vec![0.0; n],
+            excess: vec![Excess::new(f64::from(every) * period); n],
             columns,
             source,
             joints,
@@ -135,9 +157,9 @@ impl ObserverDeviations {
 
     fn reset(&mut self) {
         (self.since, self.uneven, self.apart) = (0, false, false);
-        for last in &mut self.torques {
-            *last = LastTorque { value: 0.0, pace: 0.0, missing: NEVER, ..*last };
-        }
+        self.torques.iter_mut().for_each(LastTorque::reset);
+        self.repeats.reset();
+        self.excess.iter_mut().for_each(Excess::reset);
     }
 
     /// From a state that is known.
@@ -187,8 +209,9 @@ impl ObserverDeviations {
 
     /// After a sample: standard deviations anew where it is time for it.
     #[inline(always)]
-    pub(super) fn look(&mut self, look: &ObserverView<'_>, tau: &[f64], first: bool) {
-        let mut uneven = look.acceleration.iter().any(|a| a.is_nan());
+    pub(super) fn look(&mut self, look: &ObserverView<'_>, sample: ObserverSample<'_>, first: bool) {
+        let ObserverSample { tau, .. } = sample;
+        let mut uneven = sample.acceleration.iter().any(|a| a.is_nan());
         for ((last, &tau), model) in self.torques.iter_mut().zip(tau).zip(look.models) {
             last.take(tau);
             uneven |= tau.is_nan() && *model != JointModel::Rigid;
@@ -196,16 +219,25 @@ impl ObserverDeviations {
         self.since += 1;
         if self.since >= self.every || first || uneven || self.uneven {
             self.since = 0;
-            self.drive(look);
+            self.drive(look, sample.acceleration, first);
             self.joints.iter_mut().for_each(|joint| if first { joint.hold() } else { joint.close() });
+            self.excess.iter_mut().zip(look.innovations).for_each(|(excess, means)| excess.take(*means));
             self.sum_up(look);
         } else if self.apart {
             self.sum_up(look);
         }
         (self.uneven, self.apart) = (uneven, false);
+        let doubts = (&self.columns, &self.joints[..]);
+        self.repeats.take(sample, look, doubts);
     }
 
-    /// By how much a joint's innovation may be off, its variance [rad²].
+    /// Whether a channel repeats a reading that it cannot have.
+    #[inline(always)]
+    pub(super) fn is_stuck(&self) -> bool {
+        self.repeats.is_stuck()
+    }
+
+    /// What the variance of a joint's innovation is to be [rad²].
     #[inline(always)]
     pub(super) fn surprise(&self, j: usize) -> f64 {
         self.surprises[j] + self.shocks[j]
@@ -213,12 +245,12 @@ impl ObserverDeviations {
 
     /// What a standard deviation of each number does, where the robot is.
     #[inline(always)]
-    fn drive(&mut self, look: &ObserverView<'_>) {
-        let Self { columns, joints, sensors, kinematics, torques, measured, .. } = self;
+    fn drive(&mut self, look: &ObserverView<'_>, acceleration: &[f64], first: bool) {
+        let Self { columns, joints, sensors, kinematics, torques, measured, sticking, .. } = self;
         let [q, dq, ddq] = look.links;
         kinematics.set_motion(&look.robot.tree, q, dq, ddq);
         if self.source == AccelerationSource::Sensors {
-            sensors.set(look.robot, kinematics, look.map, look.acceleration);
+            sensors.set(look.robot, kinematics, look.map, acceleration);
         }
         for (j, joint) in joints.iter_mut().enumerate() {
             let (drive, x) = (&look.robot.drives[j], &look.state[j]);
@@ -229,6 +261,7 @@ impl ObserverDeviations {
                 continue;
             }
             joint.next[columns.missing] = torques[j].doubt();
+            joint.next[columns.sticking] = sticking[j] / (1.0 + (x[2] / CREEP).powi(2));
             let shared = &mut joint.next[columns.accelerations.clone()];
             match (self.source, look.map.column(j)) {
                 (AccelerationSource::Sensors, Some(unknown)) => {
@@ -238,29 +271,31 @@ impl ObserverDeviations {
                 _ => (shared[2 * j], shared[2 * j + 1]) = (measured[0], measured[1] * look.measured[j]),
             }
         }
-        if let Some(yielding) = &mut self.yielding {
-            yielding.set(look.robot, kinematics);
+        if let Some(load) = &mut self.load {
+            load.compare(look, kinematics, (columns, joints), first);
         }
     }
 
     /// Variances of links and tool, and of innovations.
     #[inline(always)]
     fn sum_up(&mut self, look: &ObserverView<'_>) {
-        let Self { columns, joints, offsets, variances, q_std, surprises, .. } = self;
+        let Self { columns, joints, offsets, variances, q_std, surprises, excess, .. } = self;
         let own = ..columns.accelerations.start;
         for (j, joint) in joints.iter().enumerate() {
             let by = joint.of_link();
             // What joints do not share, which the tool needs apart.
-            variances[j] = linear::dot(&by[own], &by[own]) + joint.noise() + offsets[j];
+            let load = self.load.as_ref().map_or(0.0, |load| load.variances[j]);
+            let factor = excess[j].factor();
+            variances[j] = factor * linear::dot(&by[own], &by[own]) + joint.noise() + offsets[j] + load;
             if look.models[j] == JointModel::Rigid {
                 // Its link is where its motor is, which is read: no further off than the innovations.
-                variances[j] += look.innovations[j] + self.yielding.as_ref().map_or(0.0, |y| y.variance(j));
+                variances[j] += look.innovations[j][0];
             }
             let shared = &by[columns.accelerations.clone()];
-            let mut variance = variances[j] + linear::dot(shared, shared);
+            let mut variance = variances[j] + factor * linear::dot(shared, shared);
             for &(a, b, value) in &columns.correlations {
                 let of = |(joint, column): Place| if joint.is_none_or(|i| i == j) { by[column] } else { 0.0 };
-                variance += 2.0 * value * of(a) * of(b);
+                variance += 2.0 * value * factor * of(a) * of(b);
             }
             q_std[j] = variance.max(0.0).sqrt();
             surprises[j] = joint.surprise();
@@ -272,7 +307,7 @@ impl ObserverDeviations {
     #[inline(always)]
     fn sum_up_tool(&mut self, robot: &Robot) {
         let Some(tool) = &robot.tool else { return };
-        let Self { columns, joints, kinematics, variances, jacobian, along, tool_std, .. } = self;
+        let Self { columns, joints, kinematics, variances, jacobian, along, tool_std, excess, .. } = self;
         let n = joints.len();
         jacobian.fill(0.0);
         kinematics.position_jacobian(&robot.tree, tool, |j, by| {
@@ -281,14 +316,15 @@ impl ObserverDeviations {
         for (std, row) in tool_std.iter_mut().zip(jacobian.chunks_exact(n)) {
             along.fill(0.0);
             let mut variance = 0.0;
-            for ((by, joint), apart) in row.iter().zip(joints.iter()).zip(variances.iter()) {
-                linear::add_scaled(along, *by, &joint.of_link()[columns.accelerations.clone()]);
-                variance += by * by * apart;
+            for (j, joint) in joints.iter().enumerate() {
+                let shared = &joint.of_link()[columns.accelerations.clone()];
+                linear::add_scaled(along, row[j] * excess[j].factor().sqrt(), shared);
+                variance += row[j] * row[j] * variances[j];
             }
             variance += linear::dot(along, along);
             for &(a, b, value) in &columns.correlations {
                 let of = |(joint, column): Place| match joint {
-                    Some(j) => row[j] * joints[j].of_link()[column],
+                    Some(j) => row[j] * excess[j].factor().sqrt() * joints[j].of_link()[column],
                     None => along[column - columns.accelerations.start],
                 };
                 variance += 2.0 * value * of(a) * of(b);
@@ -322,77 +358,5 @@ fn error_of(drive: &Drive, parameter: Uncertain, x: &JointState, tau: f64, torqu
             drive.stiffness * (theta - q) + drag - torque
         }
         _ => 0.0,
-    }
-}
-
-/// Samples since a reading that there was none of: the first one is no change of the torque.
-const NEVER: f64 = 1e12;
-
-/// A motor's torque as it was last read, and how far it may be from that.
-#[derive(Clone, Copy, Debug)]
-struct LastTorque {
-    value: f64,
-    /// Noise of a reading [N m].
-    std: f64,
-    /// By how much it lately changed at most in a sample [N m], and the part of that which is left a sample later.
-    pace: f64,
-    fading: f64,
-    /// Samples without a reading.
-    missing: f64,
-}
-
-impl LastTorque {
-    fn new(std: f64, period: f64) -> Self {
-        Self { value: 0.0, std, pace: 0.0, fading: 1.0 - (period / MEMORY).min(1.0), missing: NEVER }
-    }
-
-    #[inline(always)]
-    fn take(&mut self, tau: f64) {
-        if tau.is_nan() {
-            self.missing += 1.0;
-            return;
-        }
-        let change = ((tau - self.value) / (self.missing + 1.0)).abs();
-        self.pace = change.max(self.pace * self.fading);
-        (self.value, self.missing) = (tau, 0.0);
-    }
-
-    /// How far off it may be while it is not read: it goes on as it went [N m].
-    #[inline(always)]
-    fn doubt(&self) -> f64 {
-        let gone = self.missing * self.pace;
-        if self.missing > 0.0 { (self.std * self.std + gone * gone).sqrt() } else { 0.0 }
-    }
-}
-
-/// How far joints that are taken as rigid give way under their loads.
-#[derive(Clone, Debug)]
-struct Yielding {
-    /// Of each joint; 0 of an elastic one [s²].
-    stds: Vec<f64>,
-    loads: Loads<f64>,
-    torque: Vec<f64>,
-    mass: Vec<f64>,
-}
-
-impl Yielding {
-    fn new(robot: &Robot, uncertainty: &Uncertainty) -> Option<Self> {
-        let n = robot.len();
-        let stds: Vec<f64> = (0..n).map(|j| uncertainty.of(Uncertain::Yielding(j))).collect();
-        let any = stds.iter().any(|std| *std > 0.0);
-        any.then(|| Self { stds, loads: Loads::new(&robot.tree), torque: vec![0.0; n], mass: vec![0.0; n * n] })
-    }
-
-    #[inline(always)]
-    fn set(&mut self, robot: &Robot, kinematics: &Kinematics<f64>) {
-        self.loads.inverse_dynamics_into(&robot.tree, kinematics, &mut self.torque);
-        self.loads.mass_matrix_into(&robot.tree, kinematics, &mut self.mass);
-    }
-
-    /// The torque over the inertia that turns on the joint; links without inertia do not load it.
-    #[inline(always)]
-    fn variance(&self, j: usize) -> f64 {
-        let inertia = self.mass[j * self.stds.len() + j];
-        if inertia > 0.0 { (self.stds[j] * self.torque[j] / inertia).powi(2) } else { 0.0 }
     }
 }

@@ -15,9 +15,6 @@ use core::ops::Range;
 /// A correction leaves at least this share of an innovation.
 const LEAST: f64 = 1e-6;
 
-/// Samples within which a step has shown all of its effect on the innovations.
-const RESPONSE: usize = 2000;
-
 /// What drives a joint's error, in the order of layouts: what its motor position reads too much [rad], what its motor feels more than
 /// the model has it [N m], and what its link is accelerated more than measured [rad/s²].
 const INPUTS: usize = 3;
@@ -241,30 +238,32 @@ impl JointError {
         self.noise[self.link][self.link].max(0.0)
     }
 
-    /// The largest innovation that a unit step of torque makes, one that lasts [rad/(N m)].
-    pub(super) fn shock(&self) -> f64 {
-        let (mut x, mut most) = (JointState::default(), 0.0_f64);
-        // It has passed long before a hundred times the time of the slowest pole.
-        for _ in 0..RESPONSE {
+    /// Mean square of what a unit step of torque makes of innovations [(rad/(N m))²], over `samples` from its beginning.
+    pub(super) fn shock(&self, samples: usize) -> f64 {
+        let (mut x, mut sum) = (JointState::default(), 0.0);
+        for _ in 0..samples {
             let before = matrix::apply(&self.once.error, &x);
             x = core::array::from_fn(|i| before[i] + self.once.inputs[TORQUE][i]);
-            most = most.max((x[0] * self.magnified).abs());
+            sum += (x[0] * self.usual).powi(2);
         }
-        most
+        sum / samples as f64
     }
 
-    /// By how much the numbers may change an innovation, its variance [rad²].
+    /// Variance of an innovation: by the numbers, and by noise [rad²].
     ///
-    /// An innovation that was used with the poles' gain left (1 − g₁) of itself in the error of θ, less what the reading
-    /// was off by.
+    /// An innovation that was used with the gain g left (1 − g₁) of itself in the error of θ, less what the reading was off by.
     #[inline(always)]
     pub(super) fn surprise(&self) -> f64 {
         let [readings, ..] = &self.layout;
         let of = |(k, x): (usize, &f64)| {
             let reading = if readings.contains(&k) { self.drive[k] } else { 0.0 };
-            ((x + reading) * self.magnified).powi(2)
+            (x + reading).powi(2)
         };
-        self.columns[..self.stride].iter().enumerate().map(of).sum()
+        let known: f64 = self.columns[..self.stride].iter().enumerate().map(of).sum();
+        // P₁₁ = (1 − g₁)² P⁻₁₁ + g₁² r, and the innovation's variance P⁻₁₁ + r.
+        let (gain, [reading, _]) = (1.0 - 1.0 / self.magnified, self.variances);
+        let before = (self.noise[0][0] - gain * gain * reading).max(0.0);
+        (known + before) * self.magnified * self.magnified + reading
     }
 }
 

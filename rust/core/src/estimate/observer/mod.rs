@@ -7,14 +7,19 @@
 //! the links do not come into it.
 
 mod acceleration;
+mod bound;
 mod correction;
 mod deviations;
+mod excess;
 mod gains;
 mod joint_error;
+mod last_torque;
 mod late;
+mod link_load;
 mod matrix;
 mod poles;
 mod recording;
+mod repeats;
 mod rest;
 mod run;
 mod sampled;
@@ -24,6 +29,7 @@ mod step;
 mod uncertainty;
 
 pub use acceleration::{AccelerationMap, Observability};
+pub use bound::UltimateBound;
 pub use correction::LONGEST;
 pub use gains::{JointModel, closed_form_gains};
 pub use poles::{Complex, Poles};

@@ -95,7 +95,7 @@ pub struct AccelerationObserver {
     deviations: Option<ObserverDeviations>,
     /// The torque on each motor's row, and mean squares of innovations, for these (n).
     loaded: Vec<f64>,
-    innovations: Vec<f64>,
+    innovations: Vec<[f64; 2]>,
     /// Flags of the last sample, see [`Status`].
     status: u8,
     /// Samples taken, for messages.
@@ -156,7 +156,7 @@ impl AccelerationObserver {
             tool: [f64::NAN; 3],
             deviations: None,
             loaded: vec![0.0; n],
-            innovations: vec![0.0; n],
+            innovations: vec![[0.0; 2]; n],
             status: 0,
             taken: 0,
             started: false,
@@ -296,14 +296,16 @@ impl AccelerationObserver {
         }
         for j in 0..self.joints.len() {
             self.loaded[j] = self.torque[j] - self.coupling_torque(j, &self.measured);
-            self.innovations[j] = self.corrections[j].mean_square();
+            self.innovations[j] = self.corrections[j].means();
         }
         let Self { deviations, robot, models, map, state, q, dq, ddq, measured, loaded, innovations, .. } = self;
-        let (links, acceleration) = ([&q[..], &dq[..], &ddq[..]], sample.acceleration);
-        let look =
-            ObserverView { robot, models, map, state, links, measured, acceleration, torque: loaded, innovations };
+        let links = [&q[..], &dq[..], &ddq[..]];
+        let look = ObserverView { robot, models, map, state, links, measured, torque: loaded, innovations };
         if let Some(deviations) = deviations {
-            simd::phase(Deviate { deviations, look: &look, tau: sample.tau, first });
+            simd::phase(Deviate { deviations, look: &look, sample, first });
+            if deviations.is_stuck() {
+                self.status |= Status::CONTRADICTED | Status::FAULTY;
+            }
         }
     }
 
@@ -574,7 +576,7 @@ impl Kernel for ObserverStep<'_, '_> {
 struct Deviate<'a, 'b> {
     deviations: &'a mut ObserverDeviations,
     look: &'a ObserverView<'b>,
-    tau: &'b [f64],
+    sample: ObserverSample<'b>,
     first: bool,
 }
 
@@ -583,7 +585,7 @@ impl Kernel for Deviate<'_, '_> {
 
     #[inline(always)]
     fn run(self) {
-        self.deviations.look(self.look, self.tau, self.first);
+        self.deviations.look(self.look, self.sample, self.first);
     }
 }
 

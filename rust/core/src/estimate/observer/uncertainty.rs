@@ -65,8 +65,9 @@ pub(super) struct Columns {
     pub(super) own: Vec<Vec<Own>>,
     pub(super) readings: Range<usize>,
     pub(super) torques: Range<usize>,
-    /// That of a torque which is not read.
+    /// Those of a torque which is not read, and of dry friction at standstill.
     pub(super) missing: usize,
+    pub(super) sticking: usize,
     pub(super) accelerations: Range<usize>,
     /// Two columns and the correlation of their numbers.
     pub(super) correlations: Vec<(Place, Place, f64)>,
@@ -90,7 +91,8 @@ impl Columns {
         let most = |of: &[Vec<_>]| of.iter().map(Vec::len).max().unwrap_or_default();
         let readings = 0..most(&lines).next_multiple_of(LANES);
         let missing = readings.end + most(&torques);
-        let torque_range = readings.end..(missing + 1).next_multiple_of(LANES);
+        let sticking = missing + 1;
+        let torque_range = readings.end..(sticking + 1).next_multiple_of(LANES);
         let shared = match source {
             AccelerationSource::Sensors => SensorErrors::new(robot, &uncertainty.tolerances, uncertainty.bias).columns,
             AccelerationSource::Joints => (2 * n).next_multiple_of(LANES),
@@ -105,11 +107,20 @@ impl Columns {
         };
         let own: Vec<Vec<Own>> = lines.iter().zip(&torques).map(numbered).collect();
         let correlations = Vec::new();
-        let mut columns = Self { own, readings, torques: torque_range, missing, accelerations, correlations };
+        let mut columns = Self { own, readings, torques: torque_range, missing, sticking, accelerations, correlations };
         let place = |i: usize| columns.place(uncertainty.tolerances[i].parameter);
         let pair = |(i, j, value)| Some((place(i)?, place(j)?, value));
         columns.correlations = uncertainty.tolerances.correlations().filter_map(pair).collect();
         columns
+    }
+
+    /// Columns of joint `j` that are torques on its motor which its spring then has to hold.
+    #[inline(always)]
+    pub(super) fn carried(&self, j: usize) -> impl Iterator<Item = usize> + '_ {
+        use Uncertain as U;
+        let motors =
+            |one: &&Own| matches!(one.parameter, U::TorqueConstant(_) | U::MotorFriction(_) | U::MotorInertia(_));
+        self.own[j].iter().filter(motors).map(|one| one.column).chain([self.missing, self.sticking])
     }
 
     /// Where a number is; none that has no effect.
