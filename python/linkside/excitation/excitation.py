@@ -14,10 +14,10 @@ from linkside.files.tables import ArrowTable
 from linkside.recording.layout import as_columns
 from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
+from linkside.robot.limits import Limits
 from linkside.text import Titled, as_text
 
 from .expected import ExpectedErrors, MotorMotion
-from .limits import Limits
 from .words import errors_table
 
 if TYPE_CHECKING:

@@ -12,10 +12,11 @@ from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.limits import Limits, joint_index
 
 from .excitation import Excitation
 from .expected import ExpectedErrors, MotorMotion, Sensing, expect, motion_of
-from .limits import Limits, joint_index
+from .limits import complete
 from .planner import PER_PERIOD, Planner, Progress, Room
 from .series import TERMS, FourierSeries
 
@@ -107,12 +108,12 @@ def excite(
     Raises
     ------
     EstimatorError
-        A setting out of range, a posture outside the limits or that motors cannot hold, a robot without a sensor on
-        its links.
+        A setting out of range, a joint without a limit, a posture outside the limits or that motors cannot hold, a robot
+        without a sensor on its links.
     """
     sensing = Sensing(robot, free)
     logs = [logs] if isinstance(logs, Log) else list(logs)
-    limits = limits or Limits.of(robot)
+    limits = complete(robot, limits or Limits.of(robot))
     rate = positive("rate", rate or robot.config.rate_hz or RATE)
     duration, reach = positive("duration", duration), positive("reach", reach)
     whole("evaluations", evaluations, least=2)

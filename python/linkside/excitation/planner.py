@@ -16,9 +16,9 @@ from linkside.calibration.prepared import Prepared
 from linkside.calibration.problem import bare
 from linkside.calibration.response import ResponseProblem
 from linkside.errors import EstimatorError
+from linkside.robot.limits import Limits
 
 from .expected import MotorMotion, Sensing
-from .limits import Limits
 from .series import FourierSeries
 
 SOUGHT = ("stiffness", "mass_scale", "payload_mass", "translation", "rotation")
