@@ -108,8 +108,8 @@ def excite(
     Raises
     ------
     EstimatorError
-        A setting out of range, a joint without a limit, a posture outside the limits or that motors cannot hold, a robot
-        without a sensor on its links.
+        A setting out of range, a joint without a limit, a posture outside the limits or that motors cannot hold, a
+        robot without a sensor on its links.
     """
     sensing = Sensing(robot, free)
     logs = [logs] if isinstance(logs, Log) else list(logs)
