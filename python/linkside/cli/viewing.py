@@ -26,7 +26,8 @@ MOST = 3
 def view(robot: str, log: str, estimate: str, out: str, rate: float) -> None:
     """Write an animation of ROBOT: links by ESTIMATE, links by motors alone, the tool's path, and residuals of LOG.
 
-    .rrd is for Rerun (pip install linkside[rerun]; `rerun FILE`), .mcap for PlotJuggler and Foxglove (linkside[mcap]).
+    .rrd is for Rerun (pip install 'linkside[rerun]'; show it with `rerun FILE`), .mcap for PlotJuggler and Foxglove
+    (pip install 'linkside[mcap]').
     """
     from linkside.scene import SUFFIXES, write_scene
 
