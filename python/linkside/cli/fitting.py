@@ -39,10 +39,11 @@ if TYPE_CHECKING:
 @report
 @click.option("--evaluations", type=click.IntRange(1), default=2000, help="Number of evaluations (observer).")
 def tune(robot: str, logs: tuple[str, ...], method: str, **options: Any) -> None:
-    """Tune the noise of a Kalman filter to the likelihood of recordings, or the poles of an observer.
+    """Tune the noise of a Kalman filter, or the poles of an observer.
 
-    `--with observer` can also free the stiffness, damping and motor_inertia of the drives. It compares with measured
-    states of the links (--states), or else with the smoother.
+    The noise is that with which the readings in LOGs are most likely. `--with observer` can also free the stiffness,
+    damping and motor_inertia of the drives. It compares with measured states of the links (--states), or else with the
+    smoother.
     """
     for option in ("start",) if method == "observer" else ("states", "figure"):
         if options[option]:
@@ -109,7 +110,7 @@ def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> 
 @click.option("--resume", is_flag=True, help="Resume an interrupted run.")
 @click.option("--force", is_flag=True, help="Write the result even if it is refused.")
 def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **options: Any) -> None:
-    """Identify stiffness, damping, load and sensor errors of ROBOT from its own recordings.
+    """Identify springs, load and sensor errors of ROBOT from LOGs.
 
     The result is not written, and the exit status is 3, if it does not predict held-back readings better than ROBOT as
     it is, if an estimate is at a bound, or if one is far from ROBOT.

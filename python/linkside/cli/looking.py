@@ -28,7 +28,7 @@ from .terminal import show
 @click.option("--figure", type=click.Path(), help="Draw a figure: a .png, .pdf or .svg file.")
 @click.option("--over", metavar="JOINT,JOINT", help="Joints of the figure's axes.  [default: those that matter most]")
 @click.option("--at", "held", metavar="JOINT=POSITION", multiple=True, help="Position of another joint [rad, m].")
-@click.option("--bound", is_flag=True, help="Also say how good a filter and a smoother can get along LOG.")
+@click.option("--bound", is_flag=True, help="Also report the smallest standard deviations possible along LOG.")
 @report
 def check(
     robot: str,
@@ -39,7 +39,10 @@ def check(
     bound: bool,
     report: str | None,
 ) -> None:
-    """Report what the sensors of ROBOT observe, how well and where; with LOG, along it, and check LOG for mistakes."""
+    """Report what the sensors of ROBOT observe, and check LOG.
+
+    With LOG, the report is also about its motion, and LOG is checked for wrong units, signs and other mistakes.
+    """
     from linkside.observability import analysis as module
     from linkside.observability.words import check_tables
 
@@ -86,7 +89,7 @@ def check(
 @click.argument("reference", type=click.Path())
 @click.argument("estimates", metavar="ESTIMATE...", type=click.Path(), nargs=-1, required=True)
 @click.option("--robot", type=click.Path(), help="A robot.yaml, to compute tool paths that a file lacks.")
-@click.option("--names", help="Names of estimates: a,b,c.  [default: their files]")
+@click.option("--names", help="Names of estimates: a,b,c.  [default: names of their files]")
 @click.option(
     "--align",
     type=click.Choice(["time", "start"]),
@@ -105,7 +108,10 @@ def check(
 @click.option("--figure", type=click.Path(), help="Draw a figure: a .png, .pdf or .svg file.")
 @report
 def compare(reference: str, estimates: tuple[str, ...], **options: Any) -> None:
-    """Measure how far ESTIMATEs are from REFERENCE: a truth, another estimate, or a log, for its commanded path."""
+    """Measure how far ESTIMATEs are from REFERENCE.
+
+    REFERENCE is a truth, another estimate, or a log, of which the commanded path is used.
+    """
     from linkside import comparison as module
     from linkside.comparison.output import SUFFIXES, tables
 
@@ -156,7 +162,10 @@ def compare(reference: str, estimates: tuple[str, ...], **options: Any) -> None:
 @click.option("--figure", type=click.Path(), help="Draw singular postures: a .png, .pdf or .svg file.")
 @report
 def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: Any) -> None:
-    """Choose accelerometers that observe the joints of ROBOT best along LOGs, or in the whole workspace."""
+    """Choose accelerometers for ROBOT, and where to mount them.
+
+    The choice observes the joints best along LOGs or, without LOGs, in the whole workspace.
+    """
     from linkside.observability import placement
 
     out, told, files = options["out"], options["report"], [robot, *logs, options["candidates"]]
@@ -190,7 +199,7 @@ def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: 
 @main.command(epilog=example("linkside demo --figure demo.png"))
 @click.option("--figure", type=click.Path(), default="linkside-demo.png", show_default=True, help="Figure to write.")
 def demo(figure: str) -> None:
-    """Run the observer on a robot and a recording that come with the package."""
+    """Estimate the recording that comes with the package."""
     from linkside.demo import run as module
     from linkside.demo.figure import demo_figure
 

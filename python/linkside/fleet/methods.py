@@ -142,13 +142,11 @@ METHODS = {
     "ekf": Method(
         "Kalman filter with link dynamics and standard deviations", OF_FILTERS, partial(_filter, ExtendedKalmanFilter)
     ),
-    "ukf": Method(
-        "the same by sigma points in place of derivatives", OF_FILTERS, partial(_filter, UnscentedKalmanFilter)
-    ),
-    "ckf": Method("the same without their centre", OF_FILTERS, partial(_filter, CubatureKalmanFilter)),
-    "smoother": Method("ekf using all samples, later ones included", OF_FILTERS, _smoother),
+    "ukf": Method("ekf with sigma points in place of derivatives", OF_FILTERS, partial(_filter, UnscentedKalmanFilter)),
+    "ckf": Method("ukf without the central point", OF_FILTERS, partial(_filter, CubatureKalmanFilter)),
+    "smoother": Method("as ekf, but each row from all samples, later ones too", OF_FILTERS, _smoother),
     "map": Method(
-        "the most probable motion, linearised at itself; --loss huber or student-t for outliers",
+        "the most probable motion, found by iterations of smoother; --loss huber or student-t for outliers",
         OF_FILTERS,
         _map,
         whole=lambda _: True,
@@ -160,19 +158,19 @@ METHODS = {
         read_tuning=ElasticNoise.read,
     ),
     "elastic-ukf": Method(
-        "the same by sigma points in place of derivatives",
+        "elastic-ekf with sigma points in place of derivatives",
         OF_FILTERS,
         partial(_elastic_filter, "unscented"),
         read_tuning=ElasticNoise.read,
     ),
     "elastic-ckf": Method(
-        "the same without their centre",
+        "elastic-ukf without the central point",
         OF_FILTERS,
         partial(_elastic_filter, "cubature"),
         read_tuning=ElasticNoise.read,
     ),
     "elastic-smoother": Method(
-        "elastic-ekf using all samples, later ones included",
+        "as elastic-ekf, but each row from all samples, later ones too",
         OF_FILTERS,
         _elastic_smoother,
         whole=lambda _: True,
@@ -186,10 +184,12 @@ METHODS = {
         read_tuning=ElasticNoise.read,
     ),
     "particle": Method(
-        "weighted samples of the state", ("tuning", "particles", "seed"), partial(_particle, ParticleFilter)
+        "particle filter, weighted samples of the state",
+        ("tuning", "particles", "seed"),
+        partial(_particle, ParticleFilter),
     ),
     "marginalized": Method(
-        "the same, with biases marginalised in closed form",
+        "as particle, with biases computed in closed form",
         ("tuning", "particles", "seed"),
         partial(_particle, MarginalizedParticleFilter),
     ),
@@ -200,7 +200,7 @@ METHODS = {
         uneven=False,
     ),
     "nicosia-tomei": Method(
-        "the same, with a spring on the position error",
+        "as reduced-order, with a spring on the position error",
         ("gain",),
         partial(_velocity, NicosiaTomeiObserver),
         uneven=False,
