@@ -1,4 +1,4 @@
-"""Smooth motions of the links, with the derivatives that inverse dynamics of elastic joints asks for."""
+"""Smooth motions of the links, with the derivatives that inverse dynamics of elastic joints needs."""
 
 from __future__ import annotations
 

@@ -39,16 +39,16 @@ class ElasticNoise(ReadingNoise):
     Attributes
     ----------
     link_acceleration, motor_acceleration
-        Density of what the equations of links and of motors leave out: velocity wanders by this in a second
+        Density of accelerations that the equations of links and motors lack: the random walk of velocity in one second
         [rad/s/√s].
     torque
         Noise of the motor torques, in multiples of robot.yaml's ``torque.noise_std``.
     torque_walk
-        By how much a motor torque may have wandered from its last reading after one second without [N m/√s]. None: the
-        most that the log's torques do over any time up to `TORQUE_TIME`.
+        Random walk of a motor torque in one second without readings [N m/√s]. None: the largest walk
+        of the log's torques over any time up to `TORQUE_TIME`.
     disturbance, disturbance_walk
-        Initial uncertainty of each motor's disturbance torque, and by how much it wanders in a second, in multiples of
-        the torque that the motor's friction has at 1 rad/s (N m if it has none).
+        Initial uncertainty of each motor's disturbance torque, and its random walk in one second, in multiples of the
+        motor's friction torque at 1 rad/s (of 1 N m if it has none).
     transmission, motor_velocity, acceleration, rate, link, joint_torque, link_velocity, position, velocity
         And biases and disturbance torques of links: as of `ReadingNoise`, at the first sample of links and of motors.
     """
@@ -62,7 +62,7 @@ class ElasticNoise(ReadingNoise):
     motor_velocity: PositiveStd = 1e-3
 
     def for_log(self, log: Log, robot: Robot) -> ElasticNoise:
-        """Fill in what is to be read off the log: how far torques wander where they are missing."""
+        """Fill in what is estimated from the log: the random walk of torques that are missing."""
         if self.torque_walk is not None or log.tau is None or not np.isnan(log.tau).any():
             return self
         walk = torque_walk(log, self.torque * torque_noise(robot))
@@ -234,10 +234,10 @@ class ElasticJoint(KalmanMethod):
 class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter], Compiles):
     """EKF on the full elastic-joint dynamics, driven by the motor torques of the log.
 
-    Ulrich and Sasiadek, "Extended Kalman filtering for flexible joint space robot control", ACC 2011, who measure motor
-    positions and velocities alone; here every sensor of the log is used. State: position and velocity of every link and
-    of every elastic joint's motor, a disturbance torque of each motor, and biases. Any spring, friction and coupling
-    that robot.yaml can describe is in the model, with exact derivatives.
+    Ulrich and Sasiadek, "Extended Kalman filtering for flexible joint space robot control", ACC 2011. The paper
+    measures motor positions and velocities alone; here every sensor of the log is used. State: position and velocity of
+    every link and of every elastic joint's motor, a disturbance torque of each motor, and biases. Any spring, friction
+    and coupling that robot.yaml can describe is in the model, with exact derivatives.
 
     Parameters
     ----------
@@ -246,21 +246,22 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter],
     noise
         Noise levels.
     accelerations
-        Whether accelerometers are used; by default where the log has them, in `step` where the robot has them.
+        Whether accelerometers are used; by default if the log has them, in `step` if the robot has them.
     dtheta, rate, q, torque, dq
         Whether motor velocities, gyroscopes, link encoders, joint torque sensors and link tachometers are used; by
-        default where the log has them, in `step` motor velocities only.
+        default if the log has them, in `step` motor velocities only.
     biases
         Kinds of channels with a bias state: any of ``"motor"``, ``"acceleration"``, ``"rate"``.
     disturbances
-        Whether each motor has a slowly changing torque beside the measured one, such as friction that robot.yaml does
-        not know.
+        Whether to estimate a slowly changing torque on each motor in addition to the measured one, such as friction
+        that robot.yaml lacks.
     transition
-        How the covariance is carried over a step: ``"exact"``, by the exponential of the derivatives, or
-        ``"first-order"``, 1 + A h, as in the paper.
+        How the covariance is propagated over a step: ``"exact"``, with the matrix exponential of A h, or
+        ``"first-order"``, with 1 + A h, as in the paper.
     gate, iterations, tolerances, start, link_disturbance, loss, linearisation
-        As of `ExtendedKalmanFilter`; sigma points go through the step of time as well. With ``link_disturbance=True``
-        the motors' torques tell a disturbance even without further sensors, as far as the motors' friction is known.
+        As of `ExtendedKalmanFilter`; sigma points are also propagated over the time step. With
+        ``link_disturbance=True``, motor torques alone determine a disturbance, as accurately as the motor friction is
+        known.
 
     Raises
     ------
@@ -269,7 +270,7 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter],
 
     Notes
     -----
-    Between samples the mean moves by the fourth-order rule of Runge and Kutta, in as many substeps as the robot's
+    Between samples the mean is integrated by the fourth-order Runge–Kutta method, in as many substeps as the robot's
     fastest mode needs.
     """
 
@@ -366,9 +367,9 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter],
         return core
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
-        """Estimate a recording that comes piece by piece, in bounded memory; the same bits as `run`.
+        """Estimate a recording piece by piece, in bounded memory; bit-identical to `run`.
 
-        Whether links are disturbed is what the first piece shows.
+        The first piece decides whether disturbance torques are estimated.
         """
 
         def start(piece: Log, first: Readings) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
@@ -385,19 +386,19 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter],
     def fresh(self, period: float) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
         """Build a filter of the core for a loop of this period [s], and the kinds of its channels.
 
-        It has taken no sample; a sample's torques are those that have acted, held, since the one before.
+        It has taken no sample. The torques of a sample are those that were held since the sample before.
         """
         return self._told(period, held=True), self.live_kinds
 
 
 class ElasticJointSmoother(ElasticJoint):
-    """Smoother on the elastic-joint model: each sample by all of the recording. Parameters as of the filter."""
+    """Smoother on the elastic-joint model: each sample from all samples. Parameters as of `ElasticJointFilter`."""
 
     _way = "smooth"
 
 
 class ElasticJointIteratedSmoother(ElasticJoint):
-    """The most probable motion on the elastic-joint model; parameters as of the filter. See `IteratedSmoother`."""
+    """Most probable motion on the elastic-joint model, as `IteratedSmoother`; parameters as of `ElasticJointFilter`."""
 
     _way = "iterate"
 

@@ -42,9 +42,9 @@ class KalmanEstimate(Estimate):
     log_likelihood : (T,)
         Logarithm of the probability density of the sample's readings, given those before.
     state : (T, k), optional
-        The filter's whole state, biases last. ``covariance`` is its.
+        The filter's whole state, biases last; ``covariance`` belongs to it.
     innovation, innovation_std : (T, m), optional
-        Readings less their predictions, and the standard deviations of these differences.
+        Readings minus their predictions, and the standard deviations of these differences.
     channels : tuple of str
         The m columns of the log that were read.
     """

@@ -44,8 +44,8 @@ LEAST_JERK = 10.0
 class ReadingNoise(BaseModel):
     """Noise of the readings, which is the same for all models: the common part of `Noise` and `ElasticNoise`.
 
-    The defaults belong to industrial arms in SI units, and are meant to work untuned. The priors on biases are tight on
-    purpose: at rest a motor's bias cannot be distinguished from the link's position, nor an accelerometer's from the
+    The defaults belong to industrial arms in SI units, and are meant to work untuned. The priors on biases are narrow
+    because at rest a motor's bias cannot be distinguished from the link's position, nor an accelerometer's from the
     direction of gravity, so the prior decides.
 
     Attributes
@@ -68,14 +68,14 @@ class ReadingNoise(BaseModel):
     motor_bias, acceleration_bias, rate_bias
         Initial uncertainty of biases [rad, m/s², rad/s].
     motor_bias_walk, acceleration_bias_walk, rate_bias_walk
-        By how much biases wander in one second [rad/√s, m/s²/√s, rad/s/√s].
+        Random walk of biases in one second [rad/√s, m/s²/√s, rad/s/√s].
     motor_bias_time, acceleration_bias_time, rate_bias_time
-        Over which time biases forget where they were [s] (Gauss and Markov's process): beyond it they wander no further
-        than ``walk · √(time/2)``. None: the time with which that is their initial uncertainty, so that they are as
-        uncertain at any time. Infinite: they wander without bound, and over a long recording the estimate with them.
+        Correlation time of biases [s] (Gauss–Markov process): their standard deviation stays at ``walk · √(time/2)``.
+        None: the time for which this is the initial uncertainty, so that it is the same at any time. Infinite: a random
+        walk without bound, with which the estimate drifts in a long recording.
     link_disturbance, link_disturbance_time
-        Standard deviation of each link's disturbance torque, where a filter has such torques, and over which time it
-        forgets where it was [N m, s]. None: read off the log; in `step`, what would move a resting link at 10 rad/s².
+        Standard deviation and correlation time of each link's disturbance torque, if a filter estimates it [N m, s].
+        None: estimated from the log; in `step`, the torque that accelerates a resting link by 10 rad/s².
     position, velocity
         Uncertainty at the first sample, where the robot is taken to be at rest [rad, rad/s].
     """
@@ -127,14 +127,14 @@ class Noise(ReadingNoise):
     transmission, motor_velocity, acceleration, rate, link, joint_torque, link_velocity, wrench, position, velocity
         And biases: as of `ReadingNoise`. Motor velocities are what the damping torque is computed from.
     jerk
-        Density of the links' jerk beside the commanded one: acceleration wanders by this in a second
-        [rad/s³/√Hz]. None: read off the log.
+        Density of the links' jerk in addition to the commanded one: the random walk of acceleration in one second
+        [rad/s³/√Hz]. None: estimated from the log.
     torsion
-        Relative error of the predicted torsion, as of a stiffness that is not quite right.
+        Relative error of the predicted torsion, for example from a wrong stiffness.
     position_walk, velocity_walk
-        By how much the links' positions and velocities wander in one second beside what their acceleration does
-        [rad/√s, rad/s/√s]. Zero is mechanics; more is room for what no acceleration explains, such as samples that are
-        not quite in time.
+        Random walk of the links' positions and velocities in one second, in addition to the motion by their
+        acceleration [rad/√s, rad/s/√s]. Zero is exact kinematics; larger values allow for other errors, such as inexact
+        sampling times.
     initial_acceleration
         Uncertainty of the links' acceleration at the first sample [rad/s²].
     """
@@ -146,7 +146,7 @@ class Noise(ReadingNoise):
     initial_acceleration: Std = 0.1
 
     def for_log(self, log: Log, robot: Robot) -> Noise:
-        """Fill in what is to be read off the log: the scale of jerk."""
+        """Fill in what is estimated from the log: the scale of jerk."""
         if self.jerk is not None:
             return self
         jerk = np.hypot(jerk_scale(log), ripple_jerk(log, robot))

@@ -55,11 +55,11 @@ def smooth_file(
     *,
     check: bool = True,
 ) -> int:
-    """Smooth a recording of any length from file to file, in bounded memory; gives the rows written.
+    """Smooth a recording of any length from file to file, in bounded memory; returns the number of rows written.
 
     The estimate of `RauchTungStriebelSmoother.run` on the whole recording when ``noise.jerk`` is given; otherwise the
-    scale of jerk is read off the first ``rows``. While this runs, a directory beside ``out`` holds about as much as the
-    recording and the estimate together.
+    scale of jerk is estimated from the first ``rows``. While this runs, a directory beside ``out`` holds about as much
+    as the recording and the estimate together.
 
     Parameters
     ----------

@@ -36,9 +36,9 @@ class EstimateWriter:
     Parameters
     ----------
     path
-        A file that ends in ``.parquet`` or ``.csv``. That it can be written is checked at once.
+        A file that ends in ``.parquet`` or ``.csv``. Whether it can be written is checked at once.
     metadata
-        Kept with the schema of a Parquet file; a CSV file has no place for it.
+        Stored in the schema of a Parquet file; a CSV file does not store it.
 
     Raises
     ------
@@ -81,7 +81,7 @@ class EstimateWriter:
             self._flush(GROUP)
 
     def note(self, metadata: Mapping[str, str]) -> None:
-        """Keep more with a Parquet file, known only after its rows; nothing of it is in a CSV file."""
+        """Add metadata that is known only after the rows; a CSV file does not store it."""
         if isinstance(self._sink, pq.ParquetWriter):
             self._sink.add_key_value_metadata(dict(metadata))
 

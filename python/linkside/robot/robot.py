@@ -40,14 +40,14 @@ Joints = Iterable[JointConfig | Mapping[str, Any]]
 class Robot(Dynamics):
     """An elastic-joint robot on a fixed base: made by `load`, `from_urdf` or `from_pinocchio`, then constant.
 
-    Every array is in log order: the order in which the joints are listed, whatever their order in the tree.
-    Dynamics take one state, (n,), or a row for each sample, (T, n), and answer likewise; any other shape is
-    an EstimatorError that names the argument. SI units, radians (metres where a joint is prismatic).
+    Every array is in log order: the order in which the joints are listed, whatever their order in the tree. Dynamics
+    take one state, (n,), or a row for each sample, (T, n), and return the same shape; any other shape raises an
+    EstimatorError that names the argument. SI units, radians (metres where a joint is prismatic).
 
     Parameters
     ----------
     config : RobotConfig
-        What was said about joints, sensors and tool.
+        The description of joints, sensors and tool.
     tree : Tree
         The listed joints alone, all others locked.
     notes : tuple of str
@@ -90,7 +90,7 @@ class Robot(Dynamics):
 
     @classmethod
     def from_urdf(cls, urdf: str | os.PathLike[str], joints: Joints, **settings: Any) -> "Robot":
-        """Build a robot from a URDF, its path or its text; meshes are not looked at.
+        """Build a robot from a URDF, its path or its text; meshes are not read.
 
         Parameters
         ----------
@@ -145,7 +145,7 @@ class Robot(Dynamics):
     def scaled(
         self, *, stiffness: float = 1.0, damping: float = 1.0, motor_inertia: float = 1.0, mass: float = 1.0
     ) -> "Robot":
-        """Return a robot with other parameters, such as a specimen that differs from its model: factors on all joints.
+        """Return a robot with other parameters, such as one that differs from its model: factors on all joints.
 
         Parameters
         ----------
@@ -179,7 +179,7 @@ class Robot(Dynamics):
         Raises
         ------
         ConfigError
-            A joint moves nothing that has a mass: names its link.
+            A joint moves no mass; names its link.
         """
         for drive in self.drives:
             if drive.name in self._massless and (drive.elastic or not elastic_only):

@@ -82,7 +82,7 @@ class Simulation:
         wrenches that vary, ``<wrench>_fx`` to ``<wrench>_tz`` in files.
         Accelerations are those just before the torque changes.
     known
-        What the controller knew of the robot, (T, n) each.
+        The state that was fed back to the controller, (T, n) each.
     """
 
     robot: Robot
@@ -163,16 +163,16 @@ def simulate(
         State and motor torques at the start. Not given: links at zero and at rest; motors where the springs hold
         gravity, as fast as their links; the torques that hold gravity.
     feedback
-        What the controller knows of the robot: ``"truth"``, ``"sensors"`` (motors as measured, links taken to be
-        there too), or the estimate of an `ElasticJointFilter` or `AccelerationObserver`, of a robot with other
-        parameters if need be; it starts from the beginning, at the simulation's rate.
+        What the controller knows of the robot: ``"truth"``, ``"sensors"`` (motors as measured, links assumed to be
+        where the motors are), or the estimate of an `ElasticJointFilter` or `AccelerationObserver`, whose robot may
+        have other parameters; it starts from the beginning, at the simulation's rate.
     sensors
         A `Sensor` of each kind: ``theta``, ``dtheta``, ``acceleration``, ``rate``, ``q``, ``torque``, ``dq``. A kind
         not given is as robot.yaml has it, or exact; link positions and velocities, and joint torques (what the
         transmission gives the link), are in the log only if given, or if robot.yaml has a ``link_encoder`` or
         ``joint_torque``.
     integrator
-        ``"rk4"``, the fourth-order method of Runge and Kutta in fixed steps, as fast as can be where nothing is stiff;
+        ``"rk4"``, the fourth-order method of Runge and Kutta in fixed steps, the fastest where nothing is stiff;
         or ``"adaptive"``, RODAS (Hairer and Wanner, Solving Ordinary Differential Equations II, 1996, section VI.4),
         an L-stable method of order 4 with exact derivatives, whose steps follow the tolerance and not the stiffness,
         and end at every sample. A vibration smaller than the tolerance is damped instead of followed.
@@ -186,10 +186,10 @@ def simulate(
     seed
         Of the noise: the same seed gives the same bits.
     push : (n,) or (T, n)
-        Torque on each link from outside [N m]: contact, a payload, whatever the robot does not know. All the time, or
-        at each sample, straight in between; between samples a link is pushed as in the middle.
+        Torque on each link from outside [N m]: a contact, a payload or anything else that robot.yaml lacks. Constant,
+        or given at each sample; between two samples their mean acts.
     wrench : (6k,) or (T, 6k)
-        What the k wrenches of robot.yaml that vary are, likewise: of each, force [N] and moment [N m] in its frame.
+        Values of the k wrenches of robot.yaml that vary, likewise: of each, force [N] and moment [N m] in its frame.
         None: zero. Those that are measured are in the log, with their sensors' noise.
 
     Raises
