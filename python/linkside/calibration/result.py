@@ -29,7 +29,7 @@ class Estimated:
     value, std : float
         Its value and standard error.
     widening : float
-        By what factor the standard error was widened because errors of the model last.
+        Factor by which the standard error was increased because errors of the model are correlated in time.
     at_bound : bool
         Whether the value is at a bound: then its standard error means little.
     """

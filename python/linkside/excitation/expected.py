@@ -60,9 +60,9 @@ class ExpectedErrors:
     parameters : tuple of Parameter
         All that it would free.
     std : (p,)
-        Standard errors, in tolerances; 1 is that nothing is known beyond robot.yaml.
+        Standard errors, in tolerances; 1 if nothing is known beyond robot.yaml.
     reasons : dict of str to str
-        Parameters that the motion cannot tell, and why.
+        Parameters that the motion does not identify, and why.
     information : (p, p)
         Fisher's, in tolerances.
     """

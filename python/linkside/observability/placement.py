@@ -68,13 +68,13 @@ class Placement:
     score : float
         Worst condition number, or root of the expected variance of link accelerations [rad/s²].
     before : float
-        The same of the robot's own accelerometers; inf if they see too little.
+        The same of the robot's own accelerometers; inf if they do not observe all joints.
     q : (T, n)
-        Postures that counted [rad].
+        Postures that were used [rad].
     log : Log or None
         The first recording that they are from.
     alone : tuple of float
-        Score of every candidate alone; inf if it sees too little.
+        Score of every candidate alone; inf if it does not observe all joints.
     links : tuple of str
         The link of every candidate.
     """
@@ -111,7 +111,7 @@ class Placement:
         return "\n".join(lines) + "\n"
 
     def figure(self) -> Figure:
-        """Draw where the set is singular, its singular postures marked, and how well each candidate does alone."""
+        """Draw where the set is singular, its singular postures marked, and the score of each candidate alone."""
         from .placement_figure import Scores, placement_figure
 
         label = "worst condition number" if self.criterion == "condition" else "standard deviation [rad/s²]"
@@ -153,7 +153,7 @@ def candidates(
     axes
         Kinds of sensor: ``("xyz",)`` are three-axis ones, ``("x", "y", "z")`` a choice of single axes.
     rpy
-        Orientations to choose from [rad]. What a three-axis sensor of even noise sees does not depend on it.
+        Orientations to choose from [rad]. For a three-axis sensor with equal noise on all axes it does not matter.
     noise_std
         Of each axis [m/s²]; by default that of the robot's first accelerometer, or 0.05.
     """
@@ -207,7 +207,7 @@ def place(
         Where it must work: recordings (their motor positions), positions (T, n), or by default the whole workspace
         without the worst tenth of its postures.
     count
-        Sensors in the set; by default the fewest whose axes can tell the elastic joints apart.
+        Sensors in the set; by default the fewest whose axes distinguish the elastic joints.
     limit
         Take the smallest set whose score is at most this, of up to `count` sensors if that is given.
     criterion
@@ -217,7 +217,7 @@ def place(
     Raises
     ------
     EstimatorError
-        Candidates none of which sees some joint, or all of which together cannot tell joints apart; a limit that no
+        Candidates none of which observes some joint, or which together do not distinguish the joints; a limit that no
         set meets.
     """
     search = _PlacementSearch(robot, _candidates(robot, sensors), *_postures(robot, postures), criterion)

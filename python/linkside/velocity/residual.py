@@ -28,7 +28,7 @@ NOISE_TO_STD = 1.4826
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """External joint torques, and whether they are more than noise.
+    """External joint torques, and whether they exceed the noise.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Residual:
     torque : (T, n)
         External torque on the joints, through a first-order filter [N m].
     threshold : (n,)
-        What noise hardly exceeds [N m].
+        A level that noise hardly ever exceeds [N m].
     collision : (T,)
         Whether a joint's residual is above its threshold.
     """
@@ -70,7 +70,7 @@ def momentum_residual(
         Of the residual's filter [rad/s].
     quiet
         From when to when nothing touches the robot, for the threshold [s]; by default the whole recording, whose median
-        a short contact does not move.
+        a short contact does not change.
     deviations
         The threshold in standard deviations of the quiet residual.
 
