@@ -125,11 +125,11 @@ def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **optio
         result = calibrate_logs.run(robot, logs, out, resume, advance, **options)
     click.echo(result.to_text(), nl=False)
     if result.refused:
-        click.echo("linkside excite ROBOT LOG... --out motion.parquet plans a motion for what is not estimated")
+        click.echo("linkside excite ROBOT LOG... --out motion.parquet plans a motion for the parameters not estimated")
     for output in outputs if result.accepted or options["force"] else outputs[1:]:
         click.echo(f"written: {output}")
     if not (result.accepted or options["force"]):
-        click.echo(f"not written: {out}; if the estimates above are to be taken all the same, --force writes them")
+        click.echo(f"not written: {out}; --force writes the estimates above anyway")
     if not result.accepted:
         sys.exit(3)
 
