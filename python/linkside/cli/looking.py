@@ -156,6 +156,7 @@ def compare(reference: str, estimates: tuple[str, ...], **options: Any) -> None:
 @click.option("--candidates", type=click.Path(), help="A file with `accelerometers` to choose from, as in robot.yaml.")
 @click.option("--count", type=int, help="Number of sensors.  [default: the fewest that suffice]")
 @click.option("--limit", type=float, help="Choose the smallest set within this score.")
+@click.option("--spares", type=click.IntRange(0), default=0, show_default=True, help="Sensors that may fail.")
 @click.option("--by", type=click.Choice(["condition", "covariance"]), default="condition", show_default=True)
 @click.option("--out", type=click.Path(), help="Write the chosen `accelerometers` to this YAML file.")
 @no_check
@@ -180,8 +181,8 @@ def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: 
     with naming(robot):
         sensors += placement.candidates(loaded, links, reach=options["reach"], steps=options["steps"], axes=kinds)
         where = [Log.read(log, loaded, check=not options["no_check"]) for log in logs] or None
-        choice = {"count": options["count"], "limit": options["limit"], "criterion": options["by"]}
-        found = placement.place(loaded, sensors, where, **choice)
+        choice = {name: options[name] for name in ("count", "limit", "spares")}
+        found = placement.place(loaded, sensors, where, criterion=options["by"], **choice)
     click.echo(found.to_text(), nl=False)
     if out is not None:
         found.write(out)
