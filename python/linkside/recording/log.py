@@ -62,6 +62,8 @@ class Log:
         Joint torque sensors: what the transmission gives the link [N m].
     wrench : (T, 6k)
         Force sensors: what acts on links from outside, force and moment of each measured wrench [N, N m].
+    position : (T, p)
+        Trackers: where points of links are, in the tracker's axes [m].
     qref, dqref, ddqref : (T, n)
         Commanded motion [rad, rad/s, rad/s²].
     source : str
@@ -85,6 +87,7 @@ class Log:
     ddq: FloatArray | None
     torque: FloatArray | None
     wrench: FloatArray | None
+    position: FloatArray | None
     qref: FloatArray | None
     dqref: FloatArray | None
     ddqref: FloatArray | None
