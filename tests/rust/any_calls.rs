@@ -19,7 +19,7 @@ const FILES: [&[u8]; 4] = [
     include_bytes!("../data/compiled/velocity.lsr"),
 ];
 
-const SIGNALS: usize = 11;
+const SIGNALS: usize = 12;
 
 /// Numbers of a sample: eleven signals of at most eight each.
 const NUMBERS: usize = 8 * SIGNALS;
@@ -85,6 +85,7 @@ impl Held {
             torque: at(8),
             ddqref: at(9),
             wrench: at(10),
+            position: at(11),
         };
         // SAFETY: each signal has as many numbers as any is wide.
         unsafe { linkside_step(self.0, &raw const sample) }

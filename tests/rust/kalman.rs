@@ -11,7 +11,7 @@ use linkside_core::estimate::kalman::{
 use linkside_core::estimate::measurement::{Evaluation, Kind};
 use linkside_core::robot::{
     Acting, Drive, Friction, FrictionElement, Harmonic, Hysteresis, LoadFriction, Ripple, Robot, Sensor, SoftWindup,
-    WRENCH, Wrench,
+    Tracker, WRENCH, Wrench,
 };
 use linkside_core::scalar::Dual;
 use linkside_core::spatial::{Mat3, Vec3};
@@ -20,8 +20,9 @@ use std::sync::Arc;
 
 const JOINTS: usize = 3;
 const ALL: &[Kind] = &Kind::ALL;
-/// Motors, an accelerometer's two axes, motor velocities, a gyroscope's three axes, links, torques, links' velocities.
-const CHANNELS: usize = 5 * JOINTS + 5;
+/// Motors, an accelerometer's two axes, motor velocities, a gyroscope's three axes, links, torques, links' velocities, a
+/// tracker's two axes.
+const CHANNELS: usize = 5 * JOINTS + 7;
 
 /// Three joints, one rigid, one with everything nonlinear that a drive can have.
 fn robot() -> Robot {
@@ -38,7 +39,10 @@ fn robot() -> Robot {
     let mut robot = arm(vec![drive(), soft, rigid], &mountings);
     let frame = robot.tree.frame("gyroscope", 1, &Mat3::IDENTITY, &Vec3([0.1, 0.0, 0.0])).unwrap();
     robot.gyroscopes.push(Sensor { frame, axes: vec![0, 1, 2], noise_std: 0.01 });
-    robot
+    let frame = robot.tree.frame("tracker", 2, &Mat3::IDENTITY, &Vec3([0.2, -0.1, 0.4])).unwrap();
+    let target = Sensor { frame, axes: vec![0, 2], noise_std: 1e-4 };
+    let axes = Mat3::from_rows([[0.6, 0.0, 0.8], [0.0, 1.0, 0.0], [-0.8, 0.0, 0.6]]);
+    robot.with_trackers(vec![Tracker { target, axes, origin: Vec3([1.0, -2.0, 0.5]) }]).unwrap()
 }
 
 fn noise() -> JerkNoise {
@@ -127,7 +131,7 @@ proptest! {
         let still = linearised(&[&state[..d], &[0.0; JOINTS]].concat());
         prop_assert_eq!(still.linearised().prediction, plain.linearised().prediction);
         let (before, after) = (plain.linearised().prediction, disturbed.linearised().prediction);
-        let torques = CHANNELS - 2 * JOINTS;
+        let torques = CHANNELS - 2 - 2 * JOINTS;
         for (channel, (before, after)) in before.iter().zip(after).enumerate() {
             if (torques..torques + JOINTS).contains(&channel) {
                 let off = state[d + channel - torques];

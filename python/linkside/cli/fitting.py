@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from linkside.files.writing import check_writable
+from linkside.fleet.task import naming
 from linkside.kalman.noise import Noise
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
@@ -60,6 +61,30 @@ def tune(robot: str, logs: tuple[str, ...], method: str, **options: Any) -> None
         files = [("robot", robot), *(("log", log) for log in logs), *(("states", file) for file in options["states"])]
         page(tuned, inputs([*files, ("start", options["start"]), ("tuning", options["out"])])).write(told)
         click.echo(f"report: {told}")
+
+
+@main.command(epilog=example("linkside align robot.yaml log.parquet --out robot.aligned.yaml"))
+@click.argument("robot", type=click.Path())
+@click.argument("log", type=click.Path())
+@click.option("--tracker", help="Which of `trackers` of ROBOT.  [default: the only one]")
+@click.option("--free", default="place,delay", show_default=True, help="What to find: place, delay, xyz (the target).")
+@click.option("--out", required=True, type=click.Path(), help="The robot.yaml to write.")
+@no_check
+def align(robot: str, log: str, tracker: str | None, free: str, out: str, no_check: bool) -> None:
+    """Find where a tracker of ROBOT stands, and how late it is, by a LOG with its readings.
+
+    A tracker is a laser tracker, a camera or a motion capture system that sees a point of a link.
+    """
+    from linkside.calibration import align_tracker
+
+    refuse_clashes([Path(out)], [robot, log])
+    check_writable(out, (".yaml", ".yml"))
+    loaded = Robot.load(robot)
+    with naming(robot):
+        found = align_tracker(loaded, Log.read(log, loaded, check=not no_check), tracker, free.split(","))
+    click.echo(found.to_text(), nl=False)
+    found.write(robot, out)
+    click.echo(f"robot: {out}")
 
 
 def _tune_noise(robot: str, logs: Sequence[str], options: dict[str, Any]) -> Tuning:

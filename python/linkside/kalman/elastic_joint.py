@@ -99,7 +99,7 @@ class ElasticJoint(KalmanMethod):
         q: bool | None = None,
         torque: bool | None = None,
         dq: bool | None = None,
-        biases: Sequence[str] = ("acceleration", "rate"),
+        biases: Sequence[str] = ("acceleration", "rate", "position"),
         disturbances: bool = True,
         motor_torque: Literal["sampled", "held"] = "sampled",
         transition: Literal["exact", "first-order"] = "exact",
@@ -251,7 +251,8 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter],
         Whether motor velocities, gyroscopes, link encoders, joint torque sensors and link tachometers are used; by
         default if the log has them, in `step` motor velocities only.
     biases
-        Kinds of channels with a bias state: any of ``"motor"``, ``"acceleration"``, ``"rate"``.
+        Kinds of channels with a bias state: any of ``"motor"``, ``"acceleration"``, ``"rate"``,
+        ``"position"``.
     disturbances
         Whether to estimate a slowly changing torque on each motor in addition to the measured one, such as friction
         that robot.yaml lacks.

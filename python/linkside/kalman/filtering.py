@@ -151,6 +151,8 @@ class KalmanMethod(Described, ABC):
         self._wanted, self._biases = dict(wanted), tuple(biases)
         if robot.wrench_channels:
             self._wanted["wrench"] = True
+        if robot.position_channels:
+            self._wanted["position"] = None
         self._gate, self._iterations = gate, whole("iterations", iterations, least=1)
 
     def _described(self) -> dict[str, Any]:

@@ -75,7 +75,7 @@ class JerkDrivenFilter(LiveFilter[Core]):
             Motor velocities [rad/s] and commanded link accelerations [rad/s²], where there are any.
         further : (k,)
             Readings of the kinds asked for, one after the other: ``dtheta``, ``rate``, ``q``, ``torque``,
-            ``dq``.
+            ``dq``, ``position``.
 
         Returns
         -------
@@ -110,7 +110,7 @@ class JerkDriven(KalmanMethod):
         robot: Robot,
         noise: Noise | None = None,
         *,
-        biases: Sequence[str] = ("motor", "acceleration", "rate"),
+        biases: Sequence[str] = ("motor", "acceleration", "rate", "position"),
         damping: bool = True,
         dtheta: bool = False,
         rate: bool | None = None,
@@ -242,7 +242,8 @@ class ExtendedKalmanFilter(
     noise
         Noise levels; defaults come from robot.yaml, and the scale of jerk from the log.
     biases
-        Kinds of channels with a bias state: any of ``"motor"``, ``"acceleration"``, ``"rate"``.
+        Kinds of channels with a bias state: any of ``"motor"``, ``"acceleration"``, ``"rate"``,
+        ``"position"``.
     damping
         Whether the damping torque D(dtheta - dq), which the paper drops, is predicted: from the log's motor velocity,
         and where that is missing from the motor positions.

@@ -65,6 +65,7 @@ class ReadingNoise(BaseModel):
         Noise of tachometers on the links [rad/s].
     wrench
         Noise of force sensors, in multiples of the ``noise_std`` of ``wrenches`` in robot.yaml.
+<<<<<<< HEAD
     motor_bias, acceleration_bias, rate_bias
         Initial uncertainty of biases [rad, m/s², rad/s].
     motor_bias_walk, acceleration_bias_walk, rate_bias_walk
@@ -73,6 +74,18 @@ class ReadingNoise(BaseModel):
         Correlation time of biases [s] (Gauss–Markov process): their standard deviation stays at ``walk · √(time/2)``.
         None: the time for which this is the initial uncertainty, so that it is the same at any time. Infinite: a random
         walk without bound, with which the estimate drifts in a long recording.
+=======
+    tracker
+        Noise of trackers, in multiples of their ``noise_std``.
+    motor_bias, acceleration_bias, rate_bias, position_bias
+        Initial uncertainty of biases [rad, m/s², rad/s, m]; of a tracker also for lengths of the URDF.
+    motor_bias_walk, acceleration_bias_walk, rate_bias_walk, position_bias_walk
+        By how much biases wander in one second [rad/√s, m/s²/√s, rad/s/√s, m/√s].
+    motor_bias_time, acceleration_bias_time, rate_bias_time, position_bias_time
+        Over which time biases forget where they were [s] (Gauss and Markov's process): beyond it they wander no further
+        than ``walk · √(time/2)``. None: the time with which that is their initial uncertainty, so that they are as
+        uncertain at any time. Infinite: they wander without bound, and over a long recording the estimate with them.
+>>>>>>> track
     link_disturbance, link_disturbance_time
         Standard deviation and correlation time of each link's disturbance torque, if a filter estimates it [N m, s].
         None: estimated from the log; in `step`, the torque that accelerates a resting link by 10 rad/s².
@@ -90,6 +103,7 @@ class ReadingNoise(BaseModel):
     joint_torque: PositiveStd = 1.0
     link_velocity: PositiveStd = 1e-3
     wrench: PositiveStd = 1.0
+    tracker: PositiveStd = 1.0
     motor_bias: Std = 1e-5
     motor_bias_walk: Std = 1e-6
     motor_bias_time: Time | None = None
@@ -99,6 +113,9 @@ class ReadingNoise(BaseModel):
     rate_bias: Std = 1e-3
     rate_bias_walk: Std = 1e-5
     rate_bias_time: Time | None = None
+    position_bias: Std = 5e-4
+    position_bias_walk: Std = 5e-4
+    position_bias_time: Time | None = None
     link_disturbance: Std | tuple[Std, ...] | None = None
     link_disturbance_time: PositiveStd = 1.0
     position: Std = 1e-4
@@ -124,8 +141,9 @@ class Noise(ReadingNoise):
 
     Attributes
     ----------
-    transmission, motor_velocity, acceleration, rate, link, joint_torque, link_velocity, wrench, position, velocity
-        And biases: as of `ReadingNoise`. Motor velocities are what the damping torque is computed from.
+    transmission, motor_velocity, acceleration, rate, link, joint_torque, link_velocity, wrench, tracker
+        And position, velocity and biases: as of `ReadingNoise`. Motor velocities are what the damping torque is
+        computed from.
     jerk
         Density of the links' jerk in addition to the commanded one: the random walk of acceleration in one second
         [rad/s³/√Hz]. None: estimated from the log.
@@ -206,8 +224,8 @@ def _reading_noise(noise: ReadingNoise, channel: Channel, robot: Robot) -> Float
         return np.full(robot.n, value)
     if channel.carrier == "wrench":
         return np.asarray(value * reading_noise(robot.varying_wrenches))
-    sensors = robot.accelerometers if channel.carrier == "accelerometer" else robot.gyroscopes
-    return np.asarray(value * sensor_noise(sensors))
+    carriers = {"accelerometer": robot.accelerometers, "gyroscope": robot.gyroscopes, "tracker": robot.trackers}
+    return np.asarray(value * sensor_noise(carriers[channel.carrier]))
 
 
 def motor_noise(robot: Robot, transmission: float | tuple[float, ...]) -> FloatArray:

@@ -70,6 +70,10 @@ class RobotColumns(Protocol):
         """Gyroscope columns, such as ``gyro_wx``."""
 
     @property
+    def position_channels(self) -> tuple[str, ...]:
+        """Columns of trackers, such as ``laser_px``."""
+
+    @property
     def wrench_channels(self) -> tuple[str, ...]:
         """Columns of force sensors, such as ``press_fx``."""
 
@@ -150,7 +154,12 @@ class Layout:
         if signal not in self.wanted:
             raise EstimatorError(f"{signal!r} is no signal of a log; there are {', '.join(self.wanted)}")
         columns = self.wanted[signal]
-        sensors = {"acceleration": "accelerometer", "rate": "gyroscope", "wrench": "force sensor"}
+        sensors = {
+            "acceleration": "accelerometer",
+            "rate": "gyroscope",
+            "wrench": "force sensor",
+            "position": "tracker",
+        }
         if signal in sensors and not columns:
             sensor = sensors[signal]
             raise failure(source, f"the robot has no {sensor} to read a column of (needed for {purpose})")

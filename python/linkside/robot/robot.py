@@ -20,7 +20,7 @@ from .config import ColumnsConfig, RobotConfig, RobotFile
 from .dynamics import Dynamics
 from .encoders import EncoderReading, readings
 from .joints import JointConfig
-from .sensors import AccelerometerConfig, FrameConfig, GyroscopeConfig
+from .sensors import AccelerometerConfig, FrameConfig, GyroscopeConfig, ThreeAxes, TrackerConfig
 from .tree import Tree
 from .units import Unit
 from .urdf import Urdf
@@ -99,7 +99,7 @@ class Robot(Dynamics):
         joints
             In log order, `JointConfig` or mappings with its keys; all others are locked at neutral.
         **settings
-            Further keys of robot.yaml: coupling, accelerometers, gyroscopes, encoder, torque, tool, columns,
+            Further keys of robot.yaml: coupling, accelerometers, gyroscopes, trackers, encoder, torque, tool, columns,
             gravity.
 
         Raises
@@ -139,7 +139,8 @@ class Robot(Dynamics):
     def __repr__(self) -> str:
         """Name the joints, rigid ones in brackets, and the sensors."""
         joints = " ".join(joint.name if joint.elastic else f"({joint.name})" for joint in self.drives)
-        sensors = ", ".join(sensor.name for sensor in (*self.accelerometers, *self.gyroscopes))
+        all_: tuple[ThreeAxes, ...] = (*self.accelerometers, *self.gyroscopes, *self.trackers)
+        sensors = ", ".join(sensor.name for sensor in all_)
         return f"<Robot {self.tree.name}: {joints}; sensors: {sensors or 'none'}>"
 
     def scaled(
@@ -254,6 +255,11 @@ class Robot(Dynamics):
         return self.config.gyroscopes
 
     @property
+    def trackers(self) -> tuple[TrackerConfig, ...]:
+        """What sees points of links from beside the robot."""
+        return self.config.trackers
+
+    @property
     def tool(self) -> FrameConfig | None:
         """The tool centre point, if there is one."""
         return self.config.tool
@@ -284,6 +290,11 @@ class Robot(Dynamics):
     def varying_wrenches(self) -> tuple[WrenchConfig, ...]:
         """Wrenches from outside that are not constant, which filters have in their state."""
         return tuple(wrench for wrench in self.config.wrenches if wrench.kind != "constant")
+
+    @property
+    def position_channels(self) -> tuple[str, ...]:
+        """Columns of trackers, `<tracker>_px` and so on."""
+        return self.config.position_channels
 
     @property
     def wrench_channels(self) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -30,7 +30,7 @@ from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
 from linkside.robot.encoders import EncoderReading
 from linkside.robot.requirements import refuse_unsupported
-from linkside.robot.sensors import Lateness
+from linkside.robot.sensors import Lateness, ThreeAxes
 from linkside.robot.wrenches import AXES, reading_noise
 
 Truth: TypeAlias = dict[str, FloatArray]
@@ -289,7 +289,12 @@ def _declared(robot: Robot) -> dict[str, list[Sensor]]:
     """Models of the sensors that robot.yaml describes, one a channel, by kind."""
     config, n = robot.config, robot.n
     declared = {"theta": [Sensor(resolution=config.encoder.resolution)] * n}
-    for signal, carriers in (("acceleration", robot.accelerometers), ("rate", robot.gyroscopes)):
+    on_links: dict[str, Sequence[ThreeAxes]] = {
+        "acceleration": robot.accelerometers,
+        "rate": robot.gyroscopes,
+        "position": robot.trackers,
+    }
+    for signal, carriers in on_links.items():
         declared[signal] = [_late(s, noise=s.noise_std) for s in carriers for _ in s.axes]
     declared["wrench"] = [Sensor(noise=float(noise)) for noise in reading_noise(robot.varying_wrenches)]
     if config.link_encoder is not None:

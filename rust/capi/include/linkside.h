@@ -84,6 +84,8 @@ typedef struct LinksideSample {
   const double *ddqref;
   // Forces and moments from outside that sensors measure, six numbers each [N, N m].
   const double *wrench;
+  // Channels of trackers [m].
+  const double *position;
 } LinksideSample;
 
 #ifdef __cplusplus

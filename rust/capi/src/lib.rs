@@ -97,6 +97,8 @@ pub struct LinksideSample {
     pub ddqref: *const f64,
     /// Forces and moments from outside that sensors measure, six numbers each [N, N m].
     pub wrench: *const f64,
+    /// Channels of trackers [m].
+    pub position: *const f64,
 }
 
 thread_local! {

@@ -27,6 +27,13 @@ pub enum Channel {
         /// Which axis.
         axis: usize,
     },
+    /// One axis of a tracker [m].
+    Position {
+        /// Which tracker.
+        sensor: usize,
+        /// Which of its axes.
+        axis: usize,
+    },
     /// Link position of a joint [rad].
     Link(usize),
     /// Torque that the transmission gives a link [N m].
@@ -64,11 +71,13 @@ pub enum Kind {
     LinkVelocity,
     /// Forces and moments from outside, six numbers a sensor [N, N m].
     Wrench,
+    /// Positions of points of links, one number a recorded axis of the trackers [m].
+    Position,
 }
 
 impl Kind {
     /// All, in the order in which their channels stand.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Motor,
         Self::Acceleration,
         Self::MotorVelocity,
@@ -77,6 +86,7 @@ impl Kind {
         Self::Torque,
         Self::LinkVelocity,
         Self::Wrench,
+        Self::Position,
     ];
 
     /// As a log's columns begin.
@@ -90,6 +100,7 @@ impl Kind {
             Self::Torque => "torque",
             Self::LinkVelocity => "dq",
             Self::Wrench => "wrench",
+            Self::Position => "position",
         }
     }
 
@@ -111,6 +122,9 @@ impl Kind {
                 Channel::Acceleration { sensor, axis }
             }),
             Self::Wrench => robot.wrench_channels().map(Channel::Wrench).collect(),
+            Self::Position => {
+                axes(robot.trackers.iter().map(|t| &t.target.axes), |sensor, axis| Channel::Position { sensor, axis })
+            }
             Self::Rate => axes(robot.gyroscopes.iter().map(|s| &s.axes), |sensor, axis| Channel::Rate { sensor, axis }),
         }
     }
@@ -158,6 +172,10 @@ pub(crate) fn read<T: Scalar>(
         Channel::Rate { sensor, .. } => {
             view.links().angular_rate(robot, sensor, row, wanted);
             return robot.gyroscopes[sensor].axes.len();
+        }
+        Channel::Position { sensor, .. } => {
+            view.links().tracked_position(robot, sensor, row, wanted);
+            return robot.trackers[sensor].target.axes.len();
         }
     }
     1
