@@ -65,27 +65,16 @@ class ReadingNoise(BaseModel):
         Noise of tachometers on the links [rad/s].
     wrench
         Noise of force sensors, in multiples of the ``noise_std`` of ``wrenches`` in robot.yaml.
-<<<<<<< HEAD
-    motor_bias, acceleration_bias, rate_bias
-        Initial uncertainty of biases [rad, m/s², rad/s].
-    motor_bias_walk, acceleration_bias_walk, rate_bias_walk
-        Random walk of biases in one second [rad/√s, m/s²/√s, rad/s/√s].
-    motor_bias_time, acceleration_bias_time, rate_bias_time
-        Correlation time of biases [s] (Gauss–Markov process): their standard deviation stays at ``walk · √(time/2)``.
-        None: the time for which this is the initial uncertainty, so that it is the same at any time. Infinite: a random
-        walk without bound, with which the estimate drifts in a long recording.
-=======
     tracker
         Noise of trackers, in multiples of their ``noise_std``.
     motor_bias, acceleration_bias, rate_bias, position_bias
         Initial uncertainty of biases [rad, m/s², rad/s, m]; of a tracker also for lengths of the URDF.
     motor_bias_walk, acceleration_bias_walk, rate_bias_walk, position_bias_walk
-        By how much biases wander in one second [rad/√s, m/s²/√s, rad/s/√s, m/√s].
+        Random walk of biases in one second [rad/√s, m/s²/√s, rad/s/√s, m/√s].
     motor_bias_time, acceleration_bias_time, rate_bias_time, position_bias_time
-        Over which time biases forget where they were [s] (Gauss and Markov's process): beyond it they wander no further
-        than ``walk · √(time/2)``. None: the time with which that is their initial uncertainty, so that they are as
-        uncertain at any time. Infinite: they wander without bound, and over a long recording the estimate with them.
->>>>>>> track
+        Correlation time of biases [s] (Gauss–Markov process): their standard deviation stays at ``walk · √(time/2)``.
+        None: the time for which this is the initial uncertainty, so that it is the same at any time. Infinite: a random
+        walk without bound, with which the estimate drifts in a long recording.
     link_disturbance, link_disturbance_time
         Standard deviation and correlation time of each link's disturbance torque, if a filter estimates it [N m, s].
         None: estimated from the log; in `step`, the torque that accelerates a resting link by 10 rad/s².

@@ -61,13 +61,9 @@ class Log:
     torque : (T, n)
         Joint torque sensors: torque of the transmission on the link [N m].
     wrench : (T, 6k)
-<<<<<<< HEAD
         Force sensors: force and moment on a link from outside, of each measured wrench [N, N m].
-=======
-        Force sensors: what acts on links from outside, force and moment of each measured wrench [N, N m].
     position : (T, p)
         Trackers: where points of links are, in the tracker's axes [m].
->>>>>>> track
     qref, dqref, ddqref : (T, n)
         Commanded motion [rad, rad/s, rad/s²].
     source : str
