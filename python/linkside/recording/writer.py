@@ -13,7 +13,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from linkside.errors import EstimatorError, OutputError
-from linkside.files.parts import open_part, publish
+from linkside.files.parts import discard, open_part, publish
 from linkside.files.writing import check_writable, writing
 
 GROUP = 131_072
@@ -118,10 +118,8 @@ class EstimateWriter:
         if self._sink is not None:  # before its file: it would complain when collected
             with suppress(OSError, pa.ArrowException):
                 self._sink.close()
-        if self._file is not None:
-            self._file.close()
-        if self._part is not None:
-            self._part.unlink(missing_ok=True)
+        if self._part is not None and self._file is not None:
+            discard(self._part, self._file)
         self._file, self._sink, self._held = None, None, []
 
 
