@@ -151,7 +151,7 @@ def test_a_state_says_what_it_is(name):
     assert name in ("elastic", "particle", "marginalized") or state.status == Status.GOOD
     for field in ("q", "dq", "ddq", "theta", "dtheta"):
         assert getattr(state, field).shape == (ROBOT.n,)
-    covariance = name not in ("observer", "reduced-order", "nicosia-tomei")
+    covariance = name not in ("reduced-order", "nicosia-tomei")
     assert (state.q_std is not None) == covariance == (state.tool_std is not None)
     assert state.tool_position.shape == (3,)
 

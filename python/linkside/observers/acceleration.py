@@ -23,6 +23,7 @@ from linkside.robot.compiled import Compiles, period_of
 from linkside.robot.requirements import refuse_unsupported
 
 from .poles import PolePattern, damped
+from .uncertainty import uncertainty
 
 Poles = float | PolePattern | Mapping[str, "PolePattern | Sequence[complex]"]
 
@@ -56,6 +57,10 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         ``"auto"``: the first samples determine how fast the robot moves. ``"rest"``: the robot is at rest at the first
         sample. Or a state one period before the first sample, a mapping of ``theta``, ``q``, ``dtheta`` and ``dq``,
         each (n,).
+    std
+        Whether the estimate has standard deviations, ``q_std`` and ``tool_std``; it is the same without, at half the cost.
+    tolerances
+        Whether the ``tolerances`` of robot.yaml count in them. The estimate itself is the same.
 
     Raises
     ------
@@ -67,7 +72,8 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
     -----
     Motor positions may come at a lower rate than the rows of the log, at least one in 0.05 s, with NaN in between: each
     then counts for the time since the one before. If innovations have been as large for 0.05 s as an error of
-    ``worst_acceleration_std`` in the measured accelerations would make them, ``status`` is CONTRADICTED.
+    ``worst_acceleration_std`` in the measured accelerations would make them, ``status`` is CONTRADICTED. With ``std``, also if
+    they stay on one side by more than three standard deviations of what ``tolerances`` make of them.
 
     The innovation is used at the sampling instants only; between them the model is integrated exactly, with the
     torque held and the acceleration interpolated.
@@ -84,6 +90,8 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         period: float | None = None,
         worst_acceleration_std: float = 10.0,
         start: Literal["auto", "rest"] | Mapping[str, npt.ArrayLike] = "auto",
+        std: bool = True,
+        tolerances: bool = True,
     ) -> None:
         self._given = start_of(start, ("theta", "q", "dtheta", "dq"), robot.n)
         one_of("form", form, ("current", "predictor"))
@@ -100,6 +108,7 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
             "joint_accelerations": accelerations == "joints",
             "worst_acceleration_std": worst_acceleration_std,
             "rest": isinstance(start, str) and start == "rest",
+            "uncertainty": uncertainty(robot, tolerances=tolerances) if std else None,
         }
         self._signal = "acceleration" if accelerations == "sensors" else "ddq"
         self._set_period(period)
@@ -125,7 +134,7 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         Returns
         -------
         State
-            ``q``, ``dq``, ``ddq``, ``theta``, ``dtheta`` (n,), ``tool_position`` (3,) and ``status``.
+            ``q``, ``dq``, ``ddq``, ``theta``, ``dtheta``, ``q_std`` (n,), ``tool_position``, ``tool_std`` (3,) and ``status``.
 
         Raises
         ------

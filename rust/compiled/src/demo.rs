@@ -28,6 +28,7 @@ pub fn observer() -> Description {
             worst_acceleration_std: 10.0,
             rest: true,
             start: None,
+            uncertainty: None,
         }),
     }
 }
