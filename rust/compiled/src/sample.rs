@@ -100,6 +100,7 @@ impl Signal {
             Kind::Torque => Self::Torque,
             Kind::LinkVelocity => Self::Dq,
             Kind::Wrench => Self::Wrench,
+            Kind::MotorTorque => Self::Tau,
         }
     }
 
