@@ -57,6 +57,8 @@ class Channel:
         Whether a particle filter may take its noise to have heavy tails.
     extra : bool
         Whether few robots have it: a simulated recording has it only if a sensor is given.
+    drives : bool
+        Whether it is what moves the motors, which a simulation has anyhow.
     """
 
     kind: str
@@ -67,6 +69,7 @@ class Channel:
     biased: bool = False
     outliers: bool = False
     extra: bool = False
+    drives: bool = False
 
     def columns(self, robot: Carriers) -> tuple[str, ...]:
         """Names of its columns in a log, as they are called unless robot.yaml renames them."""
@@ -97,6 +100,7 @@ CHANNELS = {
         Channel("dq", "dq", "rad/s", "joint", "link_velocity", extra=True),
         Channel("wrench", "wrench", "N, N m", "wrench", "wrench", outliers=True),
         Channel("position", "position", "m", "tracker", "tracker", biased=True, outliers=True),
+        Channel("tau", "tau", "N m", "joint", "motor_torque", biased=True, drives=True),
     )
 }
 """By kind, in the core's order."""

@@ -6,7 +6,7 @@ use arm::{Mounting, arm, drive};
 use linkside_core::estimate::kalman::{
     Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterSettings,
     FixedLagSmoother, Gaussian, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanRecording, KalmanSample, Keep,
-    Lateness, LinkDisturbance, Measurement, Model, Phases, Smoother, WrenchLaw,
+    Lateness, LinkDisturbance, Measurement, Model, MotorJerkNoise, MotorJerkSettings, Phases, Smoother, WrenchLaw,
 };
 use linkside_core::estimate::measurement::{Evaluation, Kind};
 use linkside_core::robot::{
@@ -19,7 +19,7 @@ use proptest::prelude::*;
 use std::sync::Arc;
 
 const JOINTS: usize = 3;
-const ALL: &[Kind] = &Kind::ALL;
+const ALL: &[Kind] = &Kind::SENSORS;
 /// Motors, an accelerometer's two axes, motor velocities, a gyroscope's three axes, links, torques, links' velocities, a
 /// tracker's two axes.
 const CHANNELS: usize = 5 * JOINTS + 7;
@@ -323,9 +323,37 @@ fn elastic_rows(count: usize) -> Vec<[Vec<f64>; 5]> {
     rows
 }
 
+/// Motors moved by jerk, their torques being read.
+fn moved_by_jerk() -> ExtendedKalmanFilter<ElasticModel> {
+    let kinds = vec![Kind::Motor, Kind::Acceleration, Kind::MotorTorque];
+    let channels = 2 * JOINTS + 2;
+    let biased = (0..channels).map(|channel| channel >= JOINTS).collect();
+    let noise = MotorJerkNoise {
+        jerk: vec![30.0; JOINTS],
+        link: vec![3e-3; JOINTS],
+        reading: [vec![1e-4; JOINTS], vec![0.1; 2], vec![1.0; JOINTS]].concat(),
+        bias_walk: vec![1e-4; channels],
+        bias_time: vec![f64::INFINITY; channels],
+        initial: vec![1e-3; 3 * JOINTS],
+        initial_bias: vec![0.1; channels],
+    };
+    let settings = MotorJerkSettings { kinds, biased, relaxed: true };
+    plain(ElasticModel::moved_by_jerk(Arc::new(robot()), &settings, noise, None, WrenchLaw::default()).unwrap())
+}
+
+fn moved_rows(count: usize) -> Vec<[Vec<f64>; 5]> {
+    let mut rows = jerk_rows(count);
+    for [_, readings, dtheta, ..] in &mut rows {
+        readings.truncate(JOINTS + 2);
+        readings.append(dtheta);
+    }
+    rows
+}
+
 #[test]
 fn a_fixed_lag_is_the_smoother_up_to_now() {
     check_lag(&plain(model(true)), jerk_rows);
     check_lag(&late(), jerk_rows);
     check_lag(&elastic(), elastic_rows);
+    check_lag(&moved_by_jerk(), moved_rows);
 }

@@ -24,6 +24,7 @@ from linkside.kalman.jerk_driven import (
 )
 from linkside.kalman.linearisation import Linearisation
 from linkside.kalman.losses import Loss
+from linkside.kalman.motor_jerk import MotorJerkFilter, MotorJerkNoise, MotorJerkSmoother
 from linkside.kalman.noise import Noise
 from linkside.kalman.stretches import smooth_pieces
 from linkside.observers.poles import PolePattern, damped
@@ -120,6 +121,14 @@ def _elastic_map(robot: Robot, options: Options) -> Run:
     return partial(map, ElasticJointIteratedSmoother(robot, options.tuning, **options.of_filters).run)
 
 
+def _motor_filter(robot: Robot, options: Options) -> Run:
+    return MotorJerkFilter(robot, options.tuning, **options.of_filters).run_pieces
+
+
+def _motor_smoother(robot: Robot, options: Options) -> Run:
+    return partial(map, MotorJerkSmoother(robot, options.tuning, **options.of_filters).run)
+
+
 def _particle(method: type[ParticleFilter], robot: Robot, options: Options) -> Run:
     return method(robot, options.tuning, particles=options.particles, seed=options.seed).run_pieces
 
@@ -182,6 +191,19 @@ METHODS = {
         _elastic_map,
         whole=lambda _: True,
         read_tuning=ElasticNoise.read,
+    ),
+    "motor-ekf": Method(
+        "Kalman filter on the elastic-joint dynamics, motors moving as measured; needs no motor torque",
+        OF_FILTERS,
+        _motor_filter,
+        read_tuning=MotorJerkNoise.read,
+    ),
+    "motor-smoother": Method(
+        "motor-ekf using all samples, later ones included",
+        OF_FILTERS,
+        _motor_smoother,
+        whole=lambda _: True,
+        read_tuning=MotorJerkNoise.read,
     ),
     "particle": Method(
         "particle filter, weighted samples of the state",

@@ -9,23 +9,32 @@ from typing import Any, Literal
 import numpy as np
 
 from linkside import _core
-from linkside.arguments import one_of, per_joint, sized, time_step
+from linkside.arguments import one_of, per_joint, time_step
 from linkside.arrays import FloatArray, Signal
 from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
 from linkside.robot.compiled import Compiles
-from linkside.robot.considered import Uncertain, considered, core_settings
+from linkside.robot.considered import considered
 from linkside.robot.requirements import refuse_unsupported
 
-from .filtering import KalmanEstimate, KalmanMethod
-from .late_sensors import inside
+from .elastic_dynamics import LiveOnElasticDynamics, OnElasticDynamics
+from .filtering import KalmanEstimate
 from .linearisation import Linearisation
 from .link_disturbance import LinkDisturbance, Wanted
 from .losses import Losses
-from .noise import PositiveStd, ReadingNoise, Std, channel_arrays, jerk_scale, motor_noise, torque_noise
+from .noise import (
+    PositiveStd,
+    ReadingNoise,
+    Std,
+    channel_arrays,
+    friction_at_unit_speed,
+    jerk_scale,
+    motor_noise,
+    torque_noise,
+)
 from .start import Moving, Readings, Start
-from .starting import DecidingFilter, first_readings, in_pieces
+from .starting import first_readings, in_pieces
 
 Arrays = tuple[FloatArray, FloatArray, FloatArray]
 
@@ -71,7 +80,7 @@ class ElasticNoise(ReadingNoise):
     def arrays(self, robot: Robot, kinds: tuple[str, ...]) -> dict[str, list[float]]:
         """Arrays for the filter: one number a joint or channel, the channels being those of ``kinds`` in order."""
         n = robot.n
-        drag = np.array([d.motor_friction.viscous + d.motor_friction.coulomb or 1.0 for d in robot.drives])
+        drag = friction_at_unit_speed(robot)
         initial = [np.repeat([self.position, self.velocity], n), self.disturbance * drag]
         channels = channel_arrays(self, motor_noise(robot, self.transmission), robot, kinds)
         arrays = channels | {
@@ -85,7 +94,7 @@ class ElasticNoise(ReadingNoise):
         return {name: values.tolist() for name, values in arrays.items()}
 
 
-class ElasticJoint(KalmanMethod):
+class ElasticJoint(OnElasticDynamics):
     """What filter and smoother on the elastic-joint model share; parameters as of `ElasticJointFilter`."""
 
     def __init__(
@@ -121,8 +130,6 @@ class ElasticJoint(KalmanMethod):
         self._held = motor_torque == "held"
         self._disturbances, self._transition = disturbances, transition
 
-    _run_all = staticmethod(_core.ElasticJointFilter.run_all)
-
     def _job(self, log: Log, law: LinkDisturbance | None = None) -> Job[KalmanEstimate]:
         kinds = self.kinds(log)
         arrays = self.arrays(log, kinds)
@@ -145,41 +152,14 @@ class ElasticJoint(KalmanMethod):
         self._begin(core, first, kinds, noise, jerk_scale(first), law)
         return core
 
-    def _counts(self, one: Uncertain, kinds: tuple[str, ...]) -> bool:
-        """Whether a parameter is one of known tolerance: not the past of friction elements that is estimated."""
-        return one.kind != "hysteresis" or self._relaxed(kinds)
-
-    def _relaxed(self, kinds: tuple[str, ...]) -> bool:
-        """Whether friction elements start relaxed: no sensor tells where links are, so that noise would move them."""
-        return "q" not in kinds
-
     def _state(
         self, moving: Moving, arrays: Mapping[str, Any], kinds: tuple[str, ...]
     ) -> tuple[FloatArray, FloatArray]:
-        elastic = self.robot.elastic
-        disturbance = np.array(arrays["initial"])[2 * self.robot.n :]
-        mean = [moving.q, moving.dq, moving.theta[elastic], moving.dtheta[elastic]]
-        motors = np.hypot(arrays["reading"][: self.robot.n], self.noise.position)
-        std = [moving.q_std, moving.dq_std, motors[elastic], moving.dtheta_std[elastic]]
-        reach = [element.reach for drive in self.robot.drives for element in drive.hysteresis]
-        mean.append(np.zeros(len(reach)))
-        gone = _core.RELAXED if self._relaxed(kinds) else 1.0
-        std.append(gone * np.array(reach) / np.sqrt(3))  # anywhere between the limits, or near the middle
+        mean, std = self._begun(moving, arrays, kinds)
         if self._disturbances:
             mean.append(np.zeros(self.robot.n))
-            std.append(disturbance)
+            std.append(np.array(arrays["initial"])[2 * self.robot.n :])
         return np.concatenate(mean), np.concatenate(std)
-
-    def _tied(self, covariance: FloatArray) -> FloatArray:
-        """Links stand where springs hold what friction elements do not."""
-        k = 2 * (self.robot.n + int(self.robot.elastic.sum()))
-        for j, drive in enumerate(self.robot.drives):
-            for element in drive.hysteresis:
-                nearer = element.stiffness / (drive.stiffness or np.inf) * covariance[k, k]
-                covariance[j, j] += nearer**2 / covariance[k, k]
-                covariance[j, k] = covariance[k, j] = nearer
-                k += 1
-        return covariance
 
     def core(
         self,
@@ -198,20 +178,10 @@ class ElasticJoint(KalmanMethod):
     ) -> dict[str, Any]:
         """Describe such a filter in plain numbers, as the core takes it."""
         return {
-            **self._channels(kinds),
+            **self._common(kinds, period, noise, law),
             "disturbances": self._disturbances,
-            "relaxed": self._relaxed(kinds),
             "first_order": self._transition == "first-order",
             "held": held,
-            "noise": noise.arrays(self.robot, kinds),
-            "gate": self._gate,
-            "iterations": self._iterations,
-            "late": inside(self.robot, kinds, period),
-            **core_settings(self.robot, [one for one in self._uncertain if self._counts(one, kinds)]),
-            "losses": self._loss_names(kinds),
-            "points": self._points,
-            "link_disturbance": None if law is None else law.arrays,
-            "wrenches": self._wrench_law,
         }
 
     def arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:
@@ -221,17 +191,15 @@ class ElasticJoint(KalmanMethod):
         """
         if before is None:
             log.require_start("a filter", ("theta", "tau"))
-        readings = np.hstack([log.theta if kind == "motor" else getattr(log, kind) for kind in kinds])
-        dt = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before.t[-1])
         tau = log.tau
         assert tau is not None  # `kinds` has asked for it
         if self._held:
             earlier = None if before is None else before.tau
             tau = np.vstack([tau[:1] if earlier is None else earlier[-1:], tau[:-1]])
-        return dt, np.ascontiguousarray(readings), tau
+        return *self._sampled(log, kinds, before), tau
 
 
-class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter], Compiles):
+class ElasticJointFilter(ElasticJoint, LiveOnElasticDynamics, Compiles):
     """EKF on the full elastic-joint dynamics, driven by the motor torques of the log.
 
     Ulrich and Sasiadek, "Extended Kalman filtering for flexible joint space robot control", ACC 2011. The paper
@@ -335,12 +303,7 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter],
     ) -> _core.State:
         if self._started is None:
             self._period = time_step(dt)
-        live, kinds = self._live, self.live_kinds
-        given = {"motor": theta, "acceleration": acceleration, "dtheta": dtheta}
-        names = {"motor": "theta"}
-        parts = [sized(names.get(kind, kind), given[kind], self.width(kind)) for kind in kinds if kind in given]
-        parts.append(sized("further", further, sum(self.width(kind) for kind in kinds if kind not in given)))
-        state = live.step(dt, np.concatenate(parts), tau)
+        state = self._live.step(dt, self._gathered(theta, dtheta, acceleration, further), tau)
         self.status = state.status
         return state
 
@@ -350,13 +313,6 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter],
         own_states = self.core(kinds, period, self.noise, held=self._held, law=law).own_states
         start = self._compiled_start(own_states, kinds, self.noise, law)
         return {"elastic-ekf": self.described(kinds, period, self.noise, self._held, law) | {"start": start}}
-
-    @property
-    def live_kinds(self) -> tuple[str, ...]:
-        """Kinds of channels that `step` takes."""
-        there = {"acceleration": bool(self.robot.acceleration_channels), "dtheta": True}
-        wanted = {kind: there.get(kind, False) if asked is None else asked for kind, asked in self._wanted.items()}
-        return ("motor", *(kind for kind, use in wanted.items() if use))
 
     def _start(self) -> _core.ElasticJointFilter:
         return self._told(self._period, held=self._held)

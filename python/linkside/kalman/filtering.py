@@ -312,7 +312,7 @@ class KalmanMethod(Described, ABC):
             return None
         mean, std = self._state(moving, arrays, kinds)
         dense, std = len(std), np.concatenate([std, bias])
-        start = np.concatenate([mean, np.zeros(len(bias))]), self._tied(np.diag(std**2))
+        start = np.concatenate([mean, np.zeros(len(bias))]), self._tied(np.diag(std**2), moving)
         return Outside(law, self.robot).widened(start, dense, first.wrench, arrays["reading"])
 
     def _compiled_start(
@@ -330,7 +330,7 @@ class KalmanMethod(Described, ABC):
             return np.inf
         return period_of(self.robot, period, "as sensors have delays")
 
-    def _tied(self, covariance: FloatArray) -> FloatArray:
+    def _tied(self, covariance: FloatArray, moving: Moving) -> FloatArray:
         """Set the correlations of states that depend on each other at the start."""
         return covariance
 

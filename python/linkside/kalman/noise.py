@@ -207,6 +207,8 @@ def _reading_noise(noise: ReadingNoise, channel: Channel, robot: Robot) -> Float
         value = np.hypot(robot.config.link_encoder.resolution / np.sqrt(12), value)
     if channel.kind == "torque" and robot.config.joint_torque is not None:
         value = robot.config.joint_torque.noise_std * value
+    if channel.kind == "tau":
+        return np.asarray(value * torque_noise(robot))
     if channel.kind == "q":
         return np.asarray(np.hypot(value, link_lines(robot)))
     if channel.carrier == "joint":
@@ -232,6 +234,11 @@ def link_lines(robot: Robot) -> FloatArray:
 def torque_noise(robot: Robot) -> FloatArray:
     """Noise of motor torques (n,), of motors that turn several joints as those have it [N m]."""
     return np.asarray(robot.config.torque.noise_std * np.linalg.norm(np.linalg.inv(robot.gearing), axis=0))
+
+
+def friction_at_unit_speed(robot: Robot) -> FloatArray:
+    """Torque that each motor's friction has at 1 rad/s (n,); 1 if it has none [N m]."""
+    return np.array([d.motor_friction.viscous + d.motor_friction.coulomb or 1.0 for d in robot.drives])
 
 
 def jerk_scale(log: Log | Readings) -> FloatArray:

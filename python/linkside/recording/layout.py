@@ -268,7 +268,7 @@ def time_unit(robot: RobotColumns) -> float:
 
 
 def _our_columns(robot: RobotColumns) -> dict[str, tuple[str, ...]]:
-    measured = {channel.signal: channel.columns(robot) for channel in CHANNELS.values()}
+    measured = {channel.signal: channel.columns(robot) for channel in CHANNELS.values() if not channel.drives}
     others = {signal: joint_columns(signal, robot.names) for signal in UNMEASURED}
     inertial = {signal: measured.pop(signal) for signal in ("acceleration", "rate")}
     return {"t": ("t",)} | measured | others | inertial

@@ -37,7 +37,7 @@ Truth: TypeAlias = dict[str, FloatArray]
 FeedbackSource: TypeAlias = bool | tuple[_core.ElasticJointFilter, list[int]] | _core.AccelerationObserver
 Feedback: TypeAlias = Literal["truth", "sensors"] | ElasticJointFilter | AccelerationObserver
 
-SIGNALS = {channel.signal: channel for channel in CHANNELS.values()}
+SIGNALS = {channel.signal: channel for channel in CHANNELS.values() if not channel.drives}
 """What sensors measure, in the core's order."""
 
 EXTRA = {channel.signal for channel in CHANNELS.values() if channel.extra}

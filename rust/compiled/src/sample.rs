@@ -106,6 +106,7 @@ impl Signal {
             Kind::LinkVelocity => Self::Dq,
             Kind::Wrench => Self::Wrench,
             Kind::Position => Self::Position,
+            Kind::MotorTorque => Self::Tau,
         }
     }
 

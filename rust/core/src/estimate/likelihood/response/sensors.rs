@@ -75,7 +75,8 @@ impl<'a> Sensors<'a> {
                 Channel::Torque(j) => self.torque(links, j, row),
                 Channel::Motor(j) => links.motors.theta[j],
                 Channel::MotorVelocity(j) => links.motors.dtheta[j],
-                Channel::Wrench(_) => f64::NAN, // robots with such sensors are not calibrated
+                // Robots with such sensors are not calibrated, and their motors' torques are no part of the response.
+                Channel::Wrench(_) | Channel::MotorTorque(_) => f64::NAN,
             };
         }
     }
