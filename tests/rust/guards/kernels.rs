@@ -292,7 +292,7 @@ fn simulator() -> Work {
     let robot = robot(N);
     let exact =
         SensorModel { noise: 1e-4, bias: 0.0, resolution: 1e-6, delay: 0.0, corner_frequency: f64::INFINITY, every: 1 };
-    let channels: usize = Kind::all_channels(&Kind::ALL, &robot).len();
+    let channels: usize = Kind::all_channels(&Kind::SENSORS, &robot).len();
     Box::new(move |samples| {
         let reference = Reference::new(vec![0.0], vec![0.1; N], N).unwrap();
         let mut law = JointPd::new(reference, vec![2000.0; N], vec![200.0; N], vec![0.0; N]).unwrap();
