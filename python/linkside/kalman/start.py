@@ -245,8 +245,8 @@ def _link_acceleration(
 
 def _sees(readings: Readings, spread: Spread) -> bool:
     """Whether accelerometers say how links accelerate at the first sample."""
-    there = readings.acceleration is not None and len(spread.acceleration) > 0
-    return there and bool(np.isfinite(readings.acceleration[0]).all())
+    there = readings.acceleration
+    return there is not None and len(spread.acceleration) > 0 and bool(np.isfinite(there[0]).all())
 
 
 def given(start: tuple[npt.ArrayLike, npt.ArrayLike], std: FloatArray, dense: int) -> tuple[FloatArray, FloatArray]:

@@ -58,7 +58,8 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         sample. Or a state one period before the first sample, a mapping of ``theta``, ``q``, ``dtheta`` and ``dq``,
         each (n,).
     std
-        Whether the estimate has standard deviations, ``q_std`` and ``tool_std``; it is the same without, at half the cost.
+        Whether the estimate has standard deviations, ``q_std`` and ``tool_std``; it is the same without, at half the
+        cost.
     tolerances
         Whether the ``tolerances`` of robot.yaml count in them. The estimate itself is the same.
 
@@ -72,8 +73,8 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
     -----
     Motor positions may come at a lower rate than the rows of the log, at least one in 0.05 s, with NaN in between: each
     then counts for the time since the one before. If innovations have been as large for 0.05 s as an error of
-    ``worst_acceleration_std`` in the measured accelerations would make them, ``status`` is CONTRADICTED. With ``std``, also if
-    they stay on one side by more than three standard deviations of what ``tolerances`` make of them.
+    ``worst_acceleration_std`` in the measured accelerations would make them, ``status`` is CONTRADICTED. With
+    ``std``, also if they stay on one side by more than three standard deviations of what ``tolerances`` make of them.
 
     The innovation is used at the sampling instants only; between them the model is integrated exactly, with the
     torque held and the acceleration interpolated.
@@ -134,7 +135,8 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         Returns
         -------
         State
-            ``q``, ``dq``, ``ddq``, ``theta``, ``dtheta``, ``q_std`` (n,), ``tool_position``, ``tool_std`` (3,) and ``status``.
+            ``q``, ``dq``, ``ddq``, ``theta``, ``dtheta``, ``q_std`` (n,), ``tool_position``, ``tool_std`` (3,) and
+            ``status``.
 
         Raises
         ------
