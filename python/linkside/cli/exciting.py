@@ -35,28 +35,35 @@ from .terminal import bar, show
 @click.argument("robot", type=click.Path())
 @click.argument("logs", metavar="[LOG]...", type=click.Path(), nargs=-1)
 @click.option("--out", type=click.Path(), help="The motion to write: a .parquet or .csv file.")
-@click.option("--free", help="Parameters that calibration will free: a,b,c.  [default: those that it frees]")
-@click.option("--duration", type=float, default=10.0, show_default=True, help="Of the motion [s].")
+@click.option("--free", help="Parameters to calibrate later: a,b,c.  [default: all that calibrate frees]")
+@click.option("--duration", type=float, default=10.0, show_default=True, help="Duration of the motion [s].")
 @click.option("--rate", type=float, help="Samples a second [Hz].  [default: rate_hz of ROBOT, or 1000]")
 @click.option("--bandwidth", type=float, help="Highest frequency of the motion [Hz].")
 @click.option("--reach", type=float, default=0.5, show_default=True, help="How far each joint moves [rad, m].")
 @click.option("--posture", metavar="JOINT=POSITION", multiple=True, help="Where a joint begins and ends [rad, m].")
 @kept_limits
 @click.option("--one-by-one", is_flag=True, help="Move one joint after the other, not all together.")
-@click.option("--evaluations", type=click.IntRange(2), default=200, show_default=True, help="Motions to try.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed, the same motion.")
+@click.option("--evaluations", type=click.IntRange(2), default=200, show_default=True, help="Number of motions to try.")
+@click.option(
+    "--seed",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    help="Seed of the search; the same seed gives the same motion.",
+)
 @click.option("--figure", type=click.Path(), help="Draw the motion: a .png, .pdf or .svg file.")
 @report
 @no_check
 def excite(
     robot: str, logs: tuple[str, ...], out: str | None, figure: str | None, report: str | None, **options: Any
 ) -> None:
-    """Plan a motion that makes springs, masses and sensor poses of ROBOT identifiable.
+    """Plan a motion for the calibration of ROBOT.
 
-    With LOGs, recorded or planned, it adds what they lack. Without --out, report what is identifiable from LOGs.
+    Springs, masses and sensor poses are identifiable from its recording. With LOGs, recorded or planned, the motion
+    adds what they lack. Without --out, report what is identifiable from LOGs.
 
-    The motion stays within the limits of joints, but knows of no obstacle, cable or table: look at it before the robot
-    moves. Positions and velocities are those of motors, as recordings of ROBOT have them.
+    The motion stays within the joint limits, but the planner does not know of obstacles, cables or tables: look at the
+    motion before the robot moves. Positions and velocities are those of motors, as recordings of ROBOT have them.
     """
     from linkside.excitation import excite as plan
     from linkside.excitation import expected_errors

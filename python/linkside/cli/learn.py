@@ -35,7 +35,10 @@ class Gains(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
 
 @main.group(epilog=example("linkside learn start robot.yaml log.parquet --kp 4e5 --kd 1e4 --out learning.parquet"))
 def learn() -> None:
-    """Improve a motion from repeat to repeat, from estimates of the links (iterative learning control)."""
+    """Improve a motion from repeat to repeat.
+
+    Each repeat is corrected by the estimate of the links in the repeat before (iterative learning control).
+    """
 
 
 @learn.command(
@@ -46,15 +49,21 @@ def learn() -> None:
 @click.option("--kp", type=Gains(), required=True, help="Gains of the motors' positions, link side [N m/rad].")
 @click.option("--kd", type=Gains(), required=True, help="Gains of the motors' velocities, link side [N m s/rad].")
 @click.option("--bandwidth", type=float, help="Learn up to this frequency [Hz].  [default: what converges, at most 20]")
-@click.option("--rate", type=float, default=0.5, show_default=True, help="1 learns at once; less averages noise.")
+@click.option(
+    "--rate",
+    type=float,
+    default=0.5,
+    show_default=True,
+    help="1: learn the whole correction at once; less: average noise over repeats.",
+)
 @click.option("--limits", is_flag=True, help="Keep limits: the URDF's, and those that follow.")
 @kept_limits
 @click.option("--out", required=True, type=click.Path(), help="State of the iteration, a Parquet file.")
 def start(robot: str, motion: str, out: str, limits: bool, **options: Any) -> None:
-    """Start learning MOTION of ROBOT's links: columns t and qref_<joint>, or q_<joint>.
+    """Start learning a MOTION of ROBOT's links.
 
-    Limits are of the motors' reference, ref_<joint>, and of motor torques; the next repeats keep them as far as ROBOT
-    is known.
+    MOTION is a file with columns t and qref_<joint>, or q_<joint>. Limits are of the motors' reference, ref_<joint>,
+    and of motor torques; the next repeats keep them as far as ROBOT is known.
     """
     refuse_clashes([Path(out)], [robot, motion])
     check_writable(out, (".parquet",))
@@ -81,7 +90,9 @@ def start(robot: str, motion: str, out: str, limits: bool, **options: Any) -> No
 @click.option("--log", type=click.Path(), help="The recording of the repeat; needed where torques have limits.")
 @click.option("--out", required=True, type=click.Path(), help="The new state; may be STATE itself.")
 def next_(robot: str, state: str, estimate: str, log: str | None, out: str) -> None:
-    """Learn from the ESTIMATE of a repeat of the command in STATE; the next command is in ref_<joint> of --out.
+    """Learn from the ESTIMATE of a repeat.
+
+    The repeat followed the command in STATE; the next command is ref_<joint> of --out.
 
     Exit status 3: the errors are as small as the estimate's standard deviation can tell, and the command stays.
     """

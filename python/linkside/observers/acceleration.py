@@ -23,6 +23,7 @@ from linkside.robot.compiled import Compiles, period_of
 from linkside.robot.requirements import refuse_unsupported
 
 from .poles import PolePattern, damped
+from .uncertainty import uncertainty
 
 Poles = float | PolePattern | Mapping[str, "PolePattern | Sequence[complex]"]
 
@@ -50,12 +51,17 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
     period
         Sampling period for `step` [s]; by default ``rate_hz`` of robot.yaml. `run` takes the log's.
     worst_acceleration_std
-        Combinations of link accelerations that the sensors determine worse than this [rad/s²] are damped, as near a
-        singular posture, and flagged in ``status``.
+        Combinations of link accelerations that the sensors determine worse than this [rad/s²], as near a singular
+        posture, are damped and flagged in ``status``.
     start
         ``"auto"``: the first samples determine how fast the robot moves. ``"rest"``: the robot is at rest at the first
         sample. Or a state one period before the first sample, a mapping of ``theta``, ``q``, ``dtheta`` and ``dq``,
         each (n,).
+    std
+        Whether the estimate has standard deviations, ``q_std`` and ``tool_std``; it is the same without, at half the
+        cost.
+    tolerances
+        Whether the ``tolerances`` of robot.yaml count in them. The estimate itself is the same.
 
     Raises
     ------
@@ -65,9 +71,10 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
 
     Notes
     -----
-    Motor positions may be slower than the log, NaN between, as slow as one in 0.05 s: each then counts for the time
-    since the one before. Where innovations have for 0.05 s been as large as an error of
-    ``worst_acceleration_std`` in the measured accelerations makes them, ``status`` says CONTRADICTED.
+    Motor positions may come at a lower rate than the rows of the log, at least one in 0.05 s, with NaN in between: each
+    then counts for the time since the one before. If innovations have been as large for 0.05 s as an error of
+    ``worst_acceleration_std`` in the measured accelerations would make them, ``status`` is CONTRADICTED. With
+    ``std``, also if they stay on one side by more than three standard deviations of what ``tolerances`` make of them.
 
     The innovation is used at the sampling instants only; between them the model is integrated exactly, with the
     torque held and the acceleration interpolated.
@@ -84,6 +91,8 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         period: float | None = None,
         worst_acceleration_std: float = 10.0,
         start: Literal["auto", "rest"] | Mapping[str, npt.ArrayLike] = "auto",
+        std: bool = True,
+        tolerances: bool = True,
     ) -> None:
         self._given = start_of(start, ("theta", "q", "dtheta", "dq"), robot.n)
         one_of("form", form, ("current", "predictor"))
@@ -100,6 +109,7 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
             "joint_accelerations": accelerations == "joints",
             "worst_acceleration_std": worst_acceleration_std,
             "rest": isinstance(start, str) and start == "rest",
+            "uncertainty": uncertainty(robot, tolerances=tolerances) if std else None,
         }
         self._signal = "acceleration" if accelerations == "sensors" else "ddq"
         self._set_period(period)
@@ -125,7 +135,8 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         Returns
         -------
         State
-            ``q``, ``dq``, ``ddq``, ``theta``, ``dtheta`` (n,), ``tool_position`` (3,) and ``status``.
+            ``q``, ``dq``, ``ddq``, ``theta``, ``dtheta``, ``q_std`` (n,), ``tool_position``, ``tool_std`` (3,) and
+            ``status``.
 
         Raises
         ------
@@ -165,12 +176,12 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         return Estimate(t=log.t, names=self.robot.names, **without_waits(log, result))
 
     def gains(self) -> dict[str, FloatArray]:
-        """Continuous-time gains L of each joint in closed form (Remark 3), by the order of its states."""
+        """Continuous-time gains L of each joint in closed form (Remark 3), in the order of its states."""
         names = self.robot.names
         return {name: _core.observer_gains(self.robot.core, names.index(name), p) for name, p in self.poles.items()}
 
     def fresh(self, period: float) -> _core.AccelerationObserver:
-        """Build an observer of the core, of accelerometers, that has taken no sample."""
+        """Build a new observer of the core, driven by accelerometers, that has taken no sample."""
         if self._signal != "acceleration":
             raise EstimatorError("feedback: link accelerations are not simulated as readings; accelerations='sensors'")
         return self._designed(period)

@@ -122,6 +122,12 @@ fn into_dict<'py>(py: Python<'py>, t: ObserverOutput, n: usize, tool: bool) -> P
     if tool {
         out.set_item("tool_position", shaped(py, t.tool, vec![count, 3])?)?;
     }
+    if !t.q_std.is_empty() {
+        out.set_item("q_std", shaped(py, t.q_std, vec![count, n])?)?;
+    }
+    if !t.tool_std.is_empty() {
+        out.set_item("tool_std", shaped(py, t.tool_std, vec![count, 3])?)?;
+    }
     out.set_item("status", PyArray1::from_vec(py, t.status))?;
     Ok(out)
 }

@@ -8,15 +8,20 @@
 
 mod acceleration;
 mod correction;
+mod deviations;
 mod gains;
+mod joint_error;
 mod late;
+mod matrix;
 mod poles;
 mod recording;
 mod rest;
 mod run;
 mod sampled;
+mod sensor_errors;
 mod settings;
 mod step;
+mod uncertainty;
 
 pub use acceleration::{AccelerationMap, Observability};
 pub use correction::LONGEST;
@@ -28,3 +33,4 @@ pub use rest::link_position_at_rest;
 pub use sampled::Sampled;
 pub use settings::{AccelerationSource, Form, ObserverSettings, Start};
 pub use step::AccelerationObserver;
+pub use uncertainty::Uncertainty;
