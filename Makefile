@@ -9,7 +9,7 @@ RUSTDOC := RUSTDOCFLAGS="-D warnings -A rustdoc::broken-intra-doc-links" cargo d
 
 PREFIX ?= /usr/local
 
-.PHONY: demo checked test lint bench latency header install-c docs figures lock clean
+.PHONY: demo checked test guards lint bench latency header install-c docs figures lock licences clean
 
 demo: $(VENV) ## build, install, run the main job on the recording inside the package
 	$(PIP) .
@@ -24,9 +24,13 @@ test: checked ## everything that must hold
 	$(BIN)/python -m mypy.stubtest linkside._core
 	LINKSIDE_CAPI=target/release/deps OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile # a worker a core, not two
 
+guards: ## instructions that kernels take, beside those on record; WRITE=1 renews the record
+	$(if $(WRITE),LINKSIDE_WRITE_GUARDS=1) cargo test --locked --workspace --release --features linkside-capi/header --test guards # on the build of `test`
+
 lint: checked
 	cargo fmt --all --check
 	cargo clippy --locked --workspace --all-targets -- -D warnings
+	cargo clippy --locked --workspace --test guards -- -D warnings
 	$(RUSTDOC)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -64,6 +68,9 @@ lock: $(VENV) ## renew constraints.txt
 	$(PIP) uv
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.10 --all-extras --no-emit-index-url --no-annotate \
 	    --custom-compile-command "make lock" pyproject.toml -o constraints.txt
+
+licences: ## renew THIRD-PARTY-LICENSES.txt, after Cargo.lock
+	$(PYTHON) docs/licences.py
 
 clean:
 	rm -rf $(VENV) target site

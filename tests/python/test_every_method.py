@@ -19,6 +19,9 @@ from linkside import (
     IteratedSmoother,
     Log,
     MarginalizedParticleFilter,
+    MotorJerkFilter,
+    MotorJerkNoise,
+    MotorJerkSmoother,
     NicosiaTomeiObserver,
     Noise,
     ParticleFilter,
@@ -55,6 +58,10 @@ def kalman(method, **settings):
     return lambda robot, start: method(robot, noise, start=start, **settings)
 
 
+def motors(method):
+    return lambda robot, start: method(robot, MotorJerkNoise(jerk=30.0), start=start, dtheta=True, tolerances=False)
+
+
 def velocity(method):
     return lambda robot, start: method(robot, 200.0, start=start)
 
@@ -71,6 +78,8 @@ METHODS = {
     ),
     "elastic-smoother": lambda robot, start: ElasticJointSmoother(robot, tolerances=False, start=start),
     "elastic-map": lambda robot, start: ElasticJointIteratedSmoother(robot, tolerances=False, start=start),
+    "motor-ekf": motors(MotorJerkFilter),
+    "motor-smoother": motors(MotorJerkSmoother),
     "particle": kalman(ParticleFilter, particles=60, tolerances=False),
     "marginalized": kalman(MarginalizedParticleFilter, particles=60, tolerances=False),
     "accelerations": kalman(
@@ -94,6 +103,10 @@ def true_start(method):
     if method.startswith("elastic"):
         mean = np.concatenate([truth.q[0], truth.dq[0], truth.theta[0], truth.dtheta[0], np.zeros(n)])
         std = np.repeat([1e-5, 1e-3, 1e-5, 1e-3, 10.0], n)
+    elif method.startswith("motor"):
+        ddtheta = (truth.dtheta[1] - before.dtheta[0]) / (truth.t[1] - before.t[0])
+        mean = np.concatenate([truth.q[0], truth.dq[0], truth.theta[0], truth.dtheta[0], ddtheta])
+        std = np.repeat([1e-5, 1e-3, 1e-5, 1e-3, 1.0], n)
     else:
         ddq = (truth.dq[1] - before.dq[0]) / (truth.t[1] - before.t[0])
         mean, std = np.concatenate([truth.q[0], truth.dq[0], ddq]), np.repeat([1e-5, 1e-3, 1.0], n)

@@ -52,8 +52,8 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
     period
         Sampling period for `step` [s]; by default ``rate_hz`` of robot.yaml. `run` takes the log's.
     worst_acceleration_std
-        Combinations of link accelerations that the sensors determine worse than this [rad/s²] are damped, as near a
-        singular posture, and flagged in ``status``.
+        Combinations of link accelerations that the sensors determine worse than this [rad/s²], as near a singular
+        posture, are damped and flagged in ``status``.
     start
         ``"auto"``: the first samples determine how fast the robot moves. ``"rest"``: the robot is at rest at the first
         sample. Or a state one period before the first sample, a mapping of ``theta``, ``q``, ``dtheta`` and ``dq``,
@@ -71,11 +71,11 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
 
     Notes
     -----
-    Motor positions may be slower than the log, NaN between, as slow as one in 0.05 s: each then counts for the time
-    since the one before. Where innovations have for 0.05 s been as large as an error of
-    ``worst_acceleration_std`` in the measured accelerations makes them, ``status`` says CONTRADICTED. With ``std`` it
-    also does where they lean to one side by more than three standard deviations of what noise and ``tolerances`` make
-    of them, and where a channel repeats a reading that it cannot have.
+    Motor positions may come at a lower rate than the rows of the log, at least one in 0.05 s, with NaN in between: each
+    then counts for the time since the one before. If innovations have been as large for 0.05 s as an error of
+    ``worst_acceleration_std`` in the measured accelerations would make them, ``status`` is CONTRADICTED. With
+    ``std``, also if they stay on one side by more than three standard deviations of what noise and ``tolerances`` make
+    of them, or if a channel repeats a reading that it cannot have.
 
     The innovation is used at the sampling instants only; between them the model is integrated exactly, with the
     torque held and the acceleration interpolated.
@@ -177,7 +177,7 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         return Estimate(t=log.t, names=self.robot.names, **without_waits(log, result))
 
     def gains(self) -> dict[str, FloatArray]:
-        """Continuous-time gains L of each joint in closed form (Remark 3), by the order of its states."""
+        """Continuous-time gains L of each joint in closed form (Remark 3), in the order of its states."""
         names = self.robot.names
         return {name: _core.observer_gains(self.robot.core, names.index(name), p) for name, p in self.poles.items()}
 
@@ -223,7 +223,7 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         return error_bound(self.robot, self.poles, period, disturbances, predictor=self.form == "predictor")
 
     def fresh(self, period: float) -> _core.AccelerationObserver:
-        """Build an observer of the core, of accelerometers, that has taken no sample."""
+        """Build a new observer of the core, driven by accelerometers, that has taken no sample."""
         if self._signal != "acceleration":
             raise EstimatorError("feedback: link accelerations are not simulated as readings; accelerations='sensors'")
         return self._designed(period)

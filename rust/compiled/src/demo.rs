@@ -59,6 +59,7 @@ fn robot() -> Robot {
             noise_std: 0.05,
         }],
         gyroscopes: vec![],
+        trackers: vec![],
         tool: None,
         rotors: vec![],
         counterbalances: vec![],

@@ -153,7 +153,7 @@ impl Estimator {
     ///
     /// # Errors
     /// A sample that cannot be used, after which everything is as before it. [`RunError::NotFinite`] and
-    /// [`RunError::SingularInertia`]: readings so absurd that nothing is left; the next sample starts anew.
+    /// [`RunError::SingularInertia`]: readings so extreme that no estimate is left; the next sample starts again.
     pub fn step(&mut self, sample: &Sample<'_>) -> Result<(), RunError> {
         let of_sensors = self.is_of_sensors();
         match &mut self.method {
@@ -174,7 +174,7 @@ impl Estimator {
         Ok(())
     }
 
-    /// Forgets all samples: the next one starts anew.
+    /// Forgets all samples: the next one starts again.
     #[expect(clippy::expect_used, reason = "the same settings began when it was made")]
     pub fn reset(&mut self) {
         match (&mut self.method, &self.description.estimator) {

@@ -1,4 +1,4 @@
-//! Kalman filter and smoother on the elastic-joint model.
+//! Kalman filter and smoother on the elastic-joint model, motors moved by torques or by jerk.
 
 use crate::array::{Signal, rows};
 use crate::error::{EstimatorError, IntoPyErr};
@@ -27,13 +27,24 @@ pub(crate) struct ElasticJointFilter {
 
 type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'py>);
 
+impl ElasticJointFilter {
+    fn of(filter: ExtendedKalmanFilter<ElasticModel>) -> PyResult<Self> {
+        let row = FilterOutput::zeros(1, filter.model(), Keep::default()).map_err(IntoPyErr::into_py_err)?;
+        Ok(Self { filter, t: 0.0, row })
+    }
+}
+
 #[pymethods]
 impl ElasticJointFilter {
     #[new]
     fn new(robot: &Robot, settings: Plain<description::ElasticFilter>) -> PyResult<Self> {
-        let filter = settings.0.build(&robot.0).map_err(IntoPyErr::into_py_err)?;
-        let row = FilterOutput::zeros(1, filter.model(), Keep::default()).map_err(IntoPyErr::into_py_err)?;
-        Ok(Self { filter, t: 0.0, row })
+        Self::of(settings.0.build(&robot.0).map_err(IntoPyErr::into_py_err)?)
+    }
+
+    /// The same of motors moved by jerk: where torques are said to go, their commanded jerk does.
+    #[staticmethod]
+    fn moved_by_jerk(robot: &Robot, settings: Plain<description::MotorJerkFilter>) -> PyResult<Self> {
+        Self::of(settings.0.build(&robot.0).map_err(IntoPyErr::into_py_err)?)
     }
 
     /// Number of states.
@@ -71,16 +82,20 @@ impl ElasticJointFilter {
         self.filter.set_start(Some(start)).map_err(IntoPyErr::into_py_err)
     }
 
-    /// Takes one sample: one reading a channel, NaN where missing, and the motor torques.
+    /// Takes one sample: one reading a channel, NaN where missing, and the motor torques, or the commanded jerk.
     fn step(&mut self, dt: f64, readings: Signal<'_>, tau: Signal<'_>) -> PyResult<State> {
         check_step(dt)?;
         let model = self.filter.model();
         let readings = readings.readings("readings", model.channels())?;
         let tau = tau.sized("tau", model.robot().len())?;
         if let Some(joint) = tau.iter().position(|t| !t.is_finite()) {
-            return Err(EstimatorError::new_err(format!("tau of joint {joint} is {}, expected a number", tau[joint])));
+            let what = if model.is_moved_by_jerk() { "jerk" } else { "tau" };
+            return Err(EstimatorError::new_err(format!(
+                "{what} of joint {joint} is {}, expected a number",
+                tau[joint]
+            )));
         }
-        let inputs = Inputs { tau, ..Inputs::default() };
+        let inputs = inputs(model, tau);
         filtering::step(&mut self.filter, KalmanSample { dt, readings, inputs }, &mut self.t, &mut self.row)
     }
 
@@ -114,10 +129,19 @@ impl ElasticJointFilter {
     }
 }
 
+/// What moves motors.
+fn inputs<'a>(model: &ElasticModel, moving: &'a [f64]) -> Inputs<'a> {
+    if model.is_moved_by_jerk() {
+        Inputs { jerk: moving, ..Inputs::default() }
+    } else {
+        Inputs { tau: moving, ..Inputs::default() }
+    }
+}
+
 fn recording<'a>(model: &ElasticModel, (dt, readings, tau): &'a Arrays<'_>) -> PyResult<KalmanRecording<'a>> {
     Ok(KalmanRecording {
         dt: rows("dt", dt, dt.len())?,
         readings: rows("readings", readings, model.channels())?,
-        inputs: Inputs { tau: rows("tau", tau, model.robot().len())?, ..Inputs::default() },
+        inputs: inputs(model, rows("tau", tau, model.robot().len())?),
     })
 }

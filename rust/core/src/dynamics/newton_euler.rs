@@ -141,6 +141,17 @@ impl<T: Scalar> NewtonEuler<T> {
         body.acceleration + body.gradient.apply_constant(&frame.translation)
     }
 
+    /// Position in the base frame [m]: from body to body, as nothing else here needs it.
+    #[inline(always)]
+    pub(crate) fn position(&self, tree: &Tree, frame: &Frame) -> Vec3<T> {
+        let mut point = Vec3::constant(&frame.translation);
+        for i in tree.path(frame.body) {
+            let pose = self.carried(tree, i, &Pose::identity());
+            point = pose.origin + pose.axes.apply(&point);
+        }
+        point
+    }
+
     /// Angular velocity in the frame's own axes [rad/s]: an ideal gyroscope.
     #[inline(always)]
     pub fn angular_rate(&self, frame: &Frame) -> Vec3<T> {

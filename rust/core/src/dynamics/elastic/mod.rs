@@ -6,12 +6,15 @@
 //! | S and the tree with rotors as bodies | `coupling` |
 //! | q̈ and θ̈ | [`ElasticDynamics::accelerate`] |
 //! | their derivatives by state and torque, by solving with the factors of the inertia | `derivatives` |
+//! | both where jerk moves motors, whatever it takes | `prescribed` |
 //!
 //! Simulator, elastic-joint filter and smoother, and arrays from Python all read it.
 
 mod coupling;
 mod derivatives;
+mod elements;
 mod layout;
+mod prescribed;
 #[cfg(test)]
 mod tests;
 
@@ -19,10 +22,13 @@ pub use layout::ElasticLayout;
 
 use super::{Kinematics, Loads};
 use crate::linear;
-use crate::robot::{FrictionElement, Robot, Tree};
+use crate::robot::{Robot, Tree};
 use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
 use coupling::Coupling;
+pub(crate) use elements::ElementRow;
+use elements::element_row;
+use prescribed::Prescribed;
 
 /// Accelerations of links and motors, and what they depend on.
 ///
@@ -41,7 +47,8 @@ use coupling::Coupling;
 /// moves with its link: its row and column of S and its B join M. Motors that are [`Rotor`](crate::robot::Rotor)s on
 /// links are bodies of an extended tree, whence S(q) and its velocity terms in both rows. Derivatives: those of the
 /// left-hand side are of the inverse dynamics at q̈ and θ̈. Of joints that [share motors](crate::robot::Gearing) B is a full
-/// matrix, and S zero.
+/// matrix, and S zero. Where motors' accelerations are [states](ElasticLayout::motor_acceleration), the first row alone
+/// moves links, and the second says what torque a motor needs.
 ///
 /// ```
 /// use linkside_core::dynamics::{ElasticDynamics, ElasticLayout};
@@ -96,6 +103,8 @@ pub struct ElasticDynamics<T = f64> {
     drive: Vec<T>,
     /// How each friction element's rate depends on the state, after [`differentiate`](Self::differentiate).
     pub(crate) elements: Vec<ElementRow<T>>,
+    /// Where motors' accelerations are states.
+    prescribed: Option<Box<Prescribed<T>>>,
 }
 
 impl<T: Scalar> ElasticDynamics<T> {
@@ -128,10 +137,12 @@ impl<T: Scalar> ElasticDynamics<T> {
             left: vec![T::constant(1.0); n],
             drive: room(n),
             elements: layout.elements(robot).map(|(_, state, _)| ElementRow::at(state)).collect(),
+            prescribed: layout.motor_acceleration.map(|first| Box::new(Prescribed::new(first, n, d))),
         }
     }
 
     /// Accelerations at state `x` (dense) under motor torques `tau` (n) [N m]; NaN when the inertia is not positive definite.
+    /// Where motors' accelerations are states, `tau` is not looked at.
     pub fn accelerate(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T], tau: &[T]) {
         simd::phase(Accelerate { dynamics: self, robot, layout, x, tau });
     }
@@ -142,7 +153,11 @@ impl<T: Scalar> ElasticDynamics<T> {
         let n = layout.joints;
         self.gather_loads(robot, layout, x);
         self.gather_torques(robot, layout, x, tau);
-        self.couple(robot);
+        if self.prescribed.is_some() {
+            self.prescribe(robot, x);
+        } else {
+            self.couple(robot);
+        }
         // L D Lᵀ: the reduced inertia is symmetric, and positive definite unless the coupling is larger than masses can
         // make it.
         let (system, rest) = (n * n, T::constant(f64::NAN));
@@ -153,6 +168,9 @@ impl<T: Scalar> ElasticDynamics<T> {
             return;
         }
         linear::solve(&self.mass[..system], n, &mut self.ddq, 1);
+        if self.prescribed.is_some() {
+            return self.take_prescribed(robot, x);
+        }
         for (j, drive) in robot.drives.iter().enumerate() {
             self.ddtheta[j] = if drive.elastic {
                 // The motor's row once q̈ is known: B θ̈ = τ − f − (1 + ε′) τ_e − (Sᵀ q̈)ⱼ.
@@ -203,7 +221,9 @@ impl<T: Scalar> ElasticDynamics<T> {
         for (j, drive) in robot.drives.iter().enumerate() {
             let speed = x[layout.dtheta[j]];
             let extra = layout.disturbance.map_or(T::default(), |first| x[first + j]);
-            self.drive[j] += tau[j] + extra;
+            if self.prescribed.is_none() {
+                self.drive[j] += tau[j] + extra;
+            }
             if robot.gearing.as_ref().is_none_or(|gearing| !gearing.has(j)) {
                 self.drive[j] -= drive.motor_friction(speed).0;
             }
@@ -213,6 +233,8 @@ impl<T: Scalar> ElasticDynamics<T> {
                 drive.spring_torque(gear.angle - q[j])
                     + (gear.ratio * speed - dq[j]) * drive.damping
                     + drive.hysteresis.force(&x[layout.deflections[j]..])
+            } else if self.prescribed.is_some() {
+                T::default()
             } else {
                 self.drive[j]
             };
@@ -302,7 +324,7 @@ impl<T: Scalar> ElasticDynamics<T> {
     #[inline(always)]
     pub fn joint_torque(&self, robot: &Robot, j: usize) -> T {
         let drive = &robot.drives[j];
-        if drive.elastic {
+        if drive.elastic || self.prescribed.is_some() {
             return self.spring[j];
         }
         self.drive[j] - self.ddq[j] * drive.motor_inertia - self.coupling.pull(j, &self.ddq)
@@ -312,6 +334,10 @@ impl<T: Scalar> ElasticDynamics<T> {
     #[inline(always)]
     pub(crate) fn inertia(&self, robot: &Robot, j: usize) -> T {
         let n = robot.len();
+        if let Some(prescribed) = &self.prescribed {
+            let behind = if robot.drives[j].elastic { robot.drives[j].motor_inertia } else { 0.0 };
+            return prescribed.mass[j * n + j] + -behind;
+        }
         let entry = |i: usize, k: usize| self.mass[i * n + k];
         let before = (0..j).fold(T::default(), |sum, k| sum + entry(j, k) * entry(j, k) * entry(k, k));
         let own = self.coupling.links(j).filter(|(i, _)| *i == j).fold(T::default(), |_, (_, s)| s + s);
@@ -336,37 +362,6 @@ impl<T: Scalar> ElasticDynamics<T> {
             linear::add_scaled(&mut out[first..][..n], T::constant(-layout.forgetting), &x[first..][..n]);
         }
     }
-}
-
-/// A row of ∂ẋ/∂x: of a friction element's deflection.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct ElementRow<T> {
-    /// Which state it is.
-    pub(crate) state: usize,
-    /// Columns and entries: θ, θ̇, q̇ and its own.
-    pub(crate) entries: [(usize, T); 4],
-}
-
-impl<T: Scalar> ElementRow<T> {
-    fn at(state: usize) -> Self {
-        Self { state, entries: [(state, T::default()); 4] }
-    }
-}
-
-/// ż of joint j's element at state k, and how it depends on the state.
-#[inline(always)]
-fn element_row<T: Scalar>(
-    robot: &Robot,
-    layout: &ElasticLayout,
-    x: &[T],
-    (j, k, element): (usize, usize, &FrictionElement),
-) -> (T, ElementRow<T>) {
-    let (theta, dtheta, dq) = (layout.theta[j], layout.dtheta[j], layout.joints + j);
-    let gear = robot.drives[j].ripple.output(x[theta]);
-    let (rate, [by_slip, by_own]) = element.rate(x[k], gear.ratio * x[dtheta] - x[dq]);
-    let turning = by_slip * gear.bend * x[dtheta];
-    let entries = [(theta, turning), (dtheta, by_slip * gear.ratio), (dq, -by_slip), (k, by_own)];
-    (rate, ElementRow { state: k, entries })
 }
 
 /// [`ElasticDynamics::accelerate`], to be compiled for each instruction set.
