@@ -307,6 +307,7 @@ def arm() -> Robot:
 LAYOUTS: dict[str, Callable[[Array], Any]] = {
     "fortran": np.asfortranarray,
     "strided": lambda signal: np.repeat(signal, 2, axis=0)[::2],
+    "strided columns": lambda signal: np.repeat(signal, 2, axis=-1)[..., ::2],
     "reversed": lambda signal: signal[::-1].copy()[::-1],
     "read-only": lambda signal: np.frombuffer(signal.tobytes()).reshape(signal.shape),
     "big-endian": lambda signal: signal.astype(">f8"),
@@ -318,9 +319,10 @@ LAYOUTS: dict[str, Callable[[Array], Any]] = {
 @pytest.mark.parametrize("name", QUANTITIES)
 def test_any_layout_of_numbers_will_do(arm: Robot, name: str, layout: str) -> None:
     quantity, count = QUANTITIES[name]
-    state = states(arm)[:count]
-    found = quantity(arm, *map(LAYOUTS[layout], state))
-    np.testing.assert_array_equal(found, quantity(arm, *state))
+    rows = states(arm)[:count]
+    for state in (rows, [signal[0] for signal in rows]):
+        found = quantity(arm, *map(LAYOUTS[layout], state))
+        np.testing.assert_array_equal(found, quantity(arm, *state))
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.int64, np.uint8, np.bool_])

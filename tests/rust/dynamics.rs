@@ -107,9 +107,10 @@ proptest! {
     fn loads_and_readings_are_the_same_in_the_bodies_own_axes(case in cases()) {
         let frame = case.frame();
         let mut kernels = Kernels::new(&case.tree, case.state());
-        let [_, force, rate] = kernels.sensed(&frame);
-        let expected: Vec<_> = kernels.torque().into_iter().chain(force.0).chain(rate.0).collect();
+        let sensed = kernels.sensed(&frame);
+        let expected: Vec<_> = kernels.torque().into_iter().chain(sensed.into_iter().flat_map(|v| v.0)).collect();
         check_close(&kernels.in_own_axes(&frame), &expected)?;
+        check_close(&kernels.mass_in_own_axes(), &kernels.mass())?;
     }
 
     #[test]

@@ -87,7 +87,7 @@ fn stiff_springs_give_the_rigid_robot() {
     let states =
         States { q: &derivatives[..size], dq: &derivatives[size..2 * size], ddq: &derivatives[2 * size..3 * size] };
     let mut links = vec![0.0; size];
-    Batch::new(&robot).inverse_dynamics(states, &mut links);
+    Batch::new(robot.clone().into()).inverse_dynamics(states, &mut links);
     for i in 0..size {
         let motors = robot.drives[i % N].motor_inertia * states.ddq[i];
         assert!((found.tau[i] - links[i] - motors).abs() < 1e-8);

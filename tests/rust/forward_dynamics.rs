@@ -3,7 +3,7 @@
 #[allow(dead_code, unused_imports)]
 mod support;
 
-use linkside_core::dynamics::{ElasticDynamics, ElasticLayout, check_inertia};
+use linkside_core::dynamics::{Batch, DrivenStates, ElasticDynamics, ElasticLayout, States, check_inertia};
 use linkside_core::error::RobotError;
 use linkside_core::robot::{
     Backlash, BodySpec, Drive, Friction, FrictionElement, Harmonic, Hysteresis, Interpolation, JointKind, LoadFriction,
@@ -12,6 +12,7 @@ use linkside_core::robot::{
 use linkside_core::scalar::{Dual, Lanes, Scalar};
 use linkside_core::spatial::{Mat3, Vec3};
 use proptest::prelude::*;
+use std::sync::Arc;
 use support::{Case, Kernels, State, balanced_cases, cases, check_close, check_same_bits, multiply};
 
 /// Most joints of a [`Case`].
@@ -320,6 +321,23 @@ proptest! {
         check_same_bits(&together.iter().map(|a| a.0[0]).collect::<Vec<_>>(), &alone)?;
     }
 
+    /// More than one block of lanes, and some samples that are no block.
+    #[test]
+    fn arrays_hold_the_bits_of_single_samples(driven in driven(cases())) {
+        let (robot, n) = (Arc::new(driven.robot.clone()), driven.robot.len());
+        let rows = driven.signals.clone().map(|signal| -> Vec<f64> {
+            (0..19).flat_map(|i| signal.iter().map(move |x| x * (1.0 - 0.1 * f64::from(i)))).collect()
+        });
+        let mut batch = Batch::new(robot);
+        let [torques, slopes, inertias, accelerations] = answers(&mut batch, n, &rows);
+        for i in 0..19 {
+            let one = answers(&mut batch, n, &rows.each_ref().map(|signal| signal[i * n..][..n].to_vec()));
+            for (all, one) in [&torques, &slopes, &inertias, &accelerations].into_iter().zip(&one) {
+                check_same_bits(&all[i * one.len()..][..one.len()], one)?;
+            }
+        }
+    }
+
     /// A spring under the torque that makes the motor follow its link moves both as a rigid joint would.
     #[test]
     fn springs_that_hold_still_are_rigid_joints(mut driven in driven(cases())) {
@@ -339,6 +357,20 @@ proptest! {
             check_close(&found, &ddq)?;
         }
     }
+}
+
+/// τ, its derivatives, M and accelerations of all samples.
+fn answers(batch: &mut Batch, n: usize, signals: &[Vec<f64>; 5]) -> [Vec<f64>; 4] {
+    let [q, dq, theta, dtheta, tau] = signals.each_ref().map(|signal| &signal[..]);
+    let states = States { q, dq, ddq: tau };
+    let room = |width| vec![f64::NAN; q.len() / n * width];
+    let mut out = [room(n), room(3 * n * n), room(n * n), room(2 * n)];
+    let [torques, slopes, inertias, accelerations] = &mut out;
+    batch.inverse_dynamics(states, torques);
+    batch.inverse_dynamics_derivatives(states, slopes);
+    batch.mass_matrix(q, inertias);
+    batch.forward_dynamics(DrivenStates { q, dq, theta, dtheta, tau }, accelerations);
+    out
 }
 
 /// The torsion of joint j at which its motor accelerates as its link does.

@@ -1,7 +1,7 @@
 """Dynamics and sensors of a robot, for one state or for many."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TypeAlias
 
 import numpy as np
@@ -62,7 +62,8 @@ class Dynamics(ABC):
     def inverse_dynamics_derivatives(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> tuple[Array, Array, Array]:
         """Derivatives of `inverse_dynamics` by q, q̇ and q̈ (the last: mass matrix), three of (T, n, n)."""
         stacked = self._rows(self.core.inverse_dynamics_derivatives, q=q, dq=dq, ddq=ddq)
-        return stacked[..., 0, :, :], stacked[..., 1, :, :], stacked[..., 2, :, :]
+        by_q, by_dq, mass = stacked if stacked.ndim == 3 else np.moveaxis(stacked, 1, 0)
+        return by_q, by_dq, mass
 
     def forward_dynamics(
         self, q: ArrayLike, dq: ArrayLike, theta: ArrayLike, dtheta: ArrayLike, tau: ArrayLike
@@ -75,7 +76,8 @@ class Dynamics(ABC):
         """
         self.require_masses("forward dynamics")
         stacked = self._rows(self.core.forward_dynamics, q=q, dq=dq, theta=theta, dtheta=dtheta, tau=tau)
-        return stacked[..., 0, :], stacked[..., 1, :]
+        links, motors = stacked if stacked.ndim == 2 else np.moveaxis(stacked, 1, 0)
+        return links, motors
 
     def mass_matrix(self, q: ArrayLike) -> Array:
         """Inertia of the links M(q), (T, n, n) [kg m²]."""
@@ -131,12 +133,18 @@ class Dynamics(ABC):
 
     def _rows(self, kernel: Callable[..., Array], **arguments: ArrayLike) -> Array:
         """Call a kernel of (T, n) arrays on those, or on a single state (n,)."""
+        try:
+            return kernel(*arguments.values())  # arrays of float64 in C order go straight in
+        except (TypeError, EstimatorError):
+            return kernel(*self._converted(arguments))
+
+    def _converted(self, arguments: dict[str, ArrayLike]) -> Iterator[Array]:
+        """Give arrays that kernels take, of any numbers; refuse what is none."""
         arrays = {name: numbers(name, value) for name, value in arguments.items()}
         first, shape = next((name, array.shape) for name, array in arrays.items())
         if len(shape) not in (1, 2) or shape[-1] != self.n:
-            raise EstimatorError(f"{first}: expected shape ({self.n},) or (T, {self.n}), got {shape}")
+            raise EstimatorError(f"{first}: expected shape ({self.n},) or (T, {self.n}), got {shape}") from None
         for name, array in arrays.items():
             if array.shape != shape:
-                raise EstimatorError(f"{name}: expected shape {shape}, that of {first}, got {array.shape}")
-        out = kernel(*(np.ascontiguousarray(np.atleast_2d(array)) for array in arrays.values()))
-        return out if len(shape) == 2 else out[0]
+                raise EstimatorError(f"{name}: expected shape {shape}, that of {first}, got {array.shape}") from None
+        return map(np.ascontiguousarray, arrays.values())

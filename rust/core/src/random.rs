@@ -64,11 +64,6 @@ impl Stream {
         [radius * cos, radius * sin]
     }
 
-    /// One standard normal number.
-    pub(crate) fn normal(&self, item: u32) -> f64 {
-        self.normals([item], 0)[0].0[0]
-    }
-
     /// One uniform number in (0, 1).
     pub(crate) fn uniform(&self, item: u32) -> f64 {
         self.uniforms([item], 0)[0].0[0]

@@ -2,8 +2,8 @@
 
 use crate::error::EstimatorError;
 use numpy::{
-    PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArray, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods,
-    ndarray::Dimension,
+    PyArray1, PyArray2, PyArrayDyn, PyArrayMethods, PyReadonlyArray, PyReadonlyArray1, PyReadonlyArray2,
+    PyUntypedArrayMethods, ndarray::Dimension,
 };
 use pyo3::prelude::*;
 
@@ -17,7 +17,9 @@ pub(crate) fn rows<'a, D: Dimension>(
     if found != width {
         return Err(EstimatorError::new_err(format!("{name} has {found} columns, expected {width}")));
     }
-    array.as_slice().map_err(|_| EstimatorError::new_err(format!("{name} is not C-contiguous")))
+    // A slice may also be had of an array in Fortran's order.
+    let slice = array.as_slice().ok().filter(|_| array.is_c_contiguous());
+    slice.ok_or_else(|| EstimatorError::new_err(format!("{name} is not C-contiguous")))
 }
 
 /// The contents of a C-contiguous array of `count` rows of `width`.
@@ -40,6 +42,43 @@ pub(crate) fn shaped<'py>(
     shape: Vec<usize>,
 ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
     PyArray1::from_vec(py, values).reshape(shape)
+}
+
+/// A signal at one sample, (n,), or at many, (T, n): float64.
+pub(crate) enum Rows<'py> {
+    One(PyReadonlyArray1<'py, f64>),
+    Many(PyReadonlyArray2<'py, f64>),
+}
+
+impl<'py> FromPyObject<'_, 'py> for Rows<'py> {
+    type Error = PyErr;
+
+    fn extract(given: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
+        let lent = |e: numpy::BorrowError| EstimatorError::new_err(e.to_string());
+        match given.cast::<PyArray1<f64>>() {
+            Ok(array) => array.try_readonly().map(Self::One).map_err(lent),
+            Err(_) => given.cast::<PyArray2<f64>>()?.try_readonly().map(Self::Many).map_err(lent),
+        }
+    }
+}
+
+impl Rows<'_> {
+    /// Number of samples, if there are rows.
+    pub(crate) fn count(&self) -> Option<usize> {
+        match self {
+            Self::One(_) => None,
+            Self::Many(array) => Some(array.shape()[0]),
+        }
+    }
+
+    /// The numbers of `count` samples of `width`.
+    pub(crate) fn get(&self, name: &str, count: Option<usize>, width: usize) -> PyResult<&[f64]> {
+        match (self, count) {
+            (Self::One(array), None) => rows(name, array, width),
+            (Self::Many(array), Some(count)) => counted(name, array, width, count),
+            _ => Err(EstimatorError::new_err(format!("{name} is not of as many samples as the first signal"))),
+        }
+    }
 }
 
 /// One sample of a signal: a NumPy vector, or any sequence of numbers.

@@ -1,7 +1,7 @@
-//! A compiled robot and its dynamics over arrays.
+//! A compiled robot and its dynamics, at one state or over arrays.
 
-use crate::array::{counted, rows, shaped};
-use crate::error::IntoPyErr;
+use crate::array::{Rows, shaped};
+use crate::error::{EstimatorError, IntoPyErr};
 use crate::gil::Release;
 use crate::plain::Plain;
 use linkside_compiled::description;
@@ -9,22 +9,22 @@ use linkside_core::dynamics::{Batch, DrivenStates, States};
 use linkside_core::error::DesignError;
 use linkside_core::memory;
 use linkside_core::robot;
-use numpy::{PyArrayDyn, PyReadonlyArray2, PyUntypedArrayMethods};
+use numpy::{PyArrayDyn, PyArrayMethods};
 use pyo3::prelude::*;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
-/// A robot flattened for the kernels.
+/// A robot flattened for the kernels, and scratch for single samples.
 #[pyclass(frozen, module = "linkside._core")]
-pub(crate) struct Robot(pub(crate) Arc<robot::Robot>);
+pub(crate) struct Robot(pub(crate) Arc<robot::Robot>, Mutex<Batch>);
 
-type Input<'py> = PyReadonlyArray2<'py, f64>;
 type Output<'py> = PyResult<Bound<'py, PyArrayDyn<f64>>>;
 
 #[pymethods]
 impl Robot {
     #[new]
     fn new(description: Plain<description::Robot>) -> PyResult<Self> {
-        description.0.build().map(|robot| Self(Arc::new(robot))).map_err(IntoPyErr::into_py_err)
+        let robot = description.0.build().map(Arc::new).map_err(IntoPyErr::into_py_err)?;
+        Ok(Self(Arc::clone(&robot), Mutex::new(Batch::new(robot))))
     }
 
     /// Number of joints.
@@ -33,123 +33,137 @@ impl Robot {
         self.0.len()
     }
 
-    fn inverse_dynamics<'py>(&self, q: Input<'py>, dq: Input<'py>, ddq: Input<'py>) -> Output<'py> {
-        self.states(&q, &dq, &ddq, [self.0.len()], Batch::inverse_dynamics)
+    fn inverse_dynamics<'py>(&self, py: Python<'py>, q: Rows<'py>, dq: Rows<'py>, ddq: Rows<'py>) -> Output<'py> {
+        self.ask(py, [("q", q), ("dq", dq), ("ddq", ddq)], [self.0.len()], |batch, [q, dq, ddq], out| {
+            batch.inverse_dynamics(States { q, dq, ddq }, out);
+        })
     }
 
     fn forward_dynamics<'py>(
         &self,
-        q: Input<'py>,
-        dq: Input<'py>,
-        theta: Input<'py>,
-        dtheta: Input<'py>,
-        tau: Input<'py>,
+        py: Python<'py>,
+        q: Rows<'py>,
+        dq: Rows<'py>,
+        theta: Rows<'py>,
+        dtheta: Rows<'py>,
+        tau: Rows<'py>,
+    ) -> Output<'py> {
+        let signals = [("q", q), ("dq", dq), ("theta", theta), ("dtheta", dtheta), ("tau", tau)];
+        self.ask(py, signals, [2, self.0.len()], |batch, [q, dq, theta, dtheta, tau], out| {
+            batch.forward_dynamics(DrivenStates { q, dq, theta, dtheta, tau }, out);
+        })
+    }
+
+    fn coriolis_matrix<'py>(&self, py: Python<'py>, q: Rows<'py>, dq: Rows<'py>) -> Output<'py> {
+        self.ask(py, [("q", q), ("dq", dq)], [self.0.len(); 2], |batch, [q, dq], out| batch.coriolis_matrix(q, dq, out))
+    }
+
+    fn inverse_dynamics_derivatives<'py>(
+        &self,
+        py: Python<'py>,
+        q: Rows<'py>,
+        dq: Rows<'py>,
+        ddq: Rows<'py>,
     ) -> Output<'py> {
         let n = self.0.len();
-        let count = q.shape()[0];
-        let states = DrivenStates {
-            q: rows("q", &q, n)?,
-            dq: counted("dq", &dq, n, count)?,
-            theta: counted("theta", &theta, n, count)?,
-            dtheta: counted("dtheta", &dtheta, n, count)?,
-            tau: counted("tau", &tau, n, count)?,
-        };
-        self.over(&q, [2, n], |batch, out| batch.forward_dynamics(states, out))
+        self.ask(py, [("q", q), ("dq", dq), ("ddq", ddq)], [3, n, n], |batch, [q, dq, ddq], out| {
+            batch.inverse_dynamics_derivatives(States { q, dq, ddq }, out);
+        })
     }
 
-    fn coriolis_matrix<'py>(&self, q: Input<'py>, dq: Input<'py>) -> Output<'py> {
-        self.states(&q, &dq, &dq, [self.0.len(); 2], Batch::coriolis_matrix)
+    fn specific_force<'py>(&self, py: Python<'py>, q: Rows<'py>, dq: Rows<'py>, ddq: Rows<'py>) -> Output<'py> {
+        let shape = [self.0.acceleration_channels()];
+        self.ask(py, [("q", q), ("dq", dq), ("ddq", ddq)], shape, |batch, [q, dq, ddq], out| {
+            batch.specific_force(States { q, dq, ddq }, out);
+        })
     }
 
-    fn inverse_dynamics_derivatives<'py>(&self, q: Input<'py>, dq: Input<'py>, ddq: Input<'py>) -> Output<'py> {
-        let n = self.0.len();
-        self.states(&q, &dq, &ddq, [3, n, n], Batch::inverse_dynamics_derivatives)
-    }
-
-    fn specific_force<'py>(&self, q: Input<'py>, dq: Input<'py>, ddq: Input<'py>) -> Output<'py> {
-        self.states(&q, &dq, &ddq, [self.0.acceleration_channels()], Batch::specific_force)
-    }
-
-    fn specific_force_derivatives<'py>(&self, q: Input<'py>, dq: Input<'py>, ddq: Input<'py>) -> Output<'py> {
+    fn specific_force_derivatives<'py>(
+        &self,
+        py: Python<'py>,
+        q: Rows<'py>,
+        dq: Rows<'py>,
+        ddq: Rows<'py>,
+    ) -> Output<'py> {
         let shape = [3, self.0.acceleration_channels(), self.0.len()];
-        self.states(&q, &dq, &ddq, shape, Batch::specific_force_derivatives)
+        self.ask(py, [("q", q), ("dq", dq), ("ddq", ddq)], shape, |batch, [q, dq, ddq], out| {
+            batch.specific_force_derivatives(States { q, dq, ddq }, out);
+        })
     }
 
-    fn angular_rate<'py>(&self, q: Input<'py>, dq: Input<'py>) -> Output<'py> {
-        self.states(&q, &dq, &dq, [self.0.gyroscope_channels()], Batch::angular_rate)
+    fn angular_rate<'py>(&self, py: Python<'py>, q: Rows<'py>, dq: Rows<'py>) -> Output<'py> {
+        let shape = [self.0.gyroscope_channels()];
+        self.ask(py, [("q", q), ("dq", dq)], shape, |batch, [q, dq], out| batch.angular_rate(q, dq, out))
     }
 
-    fn mass_matrix<'py>(&self, q: Input<'py>) -> Output<'py> {
-        self.positions(&q, [self.0.len(); 2], Batch::mass_matrix)
+    fn mass_matrix<'py>(&self, py: Python<'py>, q: Rows<'py>) -> Output<'py> {
+        self.ask(py, [("q", q)], [self.0.len(); 2], |batch, [q], out| batch.mass_matrix(q, out))
     }
 
-    fn gravity_torque<'py>(&self, q: Input<'py>) -> Output<'py> {
-        self.positions(&q, [self.0.len()], Batch::gravity_torque)
+    fn gravity_torque<'py>(&self, py: Python<'py>, q: Rows<'py>) -> Output<'py> {
+        self.ask(py, [("q", q)], [self.0.len()], |batch, [q], out| batch.gravity_torque(q, out))
     }
 
-    fn wrench_map<'py>(&self, q: Input<'py>) -> Output<'py> {
-        self.positions(&q, [self.0.len(), self.0.wrench_states()], Batch::wrench_map)
+    fn wrench_map<'py>(&self, py: Python<'py>, q: Rows<'py>) -> Output<'py> {
+        let shape = [self.0.len(), self.0.wrench_states()];
+        self.ask(py, [("q", q)], shape, |batch, [q], out| batch.wrench_map(q, out))
     }
 
-    fn link_friction<'py>(&self, dq: Input<'py>, load: Input<'py>) -> Output<'py> {
-        let n = self.0.len();
-        let (velocities, load) = (rows("dq", &dq, n)?, counted("load", &load, n, dq.shape()[0])?);
-        self.over(&dq, [n], |batch, out| batch.link_friction(velocities, load, out))
+    fn link_friction<'py>(&self, py: Python<'py>, dq: Rows<'py>, load: Rows<'py>) -> Output<'py> {
+        let signals = [("dq", dq), ("load", load)];
+        self.ask(py, signals, [self.0.len()], |batch, [dq, load], out| batch.link_friction(dq, load, out))
     }
 
-    fn motor_friction<'py>(&self, dtheta: Input<'py>, load: Input<'py>) -> Output<'py> {
-        let n = self.0.len();
-        let (velocities, load) = (rows("dtheta", &dtheta, n)?, counted("load", &load, n, dtheta.shape()[0])?);
-        self.over(&dtheta, [n], |batch, out| batch.motor_friction(velocities, load, out))
+    fn motor_friction<'py>(&self, py: Python<'py>, dtheta: Rows<'py>, load: Rows<'py>) -> Output<'py> {
+        let signals = [("dtheta", dtheta), ("load", load)];
+        self.ask(py, signals, [self.0.len()], |batch, [dtheta, load], out| batch.motor_friction(dtheta, load, out))
     }
 
-    fn tool_position<'py>(&self, q: Input<'py>) -> Output<'py> {
-        self.positions(&q, [3], Batch::tool_position)
+    fn tool_position<'py>(&self, py: Python<'py>, q: Rows<'py>) -> Output<'py> {
+        self.ask(py, [("q", q)], [3], |batch, [q], out| batch.tool_position(q, out))
     }
 }
 
 impl Robot {
-    /// Runs `f` over the rows of a state; the output has one array of `shape` a row.
-    fn states<'a, 'py, const D: usize>(
-        &'a self,
-        q: &Input<'py>,
-        dq: &Input<'py>,
-        ddq: &Input<'py>,
+    /// What `f` makes of one sample (n,), or of rows (T, n): an array of `shape`, or one a row.
+    fn ask<'py, const S: usize, const D: usize>(
+        &self,
+        py: Python<'py>,
+        signals: [(&str, Rows<'py>); S],
         shape: [usize; D],
-        f: impl FnOnce(&mut Batch<'a>, States<'_>, &mut [f64]) + Send,
+        f: impl FnOnce(&mut Batch, [&[f64]; S], &mut [f64]) + Send,
     ) -> Output<'py> {
-        let n = self.0.len();
-        // One row of velocities or accelerations is that of all samples.
-        let height = |array: &Input<'py>| if array.shape()[0] == 1 { 1 } else { q.shape()[0] };
-        let (dq, ddq) = (counted("dq", dq, n, height(dq))?, counted("ddq", ddq, n, height(ddq))?);
-        let states = States { q: rows("q", q, n)?, dq, ddq };
-        self.over(q, shape, |batch, out| f(batch, states, out))
-    }
-
-    /// As [`states`](Self::states), for what depends on positions alone.
-    fn positions<'a, 'py, const D: usize>(
-        &'a self,
-        q: &Input<'py>,
-        shape: [usize; D],
-        f: impl FnOnce(&mut Batch<'a>, &[f64], &mut [f64]) + Send,
-    ) -> Output<'py> {
-        let positions = rows("q", q, self.0.len())?;
-        self.over(q, shape, |batch, out| f(batch, positions, out))
-    }
-
-    fn over<'a, 'py, const D: usize>(
-        &'a self,
-        q: &Input<'py>,
-        shape: [usize; D],
-        f: impl FnOnce(&mut Batch<'a>, &mut [f64]) + Send,
-    ) -> Output<'py> {
-        let (py, count) = (q.py(), q.shape()[0]);
-        let values = py.release(|| {
+        let count = signals[0].1.count();
+        let mut values = [&[][..]; S];
+        for ((name, signal), values) in signals.iter().zip(&mut values) {
+            *values = signal.get(name, count, self.0.len())?;
+        }
+        let Some(count) = count else { return self.ask_once(py, values, &shape, f) };
+        let out = py.release(|| {
             let mut out = memory::filled(0.0, count, shape.iter().product())?;
-            f(&mut Batch::new(&self.0), &mut out);
+            f(&mut Batch::new(Arc::clone(&self.0)), values, &mut out);
             Ok::<_, DesignError>(out)
         })?;
         let shape: Vec<usize> = core::iter::once(count).chain(shape).collect();
-        shaped(py, values, shape)
+        shaped(py, out, shape)
+    }
+
+    /// Of one sample, which takes less time than to let go of the interpreter.
+    fn ask_once<'py, const S: usize>(
+        &self,
+        py: Python<'py>,
+        values: [&[f64]; S],
+        shape: &[usize],
+        f: impl FnOnce(&mut Batch, [&[f64]; S], &mut [f64]),
+    ) -> Output<'py> {
+        let out = PyArrayDyn::zeros(py, shape, false);
+        let mut room = out.try_readwrite().map_err(|error| EstimatorError::new_err(error.to_string()))?;
+        match self.1.try_lock() {
+            Ok(mut batch) => f(&mut batch, values, room.as_slice_mut()?),
+            // Another thread is at it.
+            Err(_) => f(&mut Batch::new(Arc::clone(&self.0)), values, room.as_slice_mut()?),
+        }
+        drop(room);
+        Ok(out)
     }
 }

@@ -10,7 +10,7 @@ use linkside_core::estimate::kalman::{
     JerkDriven, JerkModel, JerkNoise, KalmanRecording, KalmanSample, Keep, Model, Smoother,
 };
 use linkside_core::estimate::likelihood::{Likelihood, LikelihoodRecording, LikelihoodSettings, Parameter};
-use linkside_core::estimate::measurement::Kind;
+use linkside_core::estimate::measurement::{Channel, Kind};
 use linkside_core::estimate::observer::{
     AccelerationObserver, AccelerationSource, Complex, Form, ObserverSample, ObserverSettings, Start,
 };
@@ -34,8 +34,10 @@ const PARTICLES: usize = 256;
 /// Does a number of samples.
 type Work = Box<dyn FnMut(usize)>;
 
-/// What each kernel is called, and what makes its work.
-const KERNELS: [(&str, fn() -> Work); 17] = [
+/// What a kernel is called, and what makes its work.
+type Guarded = (&'static str, fn() -> Work);
+
+const KERNELS: [Guarded; 17] = [
     ("EKF step, two joints", || jerk_filter(2)),
     ("EKF step, six joints", || jerk_filter(6)),
     ("elastic EKF step, six joints", elastic_filter),
@@ -290,13 +292,21 @@ fn particles(proposal: Proposal) -> Work {
 fn simulator() -> Work {
     const N: usize = 6;
     let robot = robot(N);
-    let exact =
-        SensorModel { noise: 1e-4, bias: 0.0, resolution: 1e-6, delay: 0.0, corner_frequency: f64::INFINITY, every: 1 };
-    let channels: usize = Kind::all_channels(&Kind::SENSORS, &robot).len();
+    let model = |noise| SensorModel {
+        noise,
+        bias: 0.0,
+        resolution: 1e-6,
+        delay: 0.0,
+        corner_frequency: f64::INFINITY,
+        every: 1,
+    };
+    let noise = |channel: &Channel| if matches!(channel, Channel::Acceleration { .. }) { 0.05 } else { 0.0 };
+    let models: Vec<_> =
+        Kind::all_channels(&Kind::SENSORS, &robot).iter().map(|channel| model(noise(channel))).collect();
     Box::new(move |samples| {
         let reference = Reference::new(vec![0.0], vec![0.1; N], N).unwrap();
         let mut law = JointPd::new(reference, vec![2000.0; N], vec![200.0; N], vec![0.0; N]).unwrap();
-        let suite = Suite::new(&robot, &vec![exact; channels], 2.5e-4, 0).unwrap();
+        let suite = Suite::new(&robot, &models, 2.5e-4, 0).unwrap();
         let plan = Plan { period: 2.5e-4, count: samples, stepping: Stepping::Fixed(1), keep_every: 1 };
         let (start, outside) = (SimulationStart::default(), Outside::default());
         black_box(simulate(&robot, start, plan, outside, suite, &mut TrueState, &mut law).unwrap());
@@ -304,13 +314,13 @@ fn simulator() -> Work {
 }
 
 /// A function of arrays of states that gives `width` numbers a sample.
-fn batch(width: usize, f: impl Fn(&mut Batch<'_>, States<'_>, &mut [f64]) + 'static) -> Work {
+fn batch(width: usize, f: impl Fn(&mut Batch, States<'_>, &mut [f64]) + 'static) -> Work {
     const N: usize = 6;
     let (robot, states) = (robot(N), [1.0, 2.0, 3.0].map(|size| wave(N, size)));
     let mut out = vec![0.0; ROWS * width];
     Box::new(move |samples| {
         let [q, dq, ddq] = states.each_ref().map(|signal| &signal[..samples * N]);
-        f(&mut Batch::new(&robot), States { q, dq, ddq }, &mut out[..samples * width]);
+        f(&mut Batch::new(Arc::clone(&robot)), States { q, dq, ddq }, &mut out[..samples * width]);
         black_box(&out);
     })
 }
@@ -322,7 +332,7 @@ fn forward_dynamics() -> Work {
     Box::new(move |samples| {
         let [q, dq, theta, dtheta, tau] = signals.each_ref().map(|signal| &signal[..samples * N]);
         let states = DrivenStates { q, dq, theta, dtheta, tau };
-        Batch::new(&robot).forward_dynamics(states, &mut out[..samples * 2 * N]);
+        Batch::new(Arc::clone(&robot)).forward_dynamics(states, &mut out[..samples * 2 * N]);
         black_box(&out);
     })
 }

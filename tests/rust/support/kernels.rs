@@ -102,10 +102,18 @@ impl<'a, T: Scalar> Kernels<'a, T> {
         tau
     }
 
-    /// τ, specific force and angular rate of a frame, computed in the bodies' own axes.
+    /// M, computed in the bodies' own axes.
+    pub(crate) fn mass_in_own_axes(&mut self) -> Vec<T> {
+        let mut mass = self.blank(self.tree.len().pow(2));
+        self.newton_euler.mass_matrix_into(self.tree, &mut mass);
+        mass
+    }
+
+    /// τ, position, specific force and angular rate of a frame, computed in the bodies' own axes.
     pub(crate) fn in_own_axes(&mut self, frame: &Frame) -> Vec<T> {
         let mut out = self.blank(self.tree.len());
         self.newton_euler.inverse_dynamics_into(self.tree, &mut out);
+        out.extend(self.newton_euler.position(self.tree, frame).0);
         out.extend(self.newton_euler.specific_force(frame).0);
         out.extend(self.newton_euler.angular_rate(frame).0);
         out
@@ -174,7 +182,7 @@ impl<'a, T: Scalar> Kernels<'a, T> {
     pub(crate) fn everything(&mut self, frame: &Frame) -> Vec<T> {
         let (tau, derivatives) = self.torque_derivatives();
         let parts = [
-            vec![tau, self.torque(), self.mass(), self.coriolis()],
+            vec![tau, self.torque(), self.mass(), self.mass_in_own_axes(), self.coriolis()],
             derivatives.to_vec(),
             self.sensed(frame).map(|v| v.0.to_vec()).to_vec(),
             vec![self.in_own_axes(frame), self.position_jacobian(frame), self.acceleration_map(frame)],

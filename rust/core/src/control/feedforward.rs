@@ -84,10 +84,13 @@ pub fn derivative_order(robot: &Robot) -> usize {
 /// would need derivatives beyond [`HIGHEST`].
 pub fn inverse_dynamics(robot: &Robot, path: Path<'_>) -> Result<Desired, DesignError> {
     let further = check(robot, path)?;
-    // A motion is designed once: it does not pay to compile series of every length for every instruction set.
+    // Of springs alone, of dampers without further derivatives and with them, and of motors that are coupled; not of every
+    // length, which takes long to compile.
     Ok(match derivative_order(robot) + further {
-        ..8 => FeedforwardPass::<8>::new(robot, path, further).run(),
-        _ => FeedforwardPass::<{ HIGHEST + 1 }>::new(robot, path, further).run(),
+        0..=3 => FeedforwardPass::<4, 2>::new(robot, path, further).run(),
+        4..=5 => FeedforwardPass::<6, 4>::new(robot, path, further).run(),
+        6..=7 => FeedforwardPass::<8, 6>::new(robot, path, further).run(),
+        _ => FeedforwardPass::<{ HIGHEST + 1 }, { HIGHEST - 1 }>::new(robot, path, further).run(),
     })
 }
 
@@ -115,8 +118,8 @@ fn of_use(robot: &Robot) -> usize {
     if damped { SMOOTHEST - 1 } else { 0 }
 }
 
-/// One pass over a path, with P Taylor coefficients a signal.
-struct FeedforwardPass<'a, const P: usize> {
+/// One pass over a path, with P Taylor coefficients a signal, and L = P − 2 of accelerations and what is made of them.
+struct FeedforwardPass<'a, const P: usize, const L: usize> {
     robot: &'a Robot,
     /// Of the links.
     path: Path<'a>,
@@ -124,8 +127,10 @@ struct FeedforwardPass<'a, const P: usize> {
     order: usize,
     /// Derivatives of a damped transmission's load that are known.
     known: usize,
-    /// The links' recursion, on power series in time.
-    motion: NewtonEuler<Series<P>>,
+    /// The links' recursion, on power series in time; the motion that it is of, and its torques.
+    recursion: NewtonEuler<Series<L>>,
+    motion: [Vec<Series<L>>; 3],
+    torque: Vec<Series<L>>,
     /// q, q̇, q̈.
     link: [Vec<Series<P>>; 3],
     /// τ_J, and then what each transmission carries.
@@ -136,7 +141,7 @@ struct FeedforwardPass<'a, const P: usize> {
     before: Vec<Option<LoadedTransmission<P>>>,
 }
 
-impl<const P: usize> Kernel for FeedforwardPass<'_, P> {
+impl<const P: usize, const L: usize> Kernel for FeedforwardPass<'_, P, L> {
     type Output = Desired;
 
     #[inline(always)]
@@ -159,15 +164,18 @@ impl<const P: usize> Kernel for FeedforwardPass<'_, P> {
     }
 }
 
-impl<'a, const P: usize> FeedforwardPass<'a, P> {
+impl<'a, const P: usize, const L: usize> FeedforwardPass<'a, P, L> {
     fn new(robot: &'a Robot, path: Path<'a>, further: usize) -> Self {
         let zero = || vec![Series::default(); robot.len()];
+        let short = || vec![Series::default(); robot.len()];
         Self {
             robot,
             path,
             order: derivative_order(robot) + further,
             known: 1 + further,
-            motion: NewtonEuler::new(&robot.tree),
+            recursion: NewtonEuler::new(&robot.tree),
+            motion: [short(), short(), short()],
+            torque: short(),
             link: [zero(), zero(), zero()],
             load: zero(),
             theta: zero(),
@@ -186,11 +194,15 @@ impl<'a, const P: usize> FeedforwardPass<'a, P> {
             dq[joint] = q[joint].rate();
             ddq[joint] = dq[joint].rate();
         }
-        let tree = &self.robot.tree;
-        self.motion.set(tree, q, dq, ddq);
-        self.motion.inverse_dynamics_into(tree, &mut self.load);
-        for ((load, drive), &dq) in self.load.iter_mut().zip(&self.robot.drives).zip(dq.iter()) {
-            *load += drive.link_friction(dq).0;
+        for (short, long) in self.motion.iter_mut().zip(&self.link) {
+            short.iter_mut().zip(long).for_each(|(short, long)| *short = long.resized());
+        }
+        let (tree, [q, dq, ddq]) = (&self.robot.tree, &self.motion);
+        self.recursion.set(tree, q, dq, ddq);
+        self.recursion.inverse_dynamics_into(tree, &mut self.torque);
+        for (joint, drive) in self.robot.drives.iter().enumerate() {
+            let friction = drive.link_friction(dq[joint]).0;
+            self.load[joint] = (self.torque[joint] + friction).resized();
         }
     }
 

@@ -72,7 +72,7 @@ impl<T: Scalar> Posture<T> for Kinematics<T> {
 
     #[inline(always)]
     fn turn(&self, tree: &Tree, body: usize) -> (T, T) {
-        let before = self.stem(tree.bodies[body].parent).axes.mul_constant(&tree.bodies[body].rotation);
+        let before = tree.bodies[body].rotation.after(&self.stem(tree.bodies[body].parent).axes);
         let x = &self.bodies[body].rotation.0[0];
         (before.0[1].dot(x), before.0[0].dot(x))
     }

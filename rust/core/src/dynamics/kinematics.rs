@@ -92,10 +92,10 @@ impl<T: Scalar> Kinematics<T> {
             let (carrier, origin) = match body.parent {
                 Some(p) => {
                     let parent = &self.bodies[p];
-                    let rotation = parent.rotation.mul_constant(&body.rotation);
+                    let rotation = body.rotation.after(&parent.rotation);
                     (rotation, parent.origin + parent.rotation.apply_constant(&body.translation))
                 }
-                None => (Mat3::constant(&body.rotation), Vec3::constant(&body.translation)),
+                None => (body.rotation.after(&Mat3::constant(&Mat3::IDENTITY)), Vec3::constant(&body.translation)),
             };
             let z = carrier.0[2];
             let position = body.position(q[body.joint]);

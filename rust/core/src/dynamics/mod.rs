@@ -8,13 +8,14 @@
 //! | --- | --- | --- |
 //! | poses, velocities, accelerations of bodies, frames and sensors | [`Kinematics`] | O(n) |
 //! | τ = M q̈ + C q̇ + g; M; C; ∂τ/∂(q, q̇, q̈) | [`Loads`] on a [`Kinematics`] | O(n), or O(n · depth) for matrices |
-//! | τ and readings, no derivatives | [`NewtonEuler`] | O(n), about half |
+//! | τ and readings, no derivatives; M | [`NewtonEuler`] | O(n), about half; O(n · depth) for M |
 //! | q̈ and θ̈ from motor torques, with springs, frictions and rotors on links | [`ElasticDynamics`] | O(n³) |
 //! | all of them over arrays of states | [`Batch`] | on all cores |
 //!
 //! Conventions are those of Featherstone (2008), with every body's quantities about the base origin and in its axes.
 
 mod batch;
+mod composites;
 mod counterbalances;
 mod definite;
 mod elastic;

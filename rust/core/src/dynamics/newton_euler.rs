@@ -1,4 +1,4 @@
-//! Inverse dynamics and sensors alone, each body in its own axes: half the work of [`Kinematics`](super::Kinematics) with
+//! Inverse dynamics and sensors alone, and the mass matrix, each body in its own axes: half the work of [`Kinematics`](super::Kinematics) with
 //! [`Loads`](super::Loads), which derivatives and matrices need.
 
 use super::counterbalances::{self, Pose, Posture};
@@ -9,9 +9,9 @@ use crate::spatial::{Inertia, Mat3, Vec3};
 
 /// How a body moves, and what that takes, in its own axes.
 #[derive(Clone, Copy, Debug, Default)]
-struct Moving<T> {
+pub(super) struct Moving<T> {
     /// Sine and cosine of a revolute joint's position; a prismatic one's position, and 1.
-    turn: (T, T),
+    pub(super) turn: (T, T),
     /// ω and ω̇ in the body's axes.
     angular_velocity: Vec3<T>,
     angular_acceleration: Vec3<T>,
@@ -39,7 +39,7 @@ impl<T: Scalar> Carried<T> {
         Self {
             angular_velocity: Vec3::default(),
             angular_acceleration: Vec3::default(),
-            acceleration: Vec3::constant(&-body.rotation.apply_transposed(gravity)),
+            acceleration: Vec3::constant(&-body.rotation.turn_back(gravity)),
         }
     }
 }
@@ -66,30 +66,55 @@ impl<T: Scalar> Carried<T> {
 #[derive(Clone, Debug)]
 pub struct NewtonEuler<T> {
     /// One a body, in the order of the tree.
-    bodies: Vec<Moving<T>>,
+    pub(super) bodies: Vec<Moving<T>>,
     /// Forces from outside, one each of the tree's wrenches.
     wrenches: Vec<Applied<T>>,
+    /// Moments of mass of each body together with all that it carries, in its own axes.
+    pub(super) composites: Vec<Inertia<T>>,
 }
 
 impl<T: Scalar> NewtonEuler<T> {
     /// Room for `tree`.
     pub fn new(tree: &Tree) -> Self {
-        Self { bodies: vec![Moving::default(); tree.bodies.len()], wrenches: Applied::all(tree) }
+        let count = tree.bodies.len();
+        Self {
+            bodies: vec![Moving::default(); count],
+            wrenches: Applied::all(tree),
+            composites: vec![Inertia::default(); count],
+        }
     }
 
     /// Moves all bodies; positions, velocities and accelerations of length n, in the order of the log.
     #[inline(always)]
     pub fn set(&mut self, tree: &Tree, q: &[T], dq: &[T], ddq: &[T]) {
+        self.set_position(tree, q);
+        self.set_motion(tree, dq, ddq);
+    }
+
+    /// Positions alone, which is what a [mass matrix](Self::mass_matrix_into) takes.
+    #[inline(always)]
+    pub fn set_position(&mut self, tree: &Tree, q: &[T]) {
+        for (moving, body) in self.bodies.iter_mut().zip(&tree.bodies) {
+            let position = body.position(q[body.joint]);
+            moving.turn = match body.kind {
+                JointKind::Revolute => position.sin_cos(),
+                JointKind::Prismatic => (position, T::constant(1.0)),
+            };
+        }
+    }
+
+    /// Velocities and accelerations at the positions that were set.
+    #[inline(always)]
+    pub fn set_motion(&mut self, tree: &Tree, dq: &[T], ddq: &[T]) {
         for (i, body) in tree.bodies.iter().enumerate() {
             let carried = match body.parent {
                 Some(p) => self.bodies[p].carry(body),
                 None => Carried::at_rest(body, &tree.gravity),
             };
-            let (joint, moving) = (body.joint, &mut self.bodies[i]);
-            let (q, dq, ddq) = (body.position(q[joint]), body.share(dq[joint]), body.share(ddq[joint]));
+            let (dq, ddq) = (body.share(dq[body.joint]), body.share(ddq[body.joint]));
             match body.kind {
-                JointKind::Revolute => moving.revolve(&carried, q, dq, ddq),
-                JointKind::Prismatic => moving.slide(carried, q, dq, ddq),
+                JointKind::Revolute => self.bodies[i].revolve(&carried, dq, ddq),
+                JointKind::Prismatic => self.bodies[i].slide(carried, dq, ddq),
             }
         }
     }
@@ -113,18 +138,28 @@ impl<T: Scalar> NewtonEuler<T> {
         }
         tau.fill(T::default());
         for (i, body) in tree.bodies.iter().enumerate().rev() {
-            let Moving { force, moment, .. } = &self.bodies[i];
+            let Moving { force, moment, .. } = self.bodies[i];
             tau[body.joint] += body.share(match body.kind {
                 JointKind::Revolute => moment.0[2],
                 JointKind::Prismatic => force.0[2],
             });
             if let Some(p) = body.parent {
-                let (force, moment) = self.bodies[i].hand_over(body);
+                let (force, moment) = self.bodies[i].hand_over(body, force, moment);
                 self.bodies[p].force += force;
                 self.bodies[p].moment += moment;
             }
         }
         counterbalances::load(self, tree, tau);
+    }
+
+    /// Position in the base frame at the positions that were set, as [`Kinematics::position`](super::Kinematics::position) [m].
+    #[inline(always)]
+    pub fn position(&self, tree: &Tree, frame: &Frame) -> Vec3<T> {
+        let mut point = Vec3::constant(&frame.translation);
+        for i in tree.path(frame.body) {
+            point = self.bodies[i].point_in_carrier(&tree.bodies[i], &point);
+        }
+        point
     }
 
     /// Specific force of an ideal accelerometer, as [`Kinematics::specific_force`](super::Kinematics::specific_force)
@@ -139,17 +174,6 @@ impl<T: Scalar> NewtonEuler<T> {
     pub(crate) fn specific_force_of_body(&self, frame: &Frame) -> Vec3<T> {
         let body = &self.bodies[frame.body];
         body.acceleration + body.gradient.apply_constant(&frame.translation)
-    }
-
-    /// Position in the base frame [m]: from body to body, as nothing else here needs it.
-    #[inline(always)]
-    pub(crate) fn position(&self, tree: &Tree, frame: &Frame) -> Vec3<T> {
-        let mut point = Vec3::constant(&frame.translation);
-        for i in tree.path(frame.body) {
-            let pose = self.carried(tree, i, &Pose::identity());
-            point = pose.origin + pose.axes.apply(&point);
-        }
-        point
     }
 
     /// Angular velocity in the frame's own axes [rad/s]: an ideal gyroscope.
@@ -175,7 +199,7 @@ impl<T: Scalar> Posture<T> for NewtonEuler<T> {
     #[inline(always)]
     fn carried(&self, tree: &Tree, body: usize, carrier: &Pose<T>) -> Pose<T> {
         let (Body { kind, rotation, translation, .. }, turn) = (&tree.bodies[body], self.bodies[body].turn);
-        let axes = carrier.axes.mul_constant(rotation);
+        let axes = rotation.after(&carrier.axes);
         let origin = carrier.origin + carrier.axes.apply_constant(translation);
         match kind {
             JointKind::Revolute => Pose { axes: axes.turn_about_z(turn), origin },
@@ -190,27 +214,41 @@ impl<T: Scalar> Posture<T> for NewtonEuler<T> {
 }
 
 impl<T: Scalar> Moving<T> {
+    /// A point in this body's axes, in those of the carrying body.
+    #[inline(always)]
+    fn point_in_carrier(&self, body: &Body, point: &Vec3<T>) -> Vec3<T> {
+        let [x, y, z] = point.0;
+        let moved = match body.kind {
+            JointKind::Revolute => {
+                let (sin, cos) = self.turn;
+                Vec3([x * cos - y * sin, y * cos + x * sin, z])
+            }
+            JointKind::Prismatic => Vec3([x, y, z + self.turn.0]),
+        };
+        let turned = body.rotation.turn(&moved);
+        let [x, y, z] = body.translation.0;
+        Vec3([turned.0[0] + x, turned.0[1] + y, turned.0[2] + z])
+    }
+
     /// How a body that this one carries moves, its joint held at zero.
     #[inline(always)]
     fn carry(&self, body: &Body) -> Carried<T> {
         let acceleration = self.acceleration + self.gradient.apply_constant(&body.translation);
-        let turn = |v: &Vec3<T>| if body.straight { *v } else { body.rotation.turn_back(v) };
         Carried {
-            angular_velocity: turn(&self.angular_velocity),
-            angular_acceleration: turn(&self.angular_acceleration),
-            acceleration: turn(&acceleration),
+            angular_velocity: body.rotation.turn_back(&self.angular_velocity),
+            angular_acceleration: body.rotation.turn_back(&self.angular_acceleration),
+            acceleration: body.rotation.turn_back(&acceleration),
         }
     }
 
     /// A revolute joint turns by q about z: ω += q̇ z, ω̇ += q̈ z + ω × q̇ z.
     #[inline(always)]
-    fn revolve(&mut self, carried: &Carried<T>, q: T, dq: T, ddq: T) {
-        let (sin, cos) = q.sin_cos();
+    fn revolve(&mut self, carried: &Carried<T>, dq: T, ddq: T) {
+        let (sin, cos) = self.turn;
         // Into the turned axes; z stays.
         let back = |v: &Vec3<T>| Vec3([v.0[0] * cos + v.0[1] * sin, v.0[1] * cos - v.0[0] * sin, v.0[2]]);
         let [x, y, z] = back(&carried.angular_velocity).0;
         let [dx, dy, dz] = back(&carried.angular_acceleration).0;
-        self.turn = (sin, cos);
         self.angular_velocity = Vec3([x, y, z + dq]);
         self.angular_acceleration = Vec3([dx + y * dq, dy - x * dq, dz + ddq]);
         self.acceleration = back(&carried.acceleration);
@@ -219,15 +257,14 @@ impl<T: Scalar> Moving<T> {
 
     /// A prismatic joint moves the origin by q along z: a += Γ q z + 2 ω × q̇ z + q̈ z.
     #[inline(always)]
-    fn slide(&mut self, carried: Carried<T>, q: T, dq: T, ddq: T) {
-        self.turn = (q, T::constant(1.0));
+    fn slide(&mut self, carried: Carried<T>, dq: T, ddq: T) {
         self.angular_velocity = carried.angular_velocity;
         self.angular_acceleration = carried.angular_acceleration;
         self.set_gradient();
         let [x, y, _] = self.angular_velocity.0;
         let twice = dq + dq;
         let sliding = Vec3([y * twice, -(x * twice), ddq]);
-        self.acceleration = carried.acceleration + self.gradient.0[2].scale(q) + sliding;
+        self.acceleration = carried.acceleration + self.gradient.0[2].scale(self.turn.0) + sliding;
     }
 
     /// Γ from ω and ω̇.
@@ -260,10 +297,9 @@ impl<T: Scalar> Moving<T> {
         ]);
     }
 
-    /// Force and moment, in the axes of the carrying body and about its origin.
+    /// A force and a moment about this body's origin, in the axes of the carrying body and about its origin.
     #[inline(always)]
-    fn hand_over(&self, body: &Body) -> (Vec3<T>, Vec3<T>) {
-        let (mut force, mut moment) = (self.force, self.moment);
+    pub(super) fn hand_over(&self, body: &Body, mut force: Vec3<T>, mut moment: Vec3<T>) -> (Vec3<T>, Vec3<T>) {
         match body.kind {
             JointKind::Revolute => {
                 let (sin, cos) = self.turn;
@@ -275,9 +311,7 @@ impl<T: Scalar> Moving<T> {
                 moment += Vec3([-(q * force.0[1]), q * force.0[0], T::default()]);
             }
         }
-        if !body.straight {
-            (force, moment) = (body.rotation.turn(&force), body.rotation.turn(&moment));
-        }
+        let (force, moment) = (body.rotation.turn(&force), body.rotation.turn(&moment));
         let ([x, y, z], [a, b, c]) = (force.0, body.translation.0);
         (force, moment + Vec3([z * b - y * c, x * c - z * a, y * a - x * b]))
     }

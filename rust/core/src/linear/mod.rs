@@ -68,6 +68,44 @@ pub(crate) fn factorise<T: Scalar>(a: &mut [T], n: usize) {
     }
 }
 
+/// Does `$work` with a constant in place of `$n` up to seven, where loops of known length pay.
+macro_rules! of_known_size {
+    ($n:expr, |$known:ident| $work:expr) => {
+        match $n {
+            1 => of_known_size!(@ 1, $known, $work),
+            2 => of_known_size!(@ 2, $known, $work),
+            3 => of_known_size!(@ 3, $known, $work),
+            4 => of_known_size!(@ 4, $known, $work),
+            5 => of_known_size!(@ 5, $known, $work),
+            6 => of_known_size!(@ 6, $known, $work),
+            7 => of_known_size!(@ 7, $known, $work),
+            $known => $work,
+        }
+    };
+    (@ $size:literal, $known:ident, $work:expr) => {{
+        let $known = $size;
+        $work
+    }};
+}
+
+/// [`factorise`] for a robot's joints.
+#[inline(always)]
+pub(crate) fn factorise_joints<T: Scalar>(a: &mut [T], n: usize) {
+    if T::LANES {
+        return factorise(a, n); // longer than its loops anyway
+    }
+    of_known_size!(n, |n| factorise(&mut a[..n * n], n));
+}
+
+/// [`solve`] for one number a joint.
+#[inline(always)]
+pub(crate) fn solve_joints<T: Scalar>(a: &[T], b: &mut [T]) {
+    if T::LANES {
+        return solve(a, b.len(), b, 1);
+    }
+    of_known_size!(b.len(), |n| solve(&a[..n * n], n, &mut b[..n], 1));
+}
+
 /// Whether the matrix that was [factorised](factorise) is positive definite.
 #[inline(always)]
 pub(crate) fn is_definite<T: Scalar>(a: &[T], n: usize) -> bool {

@@ -5,7 +5,7 @@ use super::{Drive, Rotor, Wrench};
 use crate::check::expect_of;
 use crate::error::RobotError;
 use crate::scalar::Scalar;
-use crate::spatial::{Inertia, Mat3, Sym3, Vec3};
+use crate::spatial::{FixedRotation, Inertia, Mat3, Sym3, Vec3};
 
 /// How a joint moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,9 +50,7 @@ pub struct Body {
     /// Where it follows another joint's entry: how far it moves for one of that, and where it is at zero.
     pub(crate) following: Option<[f64; 2]>,
     /// Pose of the joint frame at q = 0 in the carrier's.
-    pub(crate) rotation: Mat3<f64>,
-    /// Whether the rotation is none, as between parallel joints.
-    pub(crate) straight: bool,
+    pub(crate) rotation: FixedRotation,
     pub(crate) translation: Vec3<f64>,
     /// Moments of mass in its own frame.
     pub(crate) inertia: Inertia<f64>,
@@ -180,15 +178,15 @@ impl Tree {
 
     /// Spin inertia about the rotor's axis alone: its mass is its carrier's.
     fn rotor(&self, rotor: &Rotor, joint: usize, drive: &Drive) -> Body {
-        let axis = Mat3::z_to(&self.bodies[rotor.body].align.apply(&rotor.axis));
+        let rotation = FixedRotation::z_to(&self.bodies[rotor.body].align.apply(&rotor.axis));
         let spin = drive.motor_inertia / (rotor.ratio * rotor.ratio);
         Body {
             parent: Some(rotor.body),
             joint,
             kind: JointKind::Revolute,
             following: None,
-            rotation: axis,
-            straight: axis == Mat3::IDENTITY,
+            align: rotation.matrix().transpose(),
+            rotation,
             translation: Vec3([0.0; 3]),
             // tr(Σ)·1 − Σ is then the spin inertia about z, and nothing about x and y.
             inertia: Inertia {
@@ -196,7 +194,6 @@ impl Tree {
                 first: Vec3([0.0; 3]),
                 second: Sym3([0.5 * spin, 0.0, 0.0, 0.5 * spin, 0.0, -0.5 * spin]),
             },
-            align: axis.transpose(),
         }
     }
 
@@ -236,16 +233,16 @@ fn compile(body: usize, spec: &BodySpec, carrier: &Mat3<f64>) -> Result<Body, Ro
         let sum: f64 = vector.0.iter().sum();
         expect_of(sum.is_finite(), what, owner, sum, "finite numbers")?;
     }
-    let z_to_axis = Mat3::z_to(&spec.axis);
-    let align = z_to_axis.transpose();
-    let rotation = carrier.mul_constant(&spec.rotation).mul_constant(&z_to_axis);
+    // Where the axis is in the carrier's frame counts; how the joint's frame is turned about it goes into what the body carries.
+    let turned = carrier.mul_constant(&spec.rotation);
+    let rotation = FixedRotation::z_to(&turned.apply(&spec.axis));
+    let align = rotation.matrix().transpose().mul(&turned);
     Ok(Body {
         parent: spec.parent,
         joint: spec.joint,
         kind: spec.kind,
         following: None,
         rotation,
-        straight: rotation == Mat3::IDENTITY,
         translation: carrier.apply(&spec.translation),
         inertia: moments(spec, &align),
         align,

@@ -43,6 +43,16 @@ impl<const P: usize> Series<P> {
         Self(core::array::from_fn(|k| if k + 1 < P { self.0[k + 1] * (k + 1) as f64 } else { 0.0 }))
     }
 
+    /// The first `Q` coefficients, those beyond `P` zero.
+    #[inline(always)]
+    pub fn resized<const Q: usize>(self) -> Series<Q> {
+        let mut series = Series([0.0; Q]);
+        for k in 0..P.min(Q) {
+            series.0[k] = self.0[k];
+        }
+        series
+    }
+
     /// Coefficient k of the product of `self` and `other`.
     ///
     /// Leibniz's rule without its binomials, as coefficients are derivatives over factorials.

@@ -199,7 +199,7 @@ impl World {
         let Plant { layout, dynamics } = &mut self.plant;
         let (n, x) = (layout.joints, &self.x);
         dynamics.accelerate(robot, layout, x, &self.tau);
-        dynamics.kinematics.set(&robot.tree, &x[..n], &x[n..2 * n], &dynamics.ddq);
+        dynamics.kinematics.set_motion(&robot.tree, &x[..n], &x[n..2 * n], &dynamics.ddq);
         for j in 0..n {
             (self.theta[j], self.dtheta[j]) = (x[layout.theta[j]], x[layout.dtheta[j]]);
         }

@@ -51,8 +51,9 @@ struct Reader {
     weights: [f64; 3],
     input: f64,
     low_pass: f64,
-    /// Ring of the low-pass' output, long enough for the delay.
+    /// Ring of the low-pass' output, long enough for the delay, and where the last one is.
     past: Vec<f64>,
+    place: usize,
     /// The delay in samples.
     lag: f64,
 }
@@ -63,11 +64,12 @@ impl Reader {
         expect(lag <= LONGEST_DELAY, "delay", model.delay, "at most 1000000 samples")?;
         let weights = low_pass_or_none(1.0 / (TAU * model.corner_frequency), period);
         let past = filled(0.0, lag.ceil() as usize + 1, 1)?;
-        Ok(Self { model, weights, input: 0.0, low_pass: 0.0, past, lag })
+        Ok(Self { model, weights, input: 0.0, low_pass: 0.0, past, place: 0, lag })
     }
 
+    /// What is read of `truth` at `sample`, with the standard normal number `normal`.
     #[inline(always)]
-    fn read(&mut self, truth: f64, random: Stream, channel: u32, sample: usize) -> f64 {
+    fn read(&mut self, truth: f64, normal: f64, sample: usize) -> f64 {
         if sample == 0 {
             (self.low_pass, self.input) = (truth, truth);
             self.past.fill(truth);
@@ -76,17 +78,21 @@ impl Reader {
         self.low_pass = output * self.low_pass + before * self.input + now * truth;
         self.input = truth;
         let size = self.past.len();
-        self.past[sample % size] = self.low_pass;
-        if !sample.is_multiple_of(self.model.every) {
+        self.place = if self.place + 1 < size { self.place + 1 } else { 0 };
+        self.past[self.place] = self.low_pass;
+        if self.model.every > 1 && !sample.is_multiple_of(self.model.every) {
             return f64::NAN;
         }
         let whole = self.lag as usize;
-        let back = |samples: usize| self.past[(sample + size - samples.min(size - 1)) % size];
+        let back = |samples: usize| {
+            let samples = samples.min(size - 1);
+            self.past[if samples > self.place { self.place + size - samples } else { self.place - samples }]
+        };
         let (near, far) = (back(whole), back(whole + 1));
         let SensorModel { noise, bias, resolution, .. } = self.model;
         // A delay of part of a sample is read on a straight line between two.
         let value = near + (self.lag - whole as f64) * (far - near) + bias;
-        let noisy = if noise == 0.0 { value } else { value + noise * random.normal(channel) };
+        let noisy = if noise == 0.0 { value } else { value + noise * normal };
         if resolution == 0.0 { noisy } else { (noisy / resolution).round() * resolution }
     }
 }
@@ -97,8 +103,11 @@ pub struct Suite {
     /// All kinds on this robot, in the order of [`Kind::SENSORS`].
     channels: Vec<Channel>,
     readers: Vec<Reader>,
-    /// Of the noise, and what would be read without faults (channels).
+    /// Of the noise, and channels that have any.
     seed: u64,
+    noisy: Vec<u32>,
+    /// Standard normal numbers, and what would be read without faults (channels).
+    normals: Vec<f64>,
     truth: Vec<f64>,
     /// The last readings, of all kinds in the order of [`Kind::SENSORS`].
     pub readings: Vec<f64>,
@@ -117,8 +126,9 @@ impl Suite {
             model.check()?;
         }
         let readers = models.iter().map(|&model| Reader::new(model, period)).collect::<Result<_, _>>()?;
-        let [truth, readings] = core::array::from_fn(|_| vec![0.0; expected]);
-        Ok(Self { channels, readers, seed, truth, readings })
+        let [normals, truth, readings] = core::array::from_fn(|_| vec![0.0; expected]);
+        let noisy = (0..).zip(models).filter(|(_, model)| model.noise > 0.0).map(|(channel, _)| channel).collect();
+        Ok(Self { channels, readers, seed, noisy, normals, truth, readings })
     }
 
     /// Reads everything in `state` of `plant`: its dynamics with the accelerations there, and the kinematics with them.
@@ -126,9 +136,24 @@ impl Suite {
     pub(super) fn read(&mut self, robot: &Robot, plant: &Plant, state: &[f64], sample: usize) {
         let view = Elastic { layout: &plant.layout, dynamics: &plant.dynamics, state };
         read_all(robot, &self.channels, &view, &mut Values(&mut self.truth));
-        let (random, truth) = (Stream::new(self.seed, sample as u32, Purpose::Sensors), &self.truth);
+        self.draw(sample);
         for (channel, (reader, reading)) in self.readers.iter_mut().zip(&mut self.readings).enumerate() {
-            *reading = reader.read(truth[channel], random, channel as u32, sample);
+            *reading = reader.read(self.truth[channel], self.normals[channel], sample);
+        }
+    }
+
+    /// A normal number for each channel with noise, eight at a time.
+    #[inline(always)]
+    fn draw(&mut self, sample: usize) {
+        const WIDE: usize = 8;
+        let random = Stream::new(self.seed, sample as u32, Purpose::Sensors);
+        for channels in self.noisy.chunks(WIDE) {
+            let mut items = [0; WIDE];
+            items[..channels.len()].copy_from_slice(channels);
+            let [numbers, _] = random.normals(items, 0);
+            for (&channel, number) in channels.iter().zip(numbers.0) {
+                self.normals[channel as usize] = number;
+            }
         }
     }
 }

@@ -43,6 +43,47 @@ impl<T: Scalar> Inertia<T> {
         Self { mass: self.mass, first, second }
     }
 
+    /// The same numbers as constants.
+    #[inline(always)]
+    pub(crate) fn constant(mass: &Inertia<f64>) -> Self {
+        let [a, b, c, d, e, f] = mass.second.0.map(T::constant);
+        Self { mass: T::constant(mass.mass), first: Vec3::constant(&mass.first), second: Sym3([a, b, c, d, e, f]) }
+    }
+
+    /// The same mass turned about z by an angle, given as its sine and cosine.
+    #[inline(always)]
+    pub(crate) fn turned_about_z(&self, (sin, cos): (T, T)) -> Self {
+        let turn = |x: T, y: T| (x * cos - y * sin, y * cos + x * sin);
+        let [xx, xy, xz, yy, yz, zz] = self.second.0;
+        // Columns turn, then rows.
+        let ((a, b), (c, d)) = (turn(xx, xy), turn(xy, yy));
+        let ((xx, _), (xy, yy), (xz, yz)) = (turn(a, c), turn(b, d), turn(xz, yz));
+        let (x, y) = turn(self.first.0[0], self.first.0[1]);
+        Self { mass: self.mass, first: Vec3([x, y, self.first.0[2]]), second: Sym3([xx, xy, xz, yy, yz, zz]) }
+    }
+
+    /// The same mass moved by `by`.
+    #[inline(always)]
+    pub(crate) fn shifted(&self, by: &Vec3<T>) -> Self {
+        let first = self.first + by.scale(self.mass);
+        let mut second = self.second;
+        // first·byᵀ + by·(first + m by)ᵀ is symmetric only as a sum.
+        second += Sym3::outer(&self.first, by);
+        second += Sym3::outer(by, &first);
+        Self { mass: self.mass, first, second }
+    }
+
+    /// The same for a constant `by`.
+    #[inline(always)]
+    pub(crate) fn shifted_by(&self, by: &Vec3<f64>) -> Self {
+        let ([x, y, z], m) = (by.0, self.mass);
+        let first = self.first + Vec3([m * x, m * y, m * z]);
+        let ([a, b, c], [d, e, f]) = (self.first.0, first.0);
+        let mut second = self.second;
+        second += Sym3([a * x + d * x, a * y + e * x, a * z + f * x, b * y + e * y, b * z + f * y, c * z + f * z]);
+        Self { mass: m, first, second }
+    }
+
     /// Momentum of the mass moving with twist `v`; or the force that gives it the spatial acceleration `v`.
     #[inline(always)]
     pub fn apply(&self, v: &Motion<T>) -> Force<T> {

@@ -134,6 +134,16 @@ impl<T: Scalar> Sym3<T> {
         Self([entry(0, 0), entry(0, 1), entry(0, 2), entry(1, 1), entry(1, 2), entry(2, 2)])
     }
 
+    /// `R · self · Rᵀ` for a constant `R`.
+    #[inline(always)]
+    pub(crate) fn turned_by(&self, r: &Mat3<f64>) -> Self {
+        let [a, b, c] = self.columns();
+        let [a, b, c] = [r.turn(&a).0, r.turn(&b).0, r.turn(&c).0];
+        // a, b and c are the columns of R·self; entry (i, j) sums over them.
+        let entry = |i: usize, j: usize| a[i] * r.0[0].0[j] + b[i] * r.0[1].0[j] + c[i] * r.0[2].0[j];
+        Self([entry(0, 0), entry(0, 1), entry(0, 2), entry(1, 1), entry(1, 2), entry(2, 2)])
+    }
+
     /// `v · wᵀ`, known to be symmetric.
     #[inline(always)]
     pub fn outer(v: &Vec3<T>, w: &Vec3<T>) -> Self {

@@ -12,11 +12,13 @@
 //! | [`Inertia`] | 10 | moments of mass: ∫dm, ∫r dm, ∫r rᵀ dm |
 //! | [`Coriolis`] | 12 | what a moving mass does to a turning frame |
 
+mod fixed;
 mod inertia;
 mod mat3;
 mod motion;
 mod vec3;
 
+pub(crate) use fixed::FixedRotation;
 pub use inertia::{Coriolis, Inertia};
 pub use mat3::{Mat3, Sym3};
 pub use motion::{Force, Motion};

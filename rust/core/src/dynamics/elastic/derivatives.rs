@@ -5,7 +5,8 @@
 //! the one that gave the accelerations, and its factors are still there. What depends on the posture inside M, C, g and
 //! S is differentiated in one call of the inverse dynamics' derivatives at the accelerations (Singh, Russell and
 //! Wensing 2022); springs, dampers and frictions add a few entries each.
-use super::{ElasticDynamics, ElasticLayout, element_row};
+use super::elements::element_row;
+use super::{ElasticDynamics, ElasticLayout};
 use crate::linear;
 use crate::robot::Robot;
 use crate::scalar::Scalar;
@@ -71,7 +72,7 @@ impl<T: Scalar> ElasticDynamics<T> {
     #[inline(always)]
     fn differentiate_loads(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T]) {
         let (n, d) = (layout.joints, layout.dense);
-        let Self { kinematics, loads, by_q, by_dq, ignored, load, coupling, ddq, ddtheta, ddq_by, .. } = self;
+        let Self { kinematics, loads, by_q, by_dq, ignored, moved, coupling, ddq, ddtheta, ddq_by, .. } = self;
         let (mut tree, mut q, mut dq, mut acceleration) = (&robot.tree, &x[..n], &x[n..2 * n], &ddq[..]);
         if let Some(rotors) = &mut coupling.rotors {
             rotors.acceleration[..n].copy_from_slice(ddq);
@@ -82,8 +83,11 @@ impl<T: Scalar> ElasticDynamics<T> {
         }
         // M and S depend on q: at the accelerations just found their derivatives are inside those of the inverse
         // dynamics.
+        if let Some(first) = layout.wrench {
+            kinematics.apply_wrenches(tree, &x[first..]);
+        }
         kinematics.set(tree, q, dq, acceleration);
-        loads.inverse_dynamics_derivatives_into(tree, kinematics, load, by_q, by_dq, ignored);
+        loads.inverse_dynamics_derivatives_into(tree, kinematics, moved, by_q, by_dq, ignored);
         let bodies = tree.len();
         self.ddtheta_by.fill(T::default());
         self.ddq_by_tau.fill(T::default());

@@ -18,15 +18,15 @@ mod prescribed;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use elements::ElementRow;
 pub use layout::ElasticLayout;
 
-use super::{Kinematics, Loads};
+use super::{Kinematics, Loads, NewtonEuler};
 use crate::linear;
 use crate::robot::{Robot, Tree};
 use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
 use coupling::Coupling;
-pub(crate) use elements::ElementRow;
 use elements::element_row;
 use prescribed::Prescribed;
 
@@ -73,19 +73,24 @@ pub struct ElasticDynamics<T = f64> {
     pub ddtheta_by: Vec<T>,
     /// ∂q̈/∂τ, n × n.
     pub ddq_by_tau: Vec<T>,
-    /// Of links, and of rotors behind them: at the state of [`accelerate`](Self::accelerate), after
-    /// [`differentiate`](Self::differentiate) with the accelerations.
+    /// Of links, and of rotors behind them: after [`differentiate`](Self::differentiate) at its state, with the accelerations.
     pub kinematics: Kinematics<T>,
-    /// Inverse dynamics and mass matrix of links and rotors.
+    /// Derivatives of the inverse dynamics of links and rotors.
     loads: Loads<T>,
+    /// Inverse dynamics and mass matrix of links and rotors.
+    newton_euler: NewtonEuler<T>,
     /// S, and the tree with rotors where there are any.
     coupling: Coupling<T>,
     /// Accelerations at which the load is taken: none.
     zero: Vec<T>,
+    /// The state (dense) that the next three are at; NaN where there is none.
+    at: Vec<T>,
     /// C q̇ + g of links and rotors [N m].
     load: Vec<T>,
     /// M of links and rotors, then L and D of what q̈ is solved with (n × n).
     mass: Vec<T>,
+    /// A torque that comes with the derivatives, and is there already.
+    moved: Vec<T>,
     /// Derivatives of the inverse dynamics by positions and by velocities (bodies × bodies).
     by_q: Vec<T>,
     by_dq: Vec<T>,
@@ -124,10 +129,13 @@ impl<T: Scalar> ElasticDynamics<T> {
             ddq_by_tau: room(n * n),
             kinematics,
             loads,
+            newton_euler: NewtonEuler::new(tree),
             coupling,
             zero: room(bodies),
+            at: vec![T::constant(f64::NAN); d],
             load: room(bodies),
             mass: square(),
+            moved: room(bodies),
             by_q: square(),
             by_dq: square(),
             ignored: square(),
@@ -151,26 +159,44 @@ impl<T: Scalar> ElasticDynamics<T> {
     #[inline(always)]
     fn accelerate_here(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T], tau: &[T]) {
         let n = layout.joints;
-        self.gather_loads(robot, layout, x);
+        let system = n * n;
+        // Of one state under several torques, loads and inertia are found once.
+        if !self.is_at(robot, layout, x) {
+            self.gather_loads(robot, layout, x);
+            if self.prescribed.is_some() {
+                self.prescribe_inertia(robot);
+            } else {
+                self.couple_inertia(robot);
+            }
+            // L D Lᵀ: the reduced inertia is symmetric, and positive definite unless the coupling is larger than masses can
+            // make it.
+            linear::factorise_joints(&mut self.mass[..system], n);
+            self.at.copy_from_slice(x);
+        }
         self.gather_torques(robot, layout, x, tau);
         if self.prescribed.is_some() {
             self.prescribe(robot, x);
         } else {
-            self.couple(robot);
+            self.couple_torques(robot);
         }
-        // L D Lᵀ: the reduced inertia is symmetric, and positive definite unless the coupling is larger than masses can
-        // make it.
-        let (system, rest) = (n * n, T::constant(f64::NAN));
-        linear::factorise(&mut self.mass[..system], n);
-        if !linear::is_definite(&self.mass[..system], n) {
-            self.ddq.fill(rest);
-            self.ddtheta.fill(rest);
-            return;
-        }
-        linear::solve(&self.mass[..system], n, &mut self.ddq, 1);
+        linear::solve_joints(&self.mass[..system], &mut self.ddq);
         if self.prescribed.is_some() {
-            return self.take_prescribed(robot, x);
+            self.take_prescribed(robot, x);
+        } else {
+            self.take_motors(robot);
         }
+        if !linear::is_definite(&self.mass[..system], n) {
+            // Of lanes perhaps one alone is lost.
+            let pivots = self.mass[..system].iter().step_by(n + 1);
+            let lost =
+                pivots.fold(T::default(), |sum, pivot| sum + pivot.map(|p| if p > 0.0 { 0.0 } else { f64::NAN }));
+            self.ddq.iter_mut().chain(&mut self.ddtheta).for_each(|x| *x += lost);
+        }
+    }
+
+    /// θ̈ from the motors' rows, once q̈ is known.
+    #[inline(always)]
+    fn take_motors(&mut self, robot: &Robot) {
         for (j, drive) in robot.drives.iter().enumerate() {
             self.ddtheta[j] = if drive.elastic {
                 // The motor's row once q̈ is known: B θ̈ = τ − f − (1 + ε′) τ_e − (Sᵀ q̈)ⱼ.
@@ -185,11 +211,21 @@ impl<T: Scalar> ElasticDynamics<T> {
         }
     }
 
-    /// M, S and C q̇ + g of links and rotors; what the rotors' rows have goes to their motors' torques.
+    /// Whether loads and inertia are those of state `x`.
+    #[inline(always)]
+    fn is_at(&self, robot: &Robot, layout: &ElasticLayout, x: &[T]) -> bool {
+        let (at, moving) = (&self.at, 2 * layout.joints);
+        let spins = |motor: usize| at[layout.dtheta[motor]] == x[layout.dtheta[motor]];
+        at[..moving] == x[..moving]
+            && robot.rotors.iter().all(|rotor| spins(rotor.motor))
+            && layout.wrench.is_none_or(|first| at[first..] == x[first..])
+    }
+
+    /// M, S and C q̇ + g of links and rotors.
     #[inline(always)]
     fn gather_loads(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T]) {
         let n = layout.joints;
-        let Self { kinematics, loads, load, mass, coupling, drive, .. } = self;
+        let Self { newton_euler, load, mass, coupling, .. } = self;
         let (mut tree, mut q, mut dq) = (&robot.tree, &x[..n], &x[n..2 * n]);
         if let Some(rotors) = &mut coupling.rotors {
             rotors.position[..n].copy_from_slice(q);
@@ -201,23 +237,23 @@ impl<T: Scalar> ElasticDynamics<T> {
         }
         // Inverse dynamics at no acceleration are C q̇ + g, of a rotor what its carrier's turning takes.
         if let Some(first) = layout.wrench {
-            kinematics.apply_wrenches(tree, &x[first..]);
+            newton_euler.apply_wrenches(tree, &x[first..]);
         }
-        kinematics.set_motion(tree, q, dq, &self.zero);
-        loads.inverse_dynamics_into(tree, kinematics, load);
-        loads.mass_matrix_into(tree, kinematics, mass);
+        newton_euler.set(tree, q, dq, &self.zero);
+        newton_euler.inverse_dynamics_into(tree, load);
+        newton_euler.mass_matrix_into(tree, mass);
         coupling.take(robot, mass);
-        drive.fill(T::default());
-        for (&load, rotor) in load[n..].iter().zip(&robot.rotors) {
-            drive[rotor.motor] = -(load * rotor.ratio);
-        }
     }
 
-    /// Torques on motors, springs and links.
+    /// Torques on motors, springs and links; what the rotors' rows have goes to their motors' torques.
     #[inline(always)]
     fn gather_torques(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T], tau: &[T]) {
         let n = layout.joints;
         let (q, dq) = (&x[..n], &x[n..2 * n]);
+        self.drive.fill(T::default());
+        for (&load, rotor) in self.load[n..].iter().zip(&robot.rotors) {
+            self.drive[rotor.motor] = -(load * rotor.ratio);
+        }
         for (j, drive) in robot.drives.iter().enumerate() {
             let speed = x[layout.dtheta[j]];
             let extra = layout.disturbance.map_or(T::default(), |first| x[first + j]);
@@ -263,11 +299,11 @@ impl<T: Scalar> ElasticDynamics<T> {
         }
     }
 
-    /// What motors add to the links' inertia and torque.
+    /// What motors add to the links' inertia: that of rigid joints, and of others −S B⁻¹ Sᵀ, θ̈ being eliminated.
     #[inline(always)]
-    fn couple(&mut self, robot: &Robot) {
+    fn couple_inertia(&mut self, robot: &Robot) {
         let n = robot.len();
-        let Self { coupling, mass, ddq, drive: torque, spring, ratio, .. } = self;
+        let Self { coupling, mass, .. } = self;
         for (j, drive) in robot.drives.iter().enumerate() {
             if !drive.elastic {
                 mass[j * n + j] += T::constant(drive.motor_inertia);
@@ -278,12 +314,22 @@ impl<T: Scalar> ElasticDynamics<T> {
                 continue;
             }
             for (i, s) in coupling.coupled(j) {
-                // θ̈ⱼ eliminated: −S B⁻¹ Sᵀ joins M, −S B⁻¹ (τ − f − (1 + ε′) τ_e) the torque.
                 let share = s / T::constant(drive.motor_inertia);
-                ddq[i] -= share * (torque[j] - ratio[j] * spring[j]);
                 for (k, s) in coupling.links(j) {
                     mass[i * n + k] -= share * s;
                 }
+            }
+        }
+    }
+
+    /// And to their torque: −S B⁻¹ (τ − f − (1 + ε′) τ_e).
+    #[inline(always)]
+    fn couple_torques(&mut self, robot: &Robot) {
+        let Self { coupling, ddq, drive: torque, spring, ratio, .. } = self;
+        for (j, drive) in robot.drives.iter().enumerate().filter(|(_, drive)| drive.elastic) {
+            for (i, s) in coupling.coupled(j) {
+                let share = s / T::constant(drive.motor_inertia);
+                ddq[i] -= share * (torque[j] - ratio[j] * spring[j]);
             }
         }
     }

@@ -39,35 +39,38 @@ impl<T: Scalar> Prescribed<T> {
             joint_torque_by: room(joints * dense),
         }
     }
+}
 
-    /// M with rows and columns of rigid joints as those of the identity; `column` takes what a column has of the others' rows.
+impl<T: Scalar> ElasticDynamics<T> {
+    /// Where motors' accelerations are states: M with rows and columns of rigid joints as those of the identity.
     #[inline(always)]
-    fn impose(&self, robot: &Robot, mass: &mut [T], mut column: impl FnMut(usize, usize, T)) {
+    pub(super) fn prescribe_inertia(&mut self, robot: &Robot) {
         let n = robot.len();
+        let Self { prescribed, mass, .. } = self;
+        let Some(prescribed) = prescribed else { return };
+        prescribed.mass.copy_from_slice(&mass[..n * n]);
         for j in rigid(robot) {
             for i in 0..n {
-                column(i, j, self.mass[i * n + j]);
                 (mass[i * n + j], mass[j * n + i]) = (T::default(), T::default());
             }
             mass[j * n + j] = T::constant(1.0);
         }
     }
-}
 
-impl<T: Scalar> ElasticDynamics<T> {
-    /// Where motors' accelerations are states: M q̈ = the right-hand side for the others' accelerations.
+    /// And the right-hand side, to which columns of rigid joints go with their accelerations.
     #[inline(always)]
     pub(super) fn prescribe(&mut self, robot: &Robot, x: &[T]) {
         let n = robot.len();
-        let Self { prescribed, coupling, mass, ddq, spring, .. } = self;
+        let Self { prescribed, coupling, ddq, spring, .. } = self;
         let Some(prescribed) = prescribed else { return };
         let ddtheta = &x[prescribed.first..][..n];
         for (j, &acceleration) in ddtheta.iter().enumerate() {
             coupling.coupled(j).for_each(|(i, s)| ddq[i] -= s * acceleration);
         }
         rigid(robot).for_each(|j| spring[j] = -ddq[j]);
-        prescribed.mass.copy_from_slice(&mass[..n * n]);
-        prescribed.impose(robot, mass, |i, j, entry| ddq[i] -= entry * ddtheta[j]);
+        for j in rigid(robot) {
+            (0..n).for_each(|i| ddq[i] -= prescribed.mass[i * n + j] * ddtheta[j]);
+        }
         rigid(robot).for_each(|j| ddq[j] = ddtheta[j]);
     }
 

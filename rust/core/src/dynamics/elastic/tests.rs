@@ -1,7 +1,8 @@
 //! Both rows of the model, and derivatives against differences.
 
 use super::*;
-use crate::robot::{Acting, BodySpec, Drive, Friction, JointKind, SoftWindup, Tree, Wrench};
+use crate::robot::{Acting, BodySpec, Drive, Friction, JointKind, Rotor, SoftWindup, Tree, Wrench};
+use crate::scalar::Lanes;
 use crate::spatial::{Mat3, Vec3};
 
 /// Four joints, one of them sliding, one rigid, coupled, with everything nonlinear.
@@ -128,6 +129,52 @@ fn both_rows_of_the_model_balance() {
             let row = drive.motor_inertia * dynamics.ddtheta[j] + pull + spring - motor;
             assert!(row.abs() < 1e-12, "{j}: {row}");
         }
+    }
+}
+
+/// Loads and inertia of a state are kept: whatever of it changes, or only the torque, or with derivatives in between, the
+/// answer is that of fresh scratch.
+#[test]
+fn what_is_kept_of_a_state_is_never_that_of_another() {
+    let carried = Rotor { motor: 3, body: 1, axis: Vec3([0.6, 0.0, 0.8]), ratio: 80.0 };
+    let mut spinning = robot();
+    spinning.coupling = vec![0.0; 16];
+    for robot in [robot(), geared(), pressed(), spinning.with_rotors(vec![carried]).unwrap()] {
+        let layout = ElasticLayout::new(&robot, true).with_link_disturbances(0.7);
+        let mut x: Vec<f64> = (0..layout.dense).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
+        let mut dynamics = ElasticDynamics::new(&robot, &layout);
+        for k in 0..2 * layout.dense {
+            let tau = [5.0, -3.0, 2.0, k as f64];
+            x[k / 2] += if k % 2 == 0 { 0.1 } else { 0.0 };
+            dynamics.accelerate(&robot, &layout, &x, &tau);
+            let mut fresh = ElasticDynamics::new(&robot, &layout);
+            fresh.accelerate(&robot, &layout, &x, &tau);
+            assert_eq!((&dynamics.ddq, &dynamics.ddtheta), (&fresh.ddq, &fresh.ddtheta), "{k}");
+            if k % 3 == 0 {
+                dynamics.differentiate(&robot, &layout, &x);
+            }
+        }
+    }
+}
+
+/// A coupling that masses can have with the arm stretched out, and not with it folded back.
+#[test]
+fn an_impossible_inertia_is_lost_in_its_lane_alone() {
+    let accelerated = |coupling: f64| {
+        let mut robot = robot();
+        robot.coupling[1] = coupling;
+        let layout = ElasticLayout::new(&robot, false);
+        let mut dynamics = ElasticDynamics::new(&robot, &layout);
+        let mut x = vec![Lanes([0.0; 2]); layout.dense];
+        x[1] = Lanes([0.0, core::f64::consts::PI]);
+        dynamics.accelerate(&robot, &layout, &x, &[Lanes([1.0; 2]); 4]);
+        let pivots = dynamics.mass.iter().step_by(5).take(4);
+        (pivots.fold([false; 2], |lost, pivot| [0, 1].map(|lane| lost[lane] || pivot.0[lane] <= 0.0)), dynamics)
+    };
+    let couplings = (1..1000).map(|i| 0.01 * f64::from(i));
+    let (lost, dynamics) = couplings.map(accelerated).find(|(lost, _)| lost[0] != lost[1]).unwrap();
+    for acceleration in dynamics.ddq.iter().chain(&dynamics.ddtheta) {
+        assert_eq!(acceleration.0.map(f64::is_nan), lost);
     }
 }
 

@@ -1,7 +1,7 @@
 //! Accelerations of a robot whose joints are taken to be rigid.
 
-use crate::dynamics::{Kinematics, Loads};
-use crate::linear::{factorise, is_definite, solve};
+use crate::dynamics::NewtonEuler;
+use crate::linear::{factorise_joints, is_definite, solve, solve_joints};
 use crate::robot::Robot;
 use crate::spatial::Vec3;
 use std::sync::Arc;
@@ -14,10 +14,8 @@ pub(super) struct RigidDynamics {
     motors: bool,
     /// T [s], over half of which dry friction is taken implicitly.
     period: f64,
-    /// Of the links.
-    kinematics: Kinematics<f64>,
-    /// M and C v + g.
-    loads: Loads<f64>,
+    /// M and C v + g of the links.
+    links: NewtonEuler<f64>,
     /// What the motors add to M, n × n.
     added: Vec<f64>,
     /// The factorised inertia at the position that was set last.
@@ -39,8 +37,8 @@ impl RigidDynamics {
                 }
             }
         }
-        let (kinematics, loads) = (Kinematics::new(&robot.tree), Loads::new(&robot.tree));
-        Self { robot, motors, period, kinematics, loads, added, factor: vec![0.0; n * n], zero: vec![0.0; n] }
+        let links = NewtonEuler::new(&robot.tree);
+        Self { robot, motors, period, links, added, factor: vec![0.0; n * n], zero: vec![0.0; n] }
     }
 
     /// Factors the inertia at `q`; false when it is singular there.
@@ -50,8 +48,8 @@ impl RigidDynamics {
     #[inline(always)]
     pub(super) fn set_position(&mut self, q: &[f64], v: &[f64]) -> bool {
         let n = q.len();
-        self.kinematics.set_position(&self.robot.tree, q);
-        self.loads.mass_matrix_into(&self.robot.tree, &self.kinematics, &mut self.factor);
+        self.links.set_position(&self.robot.tree, q);
+        self.links.mass_matrix_into(&self.robot.tree, &mut self.factor);
         for (entry, added) in self.factor.iter_mut().zip(&self.added) {
             *entry += added;
         }
@@ -61,7 +59,7 @@ impl RigidDynamics {
             }
             self.factor[j * n + j] += 0.5 * self.period * drive.bearing_friction.dry(v[j]).1;
         }
-        factorise(&mut self.factor, n);
+        factorise_joints(&mut self.factor, n);
         is_definite(&self.factor, n)
     }
 
@@ -69,9 +67,8 @@ impl RigidDynamics {
     #[inline(always)]
     pub(super) fn acceleration_into(&mut self, v: &[f64], torque: &[f64], out: &mut [f64]) {
         let tree = &self.robot.tree;
-        self.kinematics.set_velocity(tree, v);
-        self.kinematics.set_acceleration(tree, v, &self.zero);
-        self.loads.inverse_dynamics_into(tree, &self.kinematics, out);
+        self.links.set_motion(tree, v, &self.zero);
+        self.links.inverse_dynamics_into(tree, out);
         for (j, drive) in self.robot.drives.iter().enumerate() {
             let motor = if self.motors { drive.motor_friction(v[j]).0 } else { 0.0 };
             out[j] = torque[j] - out[j] - motor - drive.link_friction(v[j]).0;
@@ -82,7 +79,7 @@ impl RigidDynamics {
     /// M⁻¹ x, in place.
     #[inline(always)]
     pub(super) fn solve(&self, x: &mut [f64]) {
-        solve(&self.factor, x.len(), x, 1);
+        solve_joints(&self.factor, x);
     }
 
     /// Largest eigenvalue of M⁻¹ diag(`spring`) [1/s²].
@@ -99,6 +96,6 @@ impl RigidDynamics {
 
     /// The tool at the position that was set, if there is one [m].
     pub(super) fn tool(&self) -> Option<Vec3<f64>> {
-        self.robot.tool.as_ref().map(|tool| self.kinematics.position(tool))
+        self.robot.tool.as_ref().map(|tool| self.links.position(&self.robot.tree, tool))
     }
 }

@@ -36,7 +36,7 @@ pub struct Anchor {
 /// let strut = Strut::Spring { stiffness: 1e3, length: 0.0 }; // of no length where it is slack, it pulls by 1e3 N/m
 /// let robot = linkside_core::demo::arm()?.with_counterbalances(&[Counterbalance::Between { ends, strut }])?;
 /// let mut torque = [0.0];
-/// Batch::new(&robot).gravity_torque(&[0.0], &mut torque);
+/// Batch::new(robot.into()).gravity_torque(&[0.0], &mut torque);
 /// assert!((torque[0] + 1e3 * 0.5 * 0.2).abs() < 1e-12); // it helps the joint along
 /// # Ok::<(), linkside_core::error::RobotError>(())
 /// ```
