@@ -54,6 +54,7 @@ mod step_noise;
 mod tolerances;
 mod transition;
 mod uncertain;
+mod window_sum;
 
 pub use disturbance::{LinkDisturbance, WrenchLaw};
 pub use driven::{JerkDriven, JerkMeasurement};
