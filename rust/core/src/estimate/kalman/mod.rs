@@ -57,6 +57,7 @@ mod step_noise;
 mod tolerances;
 mod transition;
 mod uncertain;
+mod window_sum;
 
 pub use disturbance::{LinkDisturbance, WrenchLaw};
 pub use driven::{JerkDriven, JerkMeasurement};

@@ -59,6 +59,8 @@ pub(super) struct Transition {
     term: Vec<f64>,
     /// Scratch of products, as large as Φ.
     product: Vec<f64>,
+    /// The root of Q.
+    root: Vec<f64>,
     /// The dense rows of a covariance.
     wide: Vec<f64>,
     /// The four slopes of Runge and Kutta.
@@ -104,6 +106,7 @@ impl Transition {
             phi: matrix(),
             term: matrix(),
             product: matrix(),
+            root: vec![0.0; stride * stride],
             wide: vec![0.0; d * states.next_multiple_of(linear::LANES)],
             slopes: core::array::from_fn(|_| vec![0.0; d]),
             start: vec![0.0; d],
@@ -369,12 +372,12 @@ impl Transition {
     #[inline(always)]
     pub(super) fn noise_rows(&mut self, memory: &[f64], rows: &mut [f64], width: usize) {
         let (d, stride) = (self.layout.dense, self.stride);
-        for (row, values) in self.term.chunks_exact_mut(stride).zip(memory[d * d..].chunks_exact(d)) {
+        for (row, values) in self.root.chunks_exact_mut(stride).zip(memory[d * d..].chunks_exact(d)) {
             row[..d].copy_from_slice(values);
         }
         // Q of a step may be singular, where a state has no noise of its own: such a row is zero.
-        linear::upper_factor(&mut self.term, d, stride);
-        for (out, row) in rows.chunks_exact_mut(width).zip(self.term.chunks_exact(stride)) {
+        linear::upper_factor(&mut self.root, d, stride);
+        for (out, row) in rows.chunks_exact_mut(width).zip(self.root.chunks_exact(stride)).take(d) {
             out[..d].copy_from_slice(&row[..d]);
         }
     }
