@@ -9,7 +9,7 @@ RUSTDOC := RUSTDOCFLAGS="-D warnings -A rustdoc::broken-intra-doc-links" cargo d
 
 PREFIX ?= /usr/local
 
-.PHONY: demo checked test guards lint bench latency header install-c docs figures lock clean
+.PHONY: demo checked test guards lint bench latency header install-c docs figures lock licences clean
 
 demo: $(VENV) ## build, install, run the main job on the recording inside the package
 	$(PIP) .
@@ -68,6 +68,9 @@ lock: $(VENV) ## renew constraints.txt
 	$(PIP) uv
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.10 --all-extras --no-emit-index-url --no-annotate \
 	    --custom-compile-command "make lock" pyproject.toml -o constraints.txt
+
+licences: ## renew THIRD-PARTY-LICENSES.txt, after Cargo.lock
+	$(PYTHON) docs/licences.py
 
 clean:
 	rm -rf $(VENV) target site

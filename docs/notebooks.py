@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 TUTORIALS = Path(__file__).parent / "tutorials"
-FILES = {"xml": "robot.urdf", "yaml": "robot.yaml"}
+FILES = {"xml": "robot.urdf", "yaml": "robot.yaml", "cpp": "loop.cpp"}
 
 
 def notebook(page: Path) -> dict[str, Any]:
@@ -27,7 +27,7 @@ def split(text: str) -> Iterator[dict[str, Any]]:
     """Cut a page into cells: blocks that run, and the text between them with blocks that only show."""
     shown = ""
     for part in re.split(r"(^```\w+\n.*?^```\n)", text, flags=re.MULTILINE | re.DOTALL):
-        block = re.match(r"```(python|sh|xml|yaml)\n(.*)```\n", part, re.DOTALL)
+        block = re.match(r"```(python|sh|xml|yaml|cpp)\n(.*)```\n", part, re.DOTALL)
         if block is None:
             shown += part
             continue

@@ -1,8 +1,8 @@
 """Does what a tutorial says: saves its files, runs its commands and its code, in the order of the page.
 
-A block of ``xml`` is saved as robot.urdf and one of ``yaml`` as robot.yaml. A command ends with ``# exit status N``
-where that is not 0. What ``print`` gives is what the comment behind it, or a line ``# …`` below it, says, to its last
-digit.
+A block of ``xml`` is saved as robot.urdf, one of ``yaml`` as robot.yaml and one of ``cpp`` as loop.cpp. A command ends
+with ``# exit status N`` where that is not 0. What ``print`` gives is what the comment behind it, or a line ``# …``
+below it, says, to its last digit.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import Any
 
 from linkside.cli import main
 
+FILES = {"xml": "robot.urdf", "yaml": "robot.yaml", "cpp": "loop.cpp"}
 NUMBER = r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
 
 
@@ -28,8 +29,8 @@ def walk(page: Path, folder: Path) -> dict[str, Any]:
     os.chdir(folder)
     try:
         for language, block in re.findall(r"^```(\w+)\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
-            if language in ("xml", "yaml"):
-                Path({"xml": "robot.urdf", "yaml": "robot.yaml"}[language]).write_text(block)
+            if language in FILES:
+                Path(FILES[language]).write_text(block)
             elif language == "sh":
                 run_commands(block)
             elif language == "python":

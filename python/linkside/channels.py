@@ -27,6 +27,10 @@ class Carriers(Protocol):
         """Gyroscope columns, such as ``gyro_wx``."""
 
     @property
+    def position_channels(self) -> tuple[str, ...]:
+        """Columns of trackers, such as ``laser_px``."""
+
+    @property
     def wrench_channels(self) -> tuple[str, ...]:
         """Columns of force sensors, such as ``press_fx``."""
 
@@ -44,7 +48,7 @@ class Channel:
     unit : str
         Of a reading.
     carrier : str
-        What has one: a joint, or each axis of an accelerometer, a gyroscope or a wrench from outside.
+        What has one: a joint, or each axis of an accelerometer, a gyroscope, a tracker or a wrench from outside.
     noise : str
         Attribute of `Noise` that says how uncertain a reading is.
     biased : bool
@@ -53,16 +57,19 @@ class Channel:
         Whether a particle filter may take its noise to have heavy tails.
     extra : bool
         Whether few robots have it: a simulated recording has it only if a sensor is given.
+    drives : bool
+        Whether it is what moves the motors, which a simulation has anyhow.
     """
 
     kind: str
     signal: str
     unit: str
-    carrier: Literal["joint", "accelerometer", "gyroscope", "wrench"]
+    carrier: Literal["joint", "accelerometer", "gyroscope", "wrench", "tracker"]
     noise: str
     biased: bool = False
     outliers: bool = False
     extra: bool = False
+    drives: bool = False
 
     def columns(self, robot: Carriers) -> tuple[str, ...]:
         """Names of its columns in a log, as they are called unless robot.yaml renames them."""
@@ -72,6 +79,7 @@ class Channel:
             "accelerometer": robot.acceleration_channels,
             "gyroscope": robot.gyroscope_channels,
             "wrench": robot.wrench_channels,
+            "tracker": robot.position_channels,
         }
         return of_sensors[self.carrier]
 
@@ -91,6 +99,8 @@ CHANNELS = {
         Channel("torque", "torque", "N m", "joint", "joint_torque", outliers=True, extra=True),
         Channel("dq", "dq", "rad/s", "joint", "link_velocity", extra=True),
         Channel("wrench", "wrench", "N, N m", "wrench", "wrench", outliers=True),
+        Channel("position", "position", "m", "tracker", "tracker", biased=True, outliers=True),
+        Channel("tau", "tau", "N m", "joint", "motor_torque", biased=True, drives=True),
     )
 }
 """By kind, in the core's order."""

@@ -73,7 +73,7 @@ class Fault:
         by = (
             f"for {self.deviations:.0f} readings"
             if self.kind in ("stuck", "saturated", "dead")
-            else (f"by {self.size:.3g}, {self.deviations:.3g} standard deviations")
+            else (f"by {self.size:.3g} ({self.deviations:.3g} standard deviations)")
         )
         word = "contradicts the other channels" if self.kind == "step" else f"looks {self.kind}"
         return f"{where}: '{self.channel}' {word}, {by}. Likely: {causes}"

@@ -107,7 +107,7 @@ def test_what_cannot_be_read_is_one_line(tmp_path, monkeypatch):
         ArrayTable(tmp_path / "text.mat")
     write_hdf5(tmp_path / "log.h5")
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(LogError, match=r"h5py is needed to read this: pip install linkside\[hdf5\]"):
+    with pytest.raises(LogError, match=r"h5py is needed to read this: pip install 'linkside\[hdf5\]'"):
         ArrayTable(tmp_path / "log.h5")
 
 

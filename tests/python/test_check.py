@@ -149,8 +149,8 @@ def test_a_posture_free_of_singularities_is_still_the_worst():
     ("accelerometers", "words"),
     [
         ([], "The robot has no accelerometer"),
-        ([SENSOR | {"axes": "x"}], "Too few axes: 1 cannot tell 2 link accelerations apart"),
-        ([SENSOR | {"link": "upper"}], "in no posture do they tell all link accelerations apart"),
+        ([SENSOR | {"axes": "x"}], "Too few axes: 1 cannot distinguish 2 link accelerations"),
+        ([SENSOR | {"link": "upper"}], "in no posture do they distinguish all link accelerations"),
     ],
 )
 def test_a_robot_that_cannot_see_is_told_so(tmp_path, accelerometers, words):
@@ -163,9 +163,9 @@ def test_a_robot_that_cannot_see_is_told_so(tmp_path, accelerometers, words):
 def test_a_joint_that_is_never_seen_is_named():
     text = check(arm(accelerometers=[SENSOR | {"link": "upper"}])).to_text()
     (row,) = (line for line in text.splitlines() if line.startswith("│ elbow"))
-    assert "never seen" in row
+    assert "never observed" in row
     (row,) = (line for line in text.splitlines() if line.startswith("│ shoulder"))
-    assert "seen in every posture" in row
+    assert "observed in every posture" in row
 
 
 def test_a_robot_without_elastic_joints_needs_no_accelerometer(tmp_path):

@@ -380,7 +380,7 @@ def test_a_batch_speaks_json_or_not_at_all(batch):
 
 
 def test_ctrl_c_ends_a_batch_in_the_middle_of_its_kernels(batch):
-    command = [sys.executable, "-m", "linkside.cli", *batch, "--with", "particle", "--particles", "5000", "-j", "2"]
+    command = [sys.executable, "-m", "linkside", *batch, "--with", "particle", "--particles", "5000", "-j", "2"]
     run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=_heed_ctrl_c)
     while not list(Path("new").glob(".*")) and run.poll() is None:
         time.sleep(0.05)
@@ -650,7 +650,7 @@ def test_a_job_that_is_ended_leaves_nothing(folder, monkeypatch):
 
 def test_a_real_process_says_the_same(folder):
     arguments = (*estimate(log="missing.parquet"),)
-    done = subprocess.run([sys.executable, "-m", "linkside.cli", *arguments], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-m", "linkside", *arguments], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == "linkside: missing.parquet: no such file\n"
 
@@ -658,7 +658,7 @@ def test_a_real_process_says_the_same(folder):
 def test_a_terminal_in_ascii_is_no_error(folder):
     environment = os.environ | {"PYTHONIOENCODING": "ascii", "MPLCONFIGDIR": str(folder)}
     for arguments in (estimate("--truth", "truth.parquet"), ("check", "robot.yaml")):
-        command = [sys.executable, "-m", "linkside.cli", *arguments]
+        command = [sys.executable, "-m", "linkside", *arguments]
         done = subprocess.run(command, capture_output=True, env=environment)
         assert (done.returncode, done.stderr) == (0, b"")
 

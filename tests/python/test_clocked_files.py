@@ -184,7 +184,7 @@ def test_what_cannot_be_used_is_said(tmp_path, monkeypatch):
     write_mdf(tmp_path / "log.mf4")
     for module, name, extra in (("nptdms", "log.tdms", "tdms"), ("asammdf", "log.mf4", "mdf")):
         monkeypatch.setitem(sys.modules, module, None)
-        with pytest.raises(LogError, match=rf"{name}: .* pip install linkside\[{extra}\]"):
+        with pytest.raises(LogError, match=rf"{name}: .* pip install 'linkside\[{extra}\]'"):
             Log.read(tmp_path / name, arm)
 
 

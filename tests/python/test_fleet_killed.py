@@ -18,7 +18,7 @@ pytest.importorskip("distributed")
 pytestmark = pytest.mark.slow
 
 LOGS = 60
-CLI = (sys.executable, "-m", "linkside.cli")
+CLI = (sys.executable, "-m", "linkside")
 
 
 @pytest.fixture(scope="module")

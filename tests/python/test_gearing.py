@@ -16,6 +16,8 @@ from linkside import (
     EstimatorError,
     ExtendedKalmanFilter,
     Log,
+    MotorJerkFilter,
+    MotorJerkSmoother,
     ParticleFilter,
     RauchTungStriebelSmoother,
     Robot,
@@ -119,6 +121,9 @@ METHODS = {
     "smoother": RauchTungStriebelSmoother,
     "elastic filter": ElasticJointFilter,
     "elastic smoother": ElasticJointSmoother,
+    "motor filter": MotorJerkFilter,
+    "motor filter with torques": lambda robot: MotorJerkFilter(robot, tau=True),
+    "motor smoother": MotorJerkSmoother,
     "particles": lambda robot: ParticleFilter(robot, particles=100),
 }
 

@@ -26,6 +26,7 @@ LAYERS = (
     ("tuning", "calibration", "simulation", "learning", "demo"),
     ("papers", "excitation", "fleet"),
     ("linkside", "cli"),
+    ("__main__",),
 )
 """Packages and modules of `linkside` from the ground up; those of one line do not import each other."""
 

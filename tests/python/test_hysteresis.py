@@ -15,6 +15,8 @@ from linkside import (
     EstimatorError,
     ExtendedKalmanFilter,
     Log,
+    MotorJerkFilter,
+    MotorJerkSmoother,
     ParticleFilter,
     RauchTungStriebelSmoother,
     Robot,
@@ -142,6 +144,8 @@ KALMAN = {
     "smoother": lambda robot: RauchTungStriebelSmoother(robot),
     "elastic filter": lambda robot: ElasticJointFilter(robot),
     "elastic smoother": lambda robot: ElasticJointSmoother(robot),
+    "motor filter": lambda robot: MotorJerkFilter(robot),
+    "motor smoother": lambda robot: MotorJerkSmoother(robot),
 }
 
 
@@ -167,10 +171,12 @@ def test_estimates_know_the_friction_that_robot_yaml_declares(recordings):
 
     right, wrong, exact = errors(sticky, motion), errors(plain, motion), errors(plain, clean)
     assert all(wrong[method] > 30 * right[method] for method in KALMAN)
-    assert all(right[method] < 2 * exact[method] for method in KALMAN if method != "smoother"), (right, exact)
+    # Where motor torques are not read, nothing shows how far friction elements are.
+    told = [method for method in KALMAN if method not in ("smoother", "motor filter", "motor smoother")]
+    assert all(right[method] < 2 * exact[method] for method in told), (right, exact)
 
 
-@pytest.mark.parametrize("method", ["elastic filter", "elastic smoother"])
+@pytest.mark.parametrize("method", ["elastic filter", "elastic smoother", "motor filter", "motor smoother"])
 def test_elements_that_were_wound_at_the_start_are_within_what_is_said(recordings, method):
     """From the middle of a motion on: taken as relaxed they are uncertain; link encoders tell where they are."""
     sticky, motion = list(recordings.items())[1]

@@ -14,6 +14,8 @@ from linkside import (
     ExtendedKalmanFilter,
     Log,
     MarginalizedParticleFilter,
+    MotorJerkFilter,
+    MotorJerkSmoother,
     Noise,
     ParticleFilter,
     RauchTungStriebelSmoother,
@@ -224,6 +226,8 @@ METHODS = {
     "smoother": lambda robot: RauchTungStriebelSmoother(robot),
     "elastic-ekf": lambda robot: ElasticJointFilter(robot, motor_torque="held"),
     "elastic-smoother": lambda robot: ElasticJointSmoother(robot, motor_torque="held"),
+    "motor-ekf": lambda robot: MotorJerkFilter(robot),
+    "motor-smoother": lambda robot: MotorJerkSmoother(robot),
     "particle": lambda robot: ParticleFilter(robot, particles=300),
     "marginalized": lambda robot: MarginalizedParticleFilter(robot, particles=300),
 }

@@ -121,22 +121,23 @@ def test_a_robot_comes_to_its_path_by_estimates_alone(specimen):
         assert learning.margin.monotone
         assert learning.margin.contraction < 0.51
         errors[method] = []
-        for trial in range(5):
-            run = repeat(robot, motion, learning.correction, seed=trial)
+        for number in range(5):
+            run = repeat(robot, motion, learning.correction, seed=number)
             errors[method].append(np.sqrt(np.mean(np.sum((run.truth["tool"] - wanted) ** 2, axis=1))))
             if method in ("motors", "links"):
                 q = run.log.theta if method == "motors" else run.truth["q"]
-                learning.learn(told(q, run.log.t, robot.names))
+                estimate = told(q, run.log.t, robot.names)
             else:
                 estimator = {"smoother": RauchTungStriebelSmoother, "filter": ExtendedKalmanFilter}[method]
-                learning.learn(estimator(SQUARE).run(run.log))
-    share = {method: np.array(e) / e[0] for method, e in errors.items()}
+                estimate = estimator(SQUARE).run(run.log)
+            if learning.learn(estimate).reached:
+                break
     most = 0.1 if specimen == "known" else 0.2
     for method in ("smoother", "filter", "links"):
-        assert share[method][-1] < most, share
-        assert (np.diff(share[method]) < 0.002).all(), share  # monotone, to the noise of an estimate
-    assert share["motors"][-1] > 0.2, share  # motors follow, and links are elsewhere
-    assert share["links"][-1] <= share["smoother"][-1] + 1e-3
+        assert errors[method][-1] < most * errors[method][0], errors
+        assert (np.diff(errors[method]) < 0).all(), errors
+    assert errors["motors"][-1] > 0.2 * errors["motors"][0], errors  # motors follow, and links are elsewhere
+    assert errors["links"][-1] < errors["smoother"][-1]
 
 
 def test_what_is_expected_of_the_next_repeat_comes():
@@ -171,9 +172,9 @@ def test_an_uncertain_row_counts_for_less():
     kp, kd = gains(SQUARE, motion.q[0])
     run = repeat(SQUARE, motion, np.zeros_like(motion.q))
     std = np.full_like(motion.q, 1e-5)
-    std[300:340] = 1e-2
+    std[300:340] = 0.3
     q = run.truth["q"].copy()
-    q[300:340] += 5e-3
+    q[300:340] += 0.15
     fields = vars(told(q, run.log.t, SQUARE.names))
     off = {}
     for name, said in (("weighed", std), ("believed", np.full_like(std, 1e-5))):

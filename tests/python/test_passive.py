@@ -13,6 +13,8 @@ from linkside import (
     EstimatorError,
     ExtendedKalmanFilter,
     Log,
+    MotorJerkFilter,
+    MotorJerkSmoother,
     ParticleFilter,
     RauchTungStriebelSmoother,
     Robot,
@@ -79,6 +81,8 @@ METHODS = {
     "smoother": lambda robot: RauchTungStriebelSmoother(robot),
     "elastic filter": lambda robot: ElasticJointFilter(robot),
     "elastic smoother": lambda robot: ElasticJointSmoother(robot),
+    "motor filter": lambda robot: MotorJerkFilter(robot),
+    "motor smoother": lambda robot: MotorJerkSmoother(robot),
     "particles": lambda robot: ParticleFilter(robot, particles=200),
 }
 
@@ -97,7 +101,7 @@ def test_estimates_know_the_link_that_bends(motion):
         estimate = method(robot).run(recorded(motion, robot))
         right = tool_error(estimate, motion, 200)
         assert right < 2 * tool_error(method(rigid).run(clean.log(rigid, 1e-6, 0.02)), clean, 200), name
-        if name in ("EKF", "elastic filter"):
+        if name in ("EKF", "elastic filter", "motor filter"):
             assert tool_error(method(rigid).run(recorded(motion, rigid)), motion, 200) > 20 * right, name
         assert (np.abs(estimate.q - motion.q) < 3 * estimate.q_std).mean() > 0.98, name
         assert (estimate.status == 0).mean() > 0.98, name
@@ -124,7 +128,7 @@ def test_a_base_may_rock_beside():
     gears = [Gear(3e4, 40.0, np.inf), *GEARS]
     motion = move(robot, gears, lambda t: tuple(np.append(0.0, part) for part in reference(t)), 0.8)
     assert np.ptp(motion.q[:, 0]) > 1e-3
-    for name in ("EKF", "elastic smoother"):
+    for name in ("EKF", "elastic smoother", "motor smoother"):
         estimate = METHODS[name](robot).run(motion.log(robot, 1e-6, 0.02))
         assert tool_error(estimate, motion, 200) < 4e-3, name
         assert (np.abs(estimate.q - motion.q) < 3 * estimate.q_std).mean() > 0.98, name

@@ -83,9 +83,9 @@ def test_every_set_is_looked_at_where_they_are_few():
 def test_exchange_is_nearly_as_good_as_every_set(monkeypatch):
     sensors = candidates(ROBOT, ["link2", "link3", "link4"], steps=2, axes=("x", "y", "z"))[::2]
     every = place(ROBOT, sensors, LOGS[0], count=3)
-    monkeypatch.setattr("linkside.observability.placement.EVERY_SET", 10)
+    monkeypatch.setattr("linkside.observability.placement_search.EVERY_SET", 10)
     exchanged = place(ROBOT, sensors, LOGS[0], count=3)
-    monkeypatch.setattr("linkside.observability.placement.EVERY_SET", 10**6)
+    monkeypatch.setattr("linkside.observability.placement_search.EVERY_SET", 10**6)
     assert place(ROBOT, sensors, LOGS[0], count=3).score <= min(every.score, exchanged.score) * (1 + 1e-9)
     assert exchanged.score < 1.3 * place(ROBOT, sensors, LOGS[0], count=3).score
 
@@ -182,3 +182,29 @@ def test_command_line(tmp_path, capsys):
     with pytest.raises(SystemExit, match="2"):
         main(["place", str(LONG / "robot.yaml"), "--link", "link1"])
     assert "no candidate sees joint 'a2'" in capsys.readouterr().err
+
+
+def test_spares_may_fail_whichever_they_are():
+    offered = candidates(ROBOT, ["link2", "link3"], reach=0.2, steps=2)
+    q = np.concatenate([log.theta for log in LOGS])[::200]
+    found = place(ROBOT, offered, q, spares=1)
+    assert len(found.chosen) == 2
+    losses = [Observability.of(mounted(ROBOT, [left]), q).condition.max() for left in found.chosen]
+    assert found.left == pytest.approx(max(losses), rel=1e-9)
+    assert found.score == pytest.approx(Observability.of(found.robot, q).condition.max(), rel=1e-9)
+    # Every pair, looked at: none is better when the one that it needs more has failed.
+    alone = [Observability.of(mounted(ROBOT, [sensor]), q).condition.max() for sensor in offered]
+    assert found.left == pytest.approx(min(max(pair) for pair in combinations(alone, 2)), rel=1e-9)
+    assert f"after the worst loss of 1 of 2 sensors: {found.left:.3g}" in found.to_text()
+
+
+def test_spares_count_within_a_limit_and_are_fewer_than_sensors():
+    offered = candidates(ROBOT, ["link2", "link3"], reach=0.2, steps=2)
+    q = LOGS[0].theta[::200]
+    without, spare = (place(ROBOT, offered, q, limit=8.0, spares=spares) for spares in (0, 1))
+    assert len(spare.chosen) > len(without.chosen)
+    assert spare.left <= 8.0
+    with pytest.raises(EstimatorError, match="count is 1, expected 2, one more than spares, to 16"):
+        place(ROBOT, offered, q, count=1, spares=1)
+    with pytest.raises(EstimatorError, match="spares is 16, expected 0 to 15"):
+        place(ROBOT, offered, q, spares=16)

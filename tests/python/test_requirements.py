@@ -13,6 +13,8 @@ from linkside import (
     IteratedSmoother,
     Log,
     MarginalizedParticleFilter,
+    MotorJerkFilter,
+    MotorJerkSmoother,
     NicosiaTomeiObserver,
     Noise,
     ParticleFilter,
@@ -152,6 +154,9 @@ METHODS = {
     "marginalized": lambda robot, log: MarginalizedParticleFilter(robot, NOISE, particles=20).run(log[:20]).q,
     "elastic-ekf": lambda robot, log: ElasticJointFilter(robot).run(log).q,
     "elastic-smoother": lambda robot, log: ElasticJointSmoother(robot).run(log).q,
+    "motor-ekf": lambda robot, log: MotorJerkFilter(robot).run(log).q,
+    "motor-ekf with torques": lambda robot, log: MotorJerkFilter(robot, tau=True).run(log).q,
+    "motor-smoother": lambda robot, log: MotorJerkSmoother(robot).run(log).q,
     "reduced-order": lambda robot, log: ReducedOrderObserver(robot, 50.0).run(log).dq,
     "nicosia-tomei": lambda robot, log: NicosiaTomeiObserver(robot, 50.0).run(log).dq,
     "reduced-order on links": lambda robot, log: ReducedOrderObserver(robot, 50.0, side="links").run(log).dq,
@@ -167,16 +172,14 @@ SENSOR, SPRING = (
     {"cubic_stiffness", "soft_windup", "stiffness_table", "stiffness: unknown", "backlash", "hysteresis", "ripple"},
 )
 BEHIND_GEARS = {key for key in DECLARED if "." in key}
+JERK_DRIVEN = ("ekf", "ukf", "smoother", "map", "fixed-lag", "particle", "marginalized", "motor-ekf", "motor-smoother")
 UNCONCERNED = {
     **dict.fromkeys(("reduced-order", "nicosia-tomei", "residual"), SENSOR | SPRING | BEHIND_GEARS),
     **dict.fromkeys(
         ("reduced-order on links", "residual on links"),
         SENSOR | SPRING | {"coupling", "motor_friction", "asymmetry", "encoder_error"},
     ),
-    **{
-        method: {"motor_friction", "asymmetry", "efficiency"}
-        for method in ("ekf", "ukf", "smoother", "map", "fixed-lag", "particle", "marginalized")
-    },
+    **{method: {"motor_friction", "asymmetry", "efficiency"} for method in JERK_DRIVEN},
     "observer": {"link_friction", "bearing_friction"} | BEHIND_GEARS,
     "feedforward": SENSOR | BEHIND_GEARS | {"encoder_error"},
     "feedback": BEHIND_GEARS,

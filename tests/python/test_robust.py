@@ -27,7 +27,7 @@ from linkside import (
     ReducedOrderObserver,
     Robot,
 )
-from linkside.kalman import ElasticJointSmoother, FixedLagSmoother
+from linkside.kalman import ElasticJointSmoother, FixedLagSmoother, MotorJerkFilter, MotorJerkSmoother
 from linkside.recording import Estimate, Log, Status
 from linkside.simulation import Sensor, simulate
 
@@ -40,6 +40,7 @@ DT = LOG.period
 ESTIMATORS = {
     "ekf": lambda: ExtendedKalmanFilter(ROBOT, NOISE),
     "elastic": lambda: ElasticJointFilter(ROBOT),
+    "motor": lambda: MotorJerkFilter(ROBOT),
     "particle": lambda: ParticleFilter(ROBOT, NOISE, particles=40, seed=1, collapse="flag"),
     "marginalized": lambda: MarginalizedParticleFilter(ROBOT, NOISE, particles=40, seed=1, collapse="flag"),
     "fixed-lag": lambda: FixedLagSmoother(ROBOT, NOISE, lag=3),
@@ -50,6 +51,7 @@ ESTIMATORS = {
 RUNS = {name: make for name, make in ESTIMATORS.items() if name != "fixed-lag"} | {
     "smoother": lambda: RauchTungStriebelSmoother(ROBOT, NOISE),
     "elastic-smoother": lambda: ElasticJointSmoother(ROBOT),
+    "motor-smoother": lambda: MotorJerkSmoother(ROBOT),
 }
 HAS_DT = [name for name in ESTIMATORS if name not in ("observer", "reduced-order", "nicosia-tomei")]
 
@@ -151,7 +153,7 @@ def test_a_state_says_what_it_is(name):
     assert name in ("elastic", "particle", "marginalized") or state.status == Status.GOOD
     for field in ("q", "dq", "ddq", "theta", "dtheta"):
         assert getattr(state, field).shape == (ROBOT.n,)
-    covariance = name not in ("observer", "reduced-order", "nicosia-tomei")
+    covariance = name not in ("reduced-order", "nicosia-tomei")
     assert (state.q_std is not None) == covariance == (state.tool_std is not None)
     assert state.tool_position.shape == (3,)
 

@@ -217,7 +217,7 @@ def test_on_the_command_line(tmp_path, estimated, monkeypatch):
     for module, suffix in (("rerun", "rrd"), ("mcap.writer", "mcap")):
         with monkeypatch.context() as patch:
             patch.setitem(sys.modules, module, None)
-            with pytest.raises(EstimatorError, match=r"pip install linkside\["):
+            with pytest.raises(EstimatorError, match=r"pip install 'linkside\["):
                 write_scene(ARM, LOG, estimated, tmp_path / f"y.{suffix}")
     with pytest.raises(OutputError):
         write_scene(ARM, LOG, estimated, tmp_path / "nowhere/y.rrd")

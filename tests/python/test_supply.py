@@ -2,6 +2,7 @@
 
 import json
 import re
+import runpy
 import shutil
 import subprocess
 from pathlib import Path
@@ -38,6 +39,16 @@ def test_licences_are_among_those_that_are_allowed(packages):
 
 def test_crates_come_from_one_registry(packages):
     assert {package["source"] for package in packages} == {"registry+https://github.com/rust-lang/crates.io-index"}
+
+
+def test_the_wheel_brings_the_licences_of_its_crates(packages):
+    linked = runpy.run_path(str(ROOT / "docs/licences.py"))["linked"]()
+    listed, *found = re.split(r"^=+$", (ROOT / "THIRD-PARTY-LICENSES.txt").read_text("utf-8"), flags=re.MULTILINE)
+    names = [" ".join(crate) for crate in linked]
+    assert re.findall(r"^(\S+ \d[^:]*): ", listed, re.MULTILINE) == names, "make licences"
+    owners = {name for part in found for name in re.match(r"\s*With (.*):", part)[1].split(", ")}
+    assert owners == set(names), "each has a text"
+    assert "THIRD-PARTY-LICENSES.txt" in (ROOT / "pyproject.toml").read_text()
 
 
 def test_unsafe_code_does_not_grow():

@@ -3,6 +3,7 @@
 import json
 import re
 import runpy
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -31,9 +32,20 @@ def test_path(tmp_path):
     assert names["estimate"].status_summary()["good"] == 1052
 
 
-def test_loop(tmp_path):
-    names = walk(DOCS / "tutorials/loop.md", tmp_path)
-    assert names["bridged"] == 20
+@pytest.fixture(scope="module")
+def loop(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("loop")
+    return folder, walk(DOCS / "tutorials/loop.md", folder)
+
+
+def test_loop(loop):
+    assert loop[1]["bridged"] == 20
+
+
+def test_loop_in_cpp(loop, build):
+    folder, names = loop
+    done = subprocess.run([build(folder / "loop.cpp")], cwd=folder, check=True, capture_output=True, text=True)
+    assert float(done.stdout) == names["states"][-1][0]
 
 
 def test_repeats(tmp_path):

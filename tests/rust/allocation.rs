@@ -9,11 +9,11 @@ use core::hint::black_box;
 use linkside_core::dynamics::{Kinematics, Loads};
 use linkside_core::estimate::kalman::{
     ExtendedKalmanFilter, FilterSettings, FixedLagSmoother, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanSample,
-    Lateness, LinkDisturbance, NoiseLoss, SigmaRule, WrenchLaw,
+    Lateness, LinkDisturbance, NoiseLoss, SigmaRule, Tolerance, Uncertain, WrenchLaw,
 };
 use linkside_core::estimate::measurement::Kind;
 use linkside_core::estimate::observer::{
-    AccelerationObserver, AccelerationSource, Complex, Form, ObserverSample, ObserverSettings, Start,
+    AccelerationObserver, AccelerationSource, Complex, Form, ObserverSample, ObserverSettings, Start, Uncertainty,
     link_position_at_rest,
 };
 use linkside_core::estimate::particle::{
@@ -93,7 +93,16 @@ fn observer(form: Form, source: AccelerationSource) -> AccelerationObserver {
         worst_acceleration_std: 10.0,
         start: Start::Rest,
     };
-    AccelerationObserver::new(Arc::new(robot), settings).unwrap()
+    let tolerances = (0..6).map(|j| Tolerance { parameter: Uncertain::Stiffness(j), std: 0.2 });
+    let rigid = Tolerance { parameter: Uncertain::Yielding(5), std: 1e-5 };
+    let uncertainty = Uncertainty {
+        tolerances: tolerances.chain([rigid]).collect::<Vec<_>>().into(),
+        encoder: vec![1e-6; 6],
+        torque: vec![1.0; 6],
+        bias: 0.5,
+        scale: 0.03,
+    };
+    AccelerationObserver::new(Arc::new(robot), settings).unwrap().with_uncertainty(&uncertainty).unwrap()
 }
 
 #[test]

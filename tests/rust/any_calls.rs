@@ -19,7 +19,7 @@ const FILES: [&[u8]; 4] = [
     include_bytes!("../data/compiled/velocity.lsr"),
 ];
 
-const SIGNALS: usize = 11;
+const SIGNALS: usize = 12;
 
 /// Numbers of a sample: eleven signals of at most eight each.
 const NUMBERS: usize = 8 * SIGNALS;
@@ -44,7 +44,7 @@ fn call() -> impl Strategy<Value = Call> {
     let dt = prop_oneof![10 => Just(1e-3), 1 => number(), 1 => Just(0.0), 1 => Just(1e-300), 1 => Just(1e300)];
     // Either plain numbers, so that runs of good samples come about, or any.
     let numbers = prop_oneof![prop::collection::vec(-2.0..2.0f64, NUMBERS), prop::collection::vec(number(), NUMBERS),];
-    let there = prop::array::uniform11(prop::bool::weighted(0.9));
+    let there = prop::array::uniform12(prop::bool::weighted(0.9));
     prop_oneof![
         20 => (dt, there, numbers).prop_map(|(dt, there, numbers)| Call::Step { dt, there, numbers }),
         1 => Just(Call::Reset),
@@ -85,6 +85,7 @@ impl Held {
             torque: at(8),
             ddqref: at(9),
             wrench: at(10),
+            position: at(11),
         };
         // SAFETY: each signal has as many numbers as any is wide.
         unsafe { linkside_step(self.0, &raw const sample) }

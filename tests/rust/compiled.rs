@@ -96,7 +96,7 @@ fn another_version_is_refused_before_anything_else_is_looked_at() {
     let mut bytes = FILES[0].to_vec();
     bytes[8..12].copy_from_slice(&7_u32.to_le_bytes());
     let error = Estimator::from_bytes(&bytes).unwrap_err();
-    assert_eq!(error.to_string(), "this is version 7 of the format, expected 1: compile the robot anew");
+    assert_eq!(error.to_string(), "this is version 7 of the format, expected 1: compile the robot again");
     let error = Estimator::read("/no/such.lsr").unwrap_err().to_string();
     assert!(error.starts_with("/no/such.lsr: cannot be read: "), "{error}");
 }

@@ -231,8 +231,64 @@ fn check_derivatives(driven: &Driven) -> Result<(), TestCaseError> {
     check_close(&ddq_by_tau, &by_tau)
 }
 
+/// Accelerations and motor torques of a robot whose motors accelerate as the last signal says.
+fn prescribed<T: Scalar>(robot: &Robot, [q, dq, theta, dtheta, ddtheta]: &[Vec<T>; 5]) -> Accelerated<T> {
+    let layout = ElasticLayout::moved_by_jerk(robot);
+    let (mut x, mut dynamics) = (vec![T::default(); layout.dense], ElasticDynamics::new(robot, &layout));
+    layout.gather([q, dq, theta, dtheta], &mut x);
+    x[layout.motor_acceleration.unwrap()..][..q.len()].copy_from_slice(ddtheta);
+    dynamics.accelerate(robot, &layout, &x, &[]);
+    Accelerated { layout, x, dynamics }
+}
+
 proptest! {
     #![proptest_config(config())]
+
+    /// Of motors that accelerate as torques have them accelerate, links do what they do under these torques, and those are
+    /// what the motors need.
+    #[test]
+    fn motors_of_given_acceleration_need_the_torque_that_gives_it(driven in driven(cases())) {
+        let Driven { robot, signals, .. } = &driven;
+        let Accelerated { dynamics: moved, .. } = accelerated(robot, signals);
+        let mut given = signals.clone();
+        given[4].clone_from(&moved.ddtheta);
+        let Accelerated { dynamics, .. } = prescribed(robot, &given);
+        check_close(&dynamics.ddq, &moved.ddq)?;
+        check_close(dynamics.motor_torques(), &signals[4])?;
+        let gives = |of: &ElasticDynamics| (0..robot.len()).map(|j| of.joint_torque(robot, j)).collect::<Vec<_>>();
+        check_close(&gives(&dynamics), &gives(&moved))?;
+    }
+
+    #[test]
+    fn motors_of_given_acceleration_have_the_derivatives_of_dual_numbers(driven in driven(cases())) {
+        let Driven { robot, signals, .. } = &driven;
+        let (n, mut block) = (robot.len(), 0);
+        let varied = signals.clone().map(|signal| {
+            block += MOST;
+            signal.iter().enumerate().map(|(i, &x)| Dual::<DIRECTIONS>::variable(x, block - MOST + i)).collect()
+        });
+        let Accelerated { dynamics: dual, .. } = prescribed(robot, &varied);
+        let Accelerated { layout, x, mut dynamics } = prescribed(robot, signals);
+        dynamics.differentiate(robot, &layout, &x);
+        let first = layout.motor_acceleration.unwrap();
+        let places: [Vec<usize>; 5] =
+            [(0..n).collect(), (n..2 * n).collect(), layout.theta, layout.dtheta, (first..first + n).collect()];
+        let pairs = [
+            (&dynamics.ddq_by[..], &dual.ddq[..]),
+            (&dynamics.ddtheta_by, &dual.ddtheta),
+            (dynamics.motor_torques_by(), dual.motor_torques()),
+        ];
+        for (found, expected) in pairs {
+            for (row, expected) in found.chunks_exact(layout.dense).zip(expected) {
+                for (block, places) in places.iter().enumerate() {
+                    let own = |j: &usize| !(2..4).contains(&block) || robot.drives[*j].elastic;
+                    let found: Vec<_> = (0..n).filter(own).map(|j| row[places[j]]).collect();
+                    let expected: Vec<_> = (0..n).filter(own).map(|j| expected.gradient[block * MOST + j]).collect();
+                    check_close(&found, &expected)?;
+                }
+            }
+        }
+    }
 
     /// Ė = power, for one velocity it is one equation; for a robot's every velocity it is all of them.
     #[test]

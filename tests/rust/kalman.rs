@@ -6,12 +6,12 @@ use arm::{Mounting, arm, drive};
 use linkside_core::estimate::kalman::{
     Discretization, ElasticModel, ElasticNoise, ElasticSettings, ExtendedKalmanFilter, FilterSettings,
     FixedLagSmoother, Gaussian, Inputs, JerkDriven, JerkModel, JerkNoise, KalmanRecording, KalmanSample, Keep,
-    Lateness, LinkDisturbance, Measurement, Model, Phases, Smoother, WrenchLaw,
+    Lateness, LinkDisturbance, Measurement, Model, MotorJerkNoise, MotorJerkSettings, Phases, Smoother, WrenchLaw,
 };
 use linkside_core::estimate::measurement::{Evaluation, Kind};
 use linkside_core::robot::{
     Acting, Drive, Friction, FrictionElement, Harmonic, Hysteresis, LoadFriction, Ripple, Robot, Sensor, SoftWindup,
-    WRENCH, Wrench,
+    Tracker, WRENCH, Wrench,
 };
 use linkside_core::scalar::Dual;
 use linkside_core::spatial::{Mat3, Vec3};
@@ -19,9 +19,10 @@ use proptest::prelude::*;
 use std::sync::Arc;
 
 const JOINTS: usize = 3;
-const ALL: &[Kind] = &Kind::ALL;
-/// Motors, an accelerometer's two axes, motor velocities, a gyroscope's three axes, links, torques, links' velocities.
-const CHANNELS: usize = 5 * JOINTS + 5;
+const ALL: &[Kind] = &Kind::SENSORS;
+/// Motors, an accelerometer's two axes, motor velocities, a gyroscope's three axes, links, torques, links' velocities, a
+/// tracker's two axes.
+const CHANNELS: usize = 5 * JOINTS + 7;
 
 /// Three joints, one rigid, one with everything nonlinear that a drive can have.
 fn robot() -> Robot {
@@ -38,7 +39,10 @@ fn robot() -> Robot {
     let mut robot = arm(vec![drive(), soft, rigid], &mountings);
     let frame = robot.tree.frame("gyroscope", 1, &Mat3::IDENTITY, &Vec3([0.1, 0.0, 0.0])).unwrap();
     robot.gyroscopes.push(Sensor { frame, axes: vec![0, 1, 2], noise_std: 0.01 });
-    robot
+    let frame = robot.tree.frame("tracker", 2, &Mat3::IDENTITY, &Vec3([0.2, -0.1, 0.4])).unwrap();
+    let target = Sensor { frame, axes: vec![0, 2], noise_std: 1e-4 };
+    let axes = Mat3::from_rows([[0.6, 0.0, 0.8], [0.0, 1.0, 0.0], [-0.8, 0.0, 0.6]]);
+    robot.with_trackers(vec![Tracker { target, axes, origin: Vec3([1.0, -2.0, 0.5]) }]).unwrap()
 }
 
 fn noise() -> JerkNoise {
@@ -127,7 +131,7 @@ proptest! {
         let still = linearised(&[&state[..d], &[0.0; JOINTS]].concat());
         prop_assert_eq!(still.linearised().prediction, plain.linearised().prediction);
         let (before, after) = (plain.linearised().prediction, disturbed.linearised().prediction);
-        let torques = CHANNELS - 2 * JOINTS;
+        let torques = CHANNELS - 2 - 2 * JOINTS;
         for (channel, (before, after)) in before.iter().zip(after).enumerate() {
             if (torques..torques + JOINTS).contains(&channel) {
                 let off = state[d + channel - torques];
@@ -319,9 +323,37 @@ fn elastic_rows(count: usize) -> Vec<[Vec<f64>; 5]> {
     rows
 }
 
+/// Motors moved by jerk, their torques being read.
+fn moved_by_jerk() -> ExtendedKalmanFilter<ElasticModel> {
+    let kinds = vec![Kind::Motor, Kind::Acceleration, Kind::MotorTorque];
+    let channels = 2 * JOINTS + 2;
+    let biased = (0..channels).map(|channel| channel >= JOINTS).collect();
+    let noise = MotorJerkNoise {
+        jerk: vec![30.0; JOINTS],
+        link: vec![3e-3; JOINTS],
+        reading: [vec![1e-4; JOINTS], vec![0.1; 2], vec![1.0; JOINTS]].concat(),
+        bias_walk: vec![1e-4; channels],
+        bias_time: vec![f64::INFINITY; channels],
+        initial: vec![1e-3; 3 * JOINTS],
+        initial_bias: vec![0.1; channels],
+    };
+    let settings = MotorJerkSettings { kinds, biased, relaxed: true };
+    plain(ElasticModel::moved_by_jerk(Arc::new(robot()), &settings, noise, None, WrenchLaw::default()).unwrap())
+}
+
+fn moved_rows(count: usize) -> Vec<[Vec<f64>; 5]> {
+    let mut rows = jerk_rows(count);
+    for [_, readings, dtheta, ..] in &mut rows {
+        readings.truncate(JOINTS + 2);
+        readings.append(dtheta);
+    }
+    rows
+}
+
 #[test]
 fn a_fixed_lag_is_the_smoother_up_to_now() {
     check_lag(&plain(model(true)), jerk_rows);
     check_lag(&late(), jerk_rows);
     check_lag(&elastic(), elastic_rows);
+    check_lag(&moved_by_jerk(), moved_rows);
 }

@@ -5,9 +5,11 @@ from .calibration import Calibration
 from .result import Estimated, Fit
 from .search import Step
 from .together import Shared, Together, calibrate_together
+from .tracker import Alignment, align_tracker
 from .uncertainty import Contradiction
 
 __all__ = [
+    "Alignment",
     "Calibration",
     "Contradiction",
     "Estimated",
@@ -15,6 +17,7 @@ __all__ = [
     "Shared",
     "Step",
     "Together",
+    "align_tracker",
     "calibrate",
     "calibrate_together",
 ]

@@ -149,7 +149,9 @@ def objections(
             if worse < LOSS
         ]
     if gain is not None and gain < 0:
-        found.append(f"a Kalman filter predicts less well with it than with robot.yaml (log-likelihood {gain:+.1f})")
+        found.append(
+            f"a Kalman filter predicts less well with these values than with robot.yaml (log-likelihood {gain:+.1f})"
+        )
     for p, x, wide in zip(free, z.tolist(), std.tolist(), strict=True):
         if p.kind in NOISE:
             continue

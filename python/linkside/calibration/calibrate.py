@@ -61,14 +61,15 @@ def calibrate(
     start: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Find a robot's parameters from its own recordings, without any external measurement.
+    """Find a robot's parameters from its own recordings, without external measurements.
 
     The posterior probability of the free parameters is maximised, with a Gaussian prior around the values of robot.yaml
-    whose widths are its ``tolerances``. Without ``torque`` the motors, as measured, drive the links through their
-    springs, and what accelerometers and other sensors of the links read is compared with that (output error; L. Ljung,
-    "System identification", 1999). With it, the likelihood is that of all other readings given the motors' positions,
-    by the innovations of a Kalman filter on the jerk-driven model (F. C. Schweppe 1965). Gradients are exact. What is
-    off by more than four standard deviations counts linearly (Huber 1964), so that outliers have a bounded influence.
+    whose widths are its ``tolerances``. Without ``torque`` the motors, as measured, drive the links of the model
+    through their springs, and the predicted readings of accelerometers and other sensors of the links are compared with
+    the real ones (output error; L. Ljung, "System identification", 1999). With it, the likelihood is that of all other
+    readings given the motors' positions, from the innovations of a Kalman filter on the jerk-driven model (F. C.
+    Schweppe 1965). Gradients are exact. Errors of more than four standard deviations count linearly (Huber 1964), so
+    that outliers have a bounded influence.
 
     Parameters
     ----------
@@ -83,23 +84,23 @@ def calibrate(
     noise
         Noise levels; those of motors, sensors and torques are also multiplied by free factors by default.
     torque
-        Whether motor torques are readings by the motor's equation of motion: needed for motor inertia, friction and
-        coupling, and to tell stiffness from mass. By default only for a robot without accelerometers.
+        Whether motor torques are measurements, by the motor's equation of motion: needed for motor inertia, friction
+        and coupling, and to distinguish stiffness from mass. By default only for a robot without accelerometers.
     bounds
         Least and largest value by name of a parameter.
     held_out
-        Recordings that only test the outcome.
+        Recordings that are used only to test the result.
     start
-        Where to start, by name, in tolerances: what a `Step` of an interrupted run held. By default robot.yaml, or
-        where the equations of motion fit best if the recordings are more probable there.
+        Where to start, by name, in tolerances, as in a `Step` of an interrupted run. By default robot.yaml, or the best
+        fit of the equations of motion if the recordings are more probable there.
     progress
         Called with a `Step` whenever a better point is found.
 
     Raises
     ------
     EstimatorError
-        A name that is no parameter or has no part here, bounds that contradict each other or robot.yaml, nothing to
-        calibrate.
+        A name that is not a parameter, or not one of this robot; bounds that contradict each other or robot.yaml;
+        nothing to calibrate.
     LogError
         A recording without motion, with a saturated accelerometer, or of another robot.
     NumericalError

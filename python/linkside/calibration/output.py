@@ -50,16 +50,27 @@ def write(calibration: Result, source: str | Path, out: str | Path) -> None:
     ConfigError
         ``source`` cannot be read.
     """
-    tree = Source.read(source).tree
-    urdf = Path(source).parent / tree["urdf"]
-    if _folder(source) != _folder(out) and not os.path.isabs(tree["urdf"]):
-        tree["urdf"] = os.path.relpath(os.path.realpath(urdf), _folder(out))
+    tree = copied(source, out)
     for estimated in calibration.estimates:
         if (writer := _WRITERS.get(estimated.parameter.kind)) is not None:
             writer(tree, estimated)
     for index in sorted({e.parameter.core[1] for e in calibration.estimates if e.parameter.kind == "rotation"}):
         _write_rotation(tree["accelerometers"][index], calibration, index)
     _write_errors(tree, calibration)
+    dump(tree, out)
+
+
+def copied(source: str | Path, out: str | Path) -> Any:
+    """Read a robot.yaml for a changed copy of it at ``out``, from where ``urdf`` leads to the same file."""
+    tree = Source.read(source).tree
+    urdf = Path(source).parent / tree["urdf"]
+    if _folder(source) != _folder(out) and not os.path.isabs(tree["urdf"]):
+        tree["urdf"] = os.path.relpath(os.path.realpath(urdf), _folder(out))
+    return tree
+
+
+def dump(tree: Any, out: str | Path) -> None:
+    """Write such a copy, whole or not at all."""
     text = StringIO()
     yaml = YAML()
     yaml.width = 120

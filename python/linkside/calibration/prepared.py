@@ -18,10 +18,10 @@ from .band import MISSING
 from .motors import motors, unsettled
 from .signals import filled, without_spikes
 
-KINDS = ("acceleration", "rate", "q", "torque", "dq")
+KINDS = ("acceleration", "rate", "q", "torque", "dq", "position")
 """Signals of sensors on the links, by the core's names."""
 
-ZEROS = ("rate", "q", "torque")
+ZEROS = ("rate", "q", "torque", "position")
 """Signals with unknown zeros, which are estimated for each recording."""
 
 LEAST_RATE, PER_PERIOD = 200.0, 16.0

@@ -29,7 +29,7 @@ class Estimated:
     value, std : float
         Its value and standard error.
     widening : float
-        By what factor the standard error was widened because errors of the model last.
+        Factor by which the standard error was increased because errors of the model are correlated in time.
     at_bound : bool
         Whether the value is at a bound: then its standard error means little.
     """
@@ -147,12 +147,12 @@ class Result:
         lines += [f"not estimated: {name}: {reason}" for name, reason in self.refused.items()]
         lines.append(self._fit_line())
         if self.foretold is not None:
-            lines.append(f"{self.foretold} against robot.yaml, by parameters fitted without them")
+            lines.append(f"{self.foretold} against robot.yaml, with parameters fitted without them")
         if self.held_out is not None:
             lines.append(f"held out: log-likelihood {self.held_out[0]:.1f} before, {self.held_out[1]:.1f} after")
         wide = max((e.widening for e in self.estimates), default=1.0)
         if wide > 1.5:
-            lines.append(f"standard errors are up to {wide:.1f} times wider than white innovations would have them")
+            lines.append(f"standard errors are up to {wide:.1f} times as large as with white innovations")
         lines += [f"warning: {c}" for c in (*self.contradictions, *self.notes)]
         return "\n".join(lines) + "\n"
 

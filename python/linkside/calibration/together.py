@@ -85,7 +85,7 @@ def calibrate_together(
 
     The posterior probability is that of `calibrate` without motor torques, with a prior for each parameter, around the
     value of robot.yaml with its tolerance: one for what all logs share, for each group's payload, and for each log's
-    biases. Standard errors are widened where errors of the model last.
+    biases. Standard errors are increased where errors of the model are correlated in time.
 
     Parameters
     ----------
@@ -96,8 +96,8 @@ def calibrate_together(
     groups
         A label for each log; logs with the same label carry the same payload. By default all do.
     free
-        Kinds or names of free parameters, as in `calibrate`. Nothing is refused: a parameter of which the logs tell
-        nothing keeps its tolerance as standard error.
+        Kinds or names of free parameters, as in `calibrate`. Nothing is refused: a parameter that the logs do not
+        determine keeps its tolerance as standard error.
     times
         When each log was recorded, in any unit, for ``drift``.
     drift
@@ -109,7 +109,7 @@ def calibrate_together(
     Raises
     ------
     EstimatorError
-        A name that is no free parameter, or as many labels or times as there are not logs.
+        A name that is not a free parameter, or a number of labels or times that is not the number of logs.
     LogError
         A log that cannot be used, see `calibrate`.
     NumericalError

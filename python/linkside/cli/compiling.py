@@ -42,9 +42,9 @@ CONTROLLERS: dict[str, Build] = {
 @click.option("--gain", type=float, default=100, show_default=True, help="Gain of a velocity observer [1/s].")
 @click.option("--rate", type=float, help="Rate of the controller [Hz].  [default: rate_hz of robot.yaml]")
 def compile_robot(robot: str, method: str, out: str, tuning: str | None, gain: float, rate: float | None) -> None:
-    """Compile ROBOT and an estimator for a controller, which then needs no Python.
+    """Compile ROBOT and an estimator into one file for a controller.
 
-    Filters start from rest: switch them on while the robot stands.
+    The controller then needs no Python. Filters start from rest: switch them on while the robot stands still.
     """
     check_writable(out, (SUFFIX,))
     refuse_clashes([Path(out)], [robot, tuning])

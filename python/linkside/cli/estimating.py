@@ -53,13 +53,34 @@ class Poles(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
 )
 @click.argument("robot", type=click.Path())
 @click.argument("logs", metavar="LOG...", type=click.Path(), nargs=-1, required=True)
-@click.option("--with", "method", type=click.Choice(list(METHODS)), default="observer", show_default=True)
+@click.option(
+    "--with",
+    "method",
+    type=click.Choice(list(METHODS)),
+    default="observer",
+    show_default=True,
+    help="Method, see below.",
+)
 @click.option("--out", required=True, help="Parquet or CSV file; for several logs a directory, or a name with {stem}.")
-@click.option("--poles", type=Poles(), default="250", show_default=True, help="Frequency [rad/s], or bessel:250.")
+@click.option(
+    "--poles",
+    type=Poles(),
+    default="250",
+    show_default=True,
+    help="Poles of the observer: a frequency [rad/s], or a pattern such as bessel:250.",
+)
 @click.option("--bias", is_flag=True, help="Estimate a bias of each link acceleration as well.")
-@click.option("--form", type=click.Choice(["current", "predictor"]), default="current", show_default=True)
+@click.option(
+    "--form",
+    type=click.Choice(["current", "predictor"]),
+    default="current",
+    show_default=True,
+    help="State of the observer after (current) or before a sample's motor positions are used.",
+)
 @click.option("--tuning", type=click.Path(), help="A tuning file, as `linkside tune` writes it.")
-@click.option("--gate", type=float, help="Reject readings this many standard deviations from the prediction.")
+@click.option(
+    "--gate", type=float, help="Reject readings further than this many standard deviations from the prediction."
+)
 @click.option(
     "--link-disturbance",
     type=click.Choice(["auto", "on", "off"]),
@@ -72,7 +93,7 @@ class Poles(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
     type=click.Choice(["squares", "huber", "student-t"]),
     default="squares",
     show_default=True,
-    help="What an error of a reading costs; less than its square where there are outliers.",
+    help="Cost of an error of a reading: squares for Gaussian noise, huber or student-t for outliers.",
 )
 @click.option("--particles", type=int, default=1000, show_default=True, help="Number of particles.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random numbers of a particle filter.")
@@ -83,8 +104,13 @@ class Poles(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
 @report
 @click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this truth; one for each log.")
 @click.option("-j", "--jobs", "workers", type=click.IntRange(1), help="Logs at a time.  [default: one per core]")
-@click.option("--on", help="dask: processes of this machine; or a Dask scheduler's address, tcp://host:8786.")
-@click.option("--manifest", help="A row for each log: verdict, figures, digests, time and worker; Parquet.")
+@click.option(
+    "--on",
+    help="Where to run: dask for processes of this machine, or the address of a Dask scheduler, tcp://host:8786.",
+)
+@click.option(
+    "--manifest", help="Write a Parquet table with a row for each log: verdict, figures, digests, time and worker."
+)
 @click.option("--skip-existing", is_flag=True, help="Skip estimates whose inputs are unchanged.")
 @click.option("--json", "manner", flag_value="json", default="words", help="Report each log as one line of JSON.")
 @click.option("--quiet", "manner", flag_value="quiet", help="Print errors only.")

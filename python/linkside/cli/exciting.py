@@ -14,7 +14,18 @@ from linkside.report import inputs
 from linkside.robot import Robot
 
 from .group import main
-from .options import check_figure, check_report, draw, example, named_number, no_check, refuse_clashes, report
+from .options import (
+    check_figure,
+    check_report,
+    draw,
+    example,
+    kept_limits,
+    limits_of,
+    named_number,
+    no_check,
+    refuse_clashes,
+    report,
+)
 from .terminal import bar, show
 
 
@@ -24,36 +35,38 @@ from .terminal import bar, show
 @click.argument("robot", type=click.Path())
 @click.argument("logs", metavar="[LOG]...", type=click.Path(), nargs=-1)
 @click.option("--out", type=click.Path(), help="The motion to write: a .parquet or .csv file.")
-@click.option("--free", help="Parameters that calibration will free: a,b,c.  [default: those that it frees]")
-@click.option("--duration", type=float, default=10.0, show_default=True, help="Of the motion [s].")
+@click.option("--free", help="Parameters to calibrate later: a,b,c.  [default: all that calibrate frees]")
+@click.option("--duration", type=float, default=10.0, show_default=True, help="Duration of the motion [s].")
 @click.option("--rate", type=float, help="Samples a second [Hz].  [default: rate_hz of ROBOT, or 1000]")
 @click.option("--bandwidth", type=float, help="Highest frequency of the motion [Hz].")
 @click.option("--reach", type=float, default=0.5, show_default=True, help="How far each joint moves [rad, m].")
 @click.option("--posture", metavar="JOINT=POSITION", multiple=True, help="Where a joint begins and ends [rad, m].")
-@click.option("--range", "ranges", metavar="JOINT=LOW:HIGH", multiple=True, help="Limits of a position [rad, m].")
-@click.option("--velocity", metavar="[JOINT=]LIMIT", multiple=True, help="Limit of a velocity.  [default: URDF]")
-@click.option(
-    "--acceleration", metavar="[JOINT=]LIMIT", multiple=True, help="Limit of an acceleration.  [default: none]"
-)
-@click.option("--torque", metavar="[JOINT=]LIMIT", multiple=True, help="Limit of a motor's torque, link side.")
+@kept_limits
 @click.option("--one-by-one", is_flag=True, help="Move one joint after the other, not all together.")
-@click.option("--evaluations", type=click.IntRange(2), default=200, show_default=True, help="Motions to try.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed, the same motion.")
+@click.option("--evaluations", type=click.IntRange(2), default=200, show_default=True, help="Number of motions to try.")
+@click.option(
+    "--seed",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    help="Seed of the search; the same seed gives the same motion.",
+)
 @click.option("--figure", type=click.Path(), help="Draw the motion: a .png, .pdf or .svg file.")
 @report
 @no_check
 def excite(
     robot: str, logs: tuple[str, ...], out: str | None, figure: str | None, report: str | None, **options: Any
 ) -> None:
-    """Plan a motion that makes springs, masses and sensor poses of ROBOT identifiable.
+    """Plan a motion for the calibration of ROBOT.
 
-    With LOGs, recorded or planned, it adds what they lack. Without --out, report what is identifiable from LOGs.
+    Springs, masses and sensor poses are identifiable from its recording. With LOGs, recorded or planned, the motion
+    adds what they lack. Without --out, report what is identifiable from LOGs.
 
-    The motion stays within the limits of joints, but knows of no obstacle, cable or table: look at it before the robot
-    moves. Positions and velocities are those of motors, as recordings of ROBOT have them.
+    The motion stays within the joint limits, but the planner does not know of obstacles, cables or tables: look at the
+    motion before the robot moves. Positions and velocities are those of motors, as recordings of ROBOT have them.
     """
-    from linkside.excitation import Limits, expected_errors
     from linkside.excitation import excite as plan
+    from linkside.excitation import expected_errors
     from linkside.excitation.words import errors_table
 
     if out is None and not logs:
@@ -71,11 +84,7 @@ def excite(
     if out is None:
         show([errors_table(None, expected_errors(loaded, recorded, free))])
         return
-    limits = Limits.of(
-        loaded,
-        ranges=dict(map(_range, options["ranges"])),
-        **{what: _limit(loaded, what, options[what]) for what in ("velocity", "acceleration", "torque")},
-    )
+    limits = limits_of(loaded, options)
     settings = {name: options[name] for name in ("duration", "rate", "bandwidth", "reach", "one_by_one", "seed")}
     count = options["evaluations"]
     with bar(count) as advance:
@@ -103,19 +112,3 @@ def excite(
 
 def _named(what: str, texts: tuple[str, ...]) -> dict[str, float]:
     return dict(named_number(f"--{what}", text) for text in texts)
-
-
-def _limit(robot: Robot, what: str, texts: tuple[str, ...]) -> dict[str, float]:
-    """Limits by joint; a number without a joint is that of all others."""
-    limits = _named(what, texts)
-    others = limits.pop("", None)
-    return limits if others is None else dict.fromkeys(robot.names, others) | limits
-
-
-def _range(text: str) -> tuple[str, tuple[float, float]]:
-    name, _, interval = text.rpartition("=")
-    low, _, high = interval.partition(":")
-    try:
-        return name, (float(low), float(high))
-    except ValueError:
-        raise click.UsageError(f"--range {text}: expected JOINT=LOW:HIGH") from None

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from linkside.files.writing import check_writable
+from linkside.fleet.task import naming
 from linkside.kalman.noise import Noise
 from linkside.recording.estimate import Estimate
 from linkside.recording.log import Log
@@ -39,10 +40,11 @@ if TYPE_CHECKING:
 @report
 @click.option("--evaluations", type=click.IntRange(1), default=2000, help="Number of evaluations (observer).")
 def tune(robot: str, logs: tuple[str, ...], method: str, **options: Any) -> None:
-    """Tune the noise of a Kalman filter to the likelihood of recordings, or the poles of an observer.
+    """Tune the noise of a Kalman filter, or the poles of an observer.
 
-    `--with observer` can also free the stiffness, damping and motor_inertia of the drives. It compares with measured
-    states of the links (--states), or else with the smoother.
+    The noise is that with which the readings in LOGs are most likely. `--with observer` can also free the stiffness,
+    damping and motor_inertia of the drives. It compares with measured states of the links (--states), or else with the
+    smoother.
     """
     for option in ("start",) if method == "observer" else ("states", "figure"):
         if options[option]:
@@ -59,6 +61,30 @@ def tune(robot: str, logs: tuple[str, ...], method: str, **options: Any) -> None
         files = [("robot", robot), *(("log", log) for log in logs), *(("states", file) for file in options["states"])]
         page(tuned, inputs([*files, ("start", options["start"]), ("tuning", options["out"])])).write(told)
         click.echo(f"report: {told}")
+
+
+@main.command(epilog=example("linkside align robot.yaml log.parquet --out robot.aligned.yaml"))
+@click.argument("robot", type=click.Path())
+@click.argument("log", type=click.Path())
+@click.option("--tracker", help="Which of `trackers` of ROBOT.  [default: the only one]")
+@click.option("--free", default="place,delay", show_default=True, help="What to find: place, delay, xyz (the target).")
+@click.option("--out", required=True, type=click.Path(), help="The robot.yaml to write.")
+@no_check
+def align(robot: str, log: str, tracker: str | None, free: str, out: str, no_check: bool) -> None:
+    """Find where a tracker of ROBOT stands, and how late it is, by a LOG with its readings.
+
+    A tracker is a laser tracker, a camera or a motion capture system that sees a point of a link.
+    """
+    from linkside.calibration import align_tracker
+
+    refuse_clashes([Path(out)], [robot, log])
+    check_writable(out, (".yaml", ".yml"))
+    loaded = Robot.load(robot)
+    with naming(robot):
+        found = align_tracker(loaded, Log.read(log, loaded, check=not no_check), tracker, free.split(","))
+    click.echo(found.to_text(), nl=False)
+    found.write(robot, out)
+    click.echo(f"robot: {out}")
 
 
 def _tune_noise(robot: str, logs: Sequence[str], options: dict[str, Any]) -> Tuning:
@@ -109,7 +135,7 @@ def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> 
 @click.option("--resume", is_flag=True, help="Resume an interrupted run.")
 @click.option("--force", is_flag=True, help="Write the result even if it is refused.")
 def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **options: Any) -> None:
-    """Identify stiffness, damping, load and sensor errors of ROBOT from its own recordings.
+    """Identify springs, load and sensor errors of ROBOT from LOGs.
 
     The result is not written, and the exit status is 3, if it does not predict held-back readings better than ROBOT as
     it is, if an estimate is at a bound, or if one is far from ROBOT.
@@ -124,11 +150,11 @@ def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **optio
         result = calibrate_logs.run(robot, logs, out, resume, advance, **options)
     click.echo(result.to_text(), nl=False)
     if result.refused:
-        click.echo("linkside excite ROBOT LOG... --out motion.parquet plans a motion for what is not estimated")
+        click.echo("linkside excite ROBOT LOG... --out motion.parquet plans a motion for the parameters not estimated")
     for output in outputs if result.accepted or options["force"] else outputs[1:]:
         click.echo(f"written: {output}")
     if not (result.accepted or options["force"]):
-        click.echo(f"not written: {out}; if the estimates above are to be taken all the same, --force writes them")
+        click.echo(f"not written: {out}; --force writes the estimates above anyway")
     if not result.accepted:
         sys.exit(3)
 

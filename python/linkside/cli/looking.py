@@ -28,7 +28,7 @@ from .terminal import show
 @click.option("--figure", type=click.Path(), help="Draw a figure: a .png, .pdf or .svg file.")
 @click.option("--over", metavar="JOINT,JOINT", help="Joints of the figure's axes.  [default: those that matter most]")
 @click.option("--at", "held", metavar="JOINT=POSITION", multiple=True, help="Position of another joint [rad, m].")
-@click.option("--bound", is_flag=True, help="Also say how good a filter and a smoother can get along LOG.")
+@click.option("--bound", is_flag=True, help="Also report the smallest standard deviations possible along LOG.")
 @report
 def check(
     robot: str,
@@ -39,7 +39,10 @@ def check(
     bound: bool,
     report: str | None,
 ) -> None:
-    """Report what the sensors of ROBOT observe, how well and where; with LOG, along it, and check LOG for mistakes."""
+    """Report what the sensors of ROBOT observe, and check LOG.
+
+    With LOG, the report is also about its motion, and LOG is checked for wrong units, signs and other mistakes.
+    """
     from linkside.observability import analysis as module
     from linkside.observability.words import check_tables
 
@@ -86,7 +89,7 @@ def check(
 @click.argument("reference", type=click.Path())
 @click.argument("estimates", metavar="ESTIMATE...", type=click.Path(), nargs=-1, required=True)
 @click.option("--robot", type=click.Path(), help="A robot.yaml, to compute tool paths that a file lacks.")
-@click.option("--names", help="Names of estimates: a,b,c.  [default: their files]")
+@click.option("--names", help="Names of estimates: a,b,c.  [default: names of their files]")
 @click.option(
     "--align",
     type=click.Choice(["time", "start"]),
@@ -105,7 +108,10 @@ def check(
 @click.option("--figure", type=click.Path(), help="Draw a figure: a .png, .pdf or .svg file.")
 @report
 def compare(reference: str, estimates: tuple[str, ...], **options: Any) -> None:
-    """Measure how far ESTIMATEs are from REFERENCE: a truth, another estimate, or a log, for its commanded path."""
+    """Measure how far ESTIMATEs are from REFERENCE.
+
+    REFERENCE is a truth, another estimate, or a log, of which the commanded path is used.
+    """
     from linkside import comparison as module
     from linkside.comparison.output import SUFFIXES, tables
 
@@ -150,13 +156,17 @@ def compare(reference: str, estimates: tuple[str, ...], **options: Any) -> None:
 @click.option("--candidates", type=click.Path(), help="A file with `accelerometers` to choose from, as in robot.yaml.")
 @click.option("--count", type=int, help="Number of sensors.  [default: the fewest that suffice]")
 @click.option("--limit", type=float, help="Choose the smallest set within this score.")
+@click.option("--spares", type=click.IntRange(0), default=0, show_default=True, help="Sensors that may fail.")
 @click.option("--by", type=click.Choice(["condition", "covariance"]), default="condition", show_default=True)
 @click.option("--out", type=click.Path(), help="Write the chosen `accelerometers` to this YAML file.")
 @no_check
 @click.option("--figure", type=click.Path(), help="Draw singular postures: a .png, .pdf or .svg file.")
 @report
 def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: Any) -> None:
-    """Choose accelerometers that observe the joints of ROBOT best along LOGs, or in the whole workspace."""
+    """Choose accelerometers for ROBOT, and where to mount them.
+
+    The choice observes the joints best along LOGs or, without LOGs, in the whole workspace.
+    """
     from linkside.observability import placement
 
     out, told, files = options["out"], options["report"], [robot, *logs, options["candidates"]]
@@ -171,8 +181,8 @@ def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: 
     with naming(robot):
         sensors += placement.candidates(loaded, links, reach=options["reach"], steps=options["steps"], axes=kinds)
         where = [Log.read(log, loaded, check=not options["no_check"]) for log in logs] or None
-        choice = {"count": options["count"], "limit": options["limit"], "criterion": options["by"]}
-        found = placement.place(loaded, sensors, where, **choice)
+        choice = {name: options[name] for name in ("count", "limit", "spares")}
+        found = placement.place(loaded, sensors, where, criterion=options["by"], **choice)
     click.echo(found.to_text(), nl=False)
     if out is not None:
         found.write(out)
@@ -190,7 +200,7 @@ def place(robot: str, logs: tuple[str, ...], links: tuple[str, ...], **options: 
 @main.command(epilog=example("linkside demo --figure demo.png"))
 @click.option("--figure", type=click.Path(), default="linkside-demo.png", show_default=True, help="Figure to write.")
 def demo(figure: str) -> None:
-    """Run the observer on a robot and a recording that come with the package."""
+    """Estimate the recording that comes with the package."""
     from linkside.demo import run as module
     from linkside.demo.figure import demo_figure
 

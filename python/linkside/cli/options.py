@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,8 @@ import click
 from linkside.errors import OutputError
 from linkside.files.writing import check_writable
 from linkside.report.page import SUFFIXES
+from linkside.robot import Robot
+from linkside.robot.limits import Limits
 
 no_check = click.option("--no-check", is_flag=True, help="Skip the checks of the recordings.")
 
@@ -31,6 +33,50 @@ def named_number(option: str, text: str) -> tuple[str, float]:
         return name, float(number)
     except ValueError:
         raise click.UsageError(f"{option} {text}: expected NAME=NUMBER") from None
+
+
+def limits_by_joint(robot: Robot, what: str, texts: tuple[str, ...]) -> dict[str, float]:
+    """What an option ``[JOINT=]LIMIT`` says of each joint; a number without a joint is that of all others."""
+    limits = dict(named_number(f"--{what}", text) for text in texts)
+    others = limits.pop("", None)
+    return limits if others is None else dict.fromkeys(robot.names, others) | limits
+
+
+def named_range(text: str) -> tuple[str, tuple[float, float]]:
+    """What an option ``JOINT=LOW:HIGH`` says."""
+    name, _, interval = text.rpartition("=")
+    low, _, high = interval.partition(":")
+    try:
+        return name, (float(low), float(high))
+    except ValueError:
+        raise click.UsageError(f"--range {text}: expected JOINT=LOW:HIGH") from None
+
+
+def kept_limits(command: Callable[..., None]) -> Callable[..., None]:
+    """Options of the limits that a motion keeps, for `limits_of`."""
+    for option in (
+        click.option("--torque", metavar="[JOINT=]LIMIT", multiple=True, help="Limit of a motor's torque, link side."),
+        click.option(
+            "--acceleration", metavar="[JOINT=]LIMIT", multiple=True, help="Limit of an acceleration.  [default: none]"
+        ),
+        click.option(
+            "--velocity", metavar="[JOINT=]LIMIT", multiple=True, help="Limit of a velocity.  [default: URDF]"
+        ),
+        click.option(
+            "--range", "ranges", metavar="JOINT=LOW:HIGH", multiple=True, help="Limits of a position [rad, m]."
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+def limits_of(robot: Robot, options: Mapping[str, Any]) -> Limits:
+    """Limits by the options of `kept_limits`, and by the URDF."""
+    return Limits.of(
+        robot,
+        ranges=dict(map(named_range, options["ranges"])),
+        **{what: limits_by_joint(robot, what, options[what]) for what in ("velocity", "acceleration", "torque")},
+    )
 
 
 class Shift(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.4 only

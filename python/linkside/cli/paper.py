@@ -31,7 +31,9 @@ FORMATS = ("svg", "png", "pdf")
 @click.option("--tuned", is_flag=True, help="axelsson2012: also compare with tuned noise (half a minute).")
 @click.option("--rate", type=click.FloatRange(500), help="ulrich2011: rate of the loop [Hz].  [default: 1000]")
 def paper(name: str, out: str | None, kind: str, **settings: Any) -> None:
-    """Repeat the experiment of PAPER: deluca2007, axelsson2012, ulrich2011 or cristofaro2023.
+    """Repeat the experiment of PAPER.
+
+    PAPER is deluca2007, axelsson2012, ulrich2011 or cristofaro2023.
 
     The experiment is run, its figures are drawn, and its numbers are compared with those of the paper. The loop of
     ulrich2011 runs at 100 kHz in the paper, which takes minutes.

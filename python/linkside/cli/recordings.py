@@ -26,12 +26,17 @@ from .terminal import rate_lines, show
     "--drive", type=click.Choice(list(DRIVES)), default="strain-wave", show_default=True, help="Kind of the gears."
 )
 @click.option(
-    "--gear-ratio", "ratios", multiple=True, metavar="JOINT=N", help="Its gear ratio; logs then hold shaft values."
+    "--gear-ratio",
+    "ratios",
+    multiple=True,
+    metavar="JOINT=N",
+    help="Gear ratio of a joint; logs then hold values of the motor shaft.",
 )
 def init(urdf: str, out: str, drive: str, ratios: tuple[str, ...]) -> None:
-    """Start a robot.yaml from URDF: its joints and links, and typical values with their ranges.
+    """Start a robot.yaml from URDF, with typical values.
 
-    Lines marked ASKED are for you to fill in. The file must not exist yet.
+    It lists the joints and links, and gives typical values with their ranges. Lines marked ASKED are for you to fill
+    in. The file must not exist yet.
     """
     check_writable(out, (".yaml", ".yml"))
     if Path(out).exists():
@@ -50,7 +55,7 @@ def init(urdf: str, out: str, drive: str, ratios: tuple[str, ...]) -> None:
 @click.option("--rate", type=float, help="Resample to this even rate [Hz]; for observers.")
 @no_check
 def merge(robot: str, files: tuple[str, ...], out: str, shifts: tuple[str, ...], **options: Any) -> None:
-    """Merge FILEs of separately recorded sensors into one log, by time.
+    """Merge FILEs of different sensors into one log, by time.
 
     Each FILE has a column of time and some of the other columns of ROBOT. The log has a row for each time, and NaN
     where a sensor has no reading.

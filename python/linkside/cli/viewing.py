@@ -24,9 +24,12 @@ MOST = 3
 @click.option("--out", required=True, type=click.Path(), help="A file that ends in .rrd (Rerun) or .mcap.")
 @click.option("--rate", type=float, default=200, show_default=True, help="About how many rows a second to write [Hz].")
 def view(robot: str, log: str, estimate: str, out: str, rate: float) -> None:
-    """Write an animation of ROBOT: links by ESTIMATE, links by motors alone, the tool's path, and residuals of LOG.
+    """Write an animation of ROBOT for Rerun or Foxglove.
 
-    .rrd is for Rerun (pip install linkside[rerun]; `rerun FILE`), .mcap for PlotJuggler and Foxglove (linkside[mcap]).
+    It shows the links by ESTIMATE and by the motors alone, the tool's path, and the residuals of LOG.
+
+    .rrd is for Rerun (pip install 'linkside[rerun]'; show it with `rerun FILE`), .mcap for PlotJuggler and Foxglove
+    (pip install 'linkside[mcap]').
     """
     from linkside.scene import SUFFIXES, write_scene
 

@@ -78,9 +78,9 @@ def compare_files(
     segments: Sequence[Segment] | Literal["rests"] = (),
     repeats: bool = False,
 ) -> Comparison:
-    """Compare files of estimates with one of a truth, an estimate or a log, whose command is the reference then.
+    """Compare files of estimates with a truth, another estimate, or the commanded path of a log.
 
-    Names are those given, or of the files; the rest as in `compare`.
+    Names are those given, or those of the files; everything else is as in `compare`.
     """
     named = list(names or distinct([Path(path) for path in estimates]))
     if len(named) != len(estimates):
@@ -114,14 +114,15 @@ def compare(
 ) -> Comparison:
     """Measure how far estimates are from a reference of the same motion.
 
-    The reference is interpolated at each estimate's times, not over gaps; what it does not cover is left out.
+    The reference is interpolated at each estimate's times, but not over gaps; times that it does not cover are left
+    out.
 
     Parameters
     ----------
     reference, estimates
         Motions, the latter by name.
     robot
-        Tells which joints slide, so that they are in metres.
+        States which joints slide, so that they are in metres.
     shift
         Delay of the estimates' clocks [s]; ``"auto"`` finds it for each, see `find_shift`.
     align

@@ -34,12 +34,12 @@ SIGNIFICANT = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Repeats:
-    """Repeats of one motion, in the order in which they were made: what they have in common and what not.
+    """Repeats of one motion, in the order in which they were made: their mean, spread, trend and outliers.
 
     Attributes
     ----------
     signals : tuple of str
-        What they are judged by: ``tool``, or positions of joints ``q_<joint>``.
+        Signals that are compared: ``tool``, or positions of joints ``q_<joint>``.
     distances : dict of str to float
         Median distance of each repeat to the others, without a trend that all have, RMS over time.
     outliers : tuple of str
@@ -51,7 +51,7 @@ class Repeats:
     trend : dict of str to float
         Size of the change from one repeat to the next, by least squares, RMS over time.
     p_value : float
-        How often repeats without a trend would show one of this size: the share of their orders that do.
+        Probability that repeats without a trend have one of this size: the share of their orders that do.
     """
 
     signals: tuple[str, ...]

@@ -48,12 +48,13 @@ def consistency(
     level: float = LEVEL,
     lags: int = LAGS,
 ) -> Consistency:
-    """Compare a filter's innovations, and its errors, with what it expects of them.
+    """Compare a filter's innovations, and its errors, with their stated standard deviations.
 
-    Normalised innovations squared (NIS) of a filter that is right are chi-square, as many degrees of freedom as
-    readings, independent from sample to sample; normalised estimation errors squared (NEES) likewise, but errors are
-    correlated in time, so that the bounds of their mean are those of as many samples as are independent. Bar-Shalom,
-    Li and Kirubarajan, "Estimation with applications to tracking and navigation" (2001), section 5.4.
+    Normalised innovations squared (NIS) of a consistent filter are chi-square distributed, with as many degrees of
+    freedom as readings, and independent from sample to sample. Normalised estimation errors squared (NEES) are the same
+    of the errors, which are correlated in time, so that the bounds of their mean use the number of effectively
+    independent samples. Bar-Shalom, Li and Kirubarajan, "Estimation with applications to tracking and navigation"
+    (2001), section 5.4.
 
     Parameters
     ----------

@@ -103,13 +103,13 @@ class Measures:
         ratio, what = (self.position, "errors") if self.position else (self.innovations, "innovations")
         factor = float(np.sqrt(ratio.mean))
         if ratio.verdict == "consistent":
-            return [f"The filter is consistent: {what} are as large as it says."]
+            return [f"The filter is consistent: {what} are as large as it states."]
         if ratio.verdict == "cautious":
-            return [f"The filter is cautious: {what} are {_times(1 / factor)} smaller than it says."]
+            return [f"The filter is cautious: {what} are {_times(1 / factor)} smaller than it states."]
         constant = ratio.varying is not None and ratio.varying < 0.5 * ratio.mean
         sees = self.innovations.verdict == "overconfident"  # no innovation shows an offset at rest
         advice = "try linkside tune" if sees or not constant else "most of it is a constant offset: calibrate"
-        return [f"The filter is overconfident: {what} are {_times(factor)} larger than it says; {advice}."]
+        return [f"The filter is overconfident: {what} are {_times(factor)} larger than it states; {advice}."]
 
     def _whiteness_lines(self) -> list[str]:
         if not self.channels:
@@ -119,7 +119,10 @@ class Measures:
             return [f"innovations are white in all {len(self.channels)} channels over {len(self.autocorrelation)} lags"]
         rows = [f"innovations are correlated in time in {len(coloured)} of {len(self.channels)} channels:"]
         rows += [self._channel_line(index, name) for index, name in enumerate(self.channels) if name in coloured]
-        return [*rows, "  errors of the model (stiffness, mass, friction) last from sample to sample, noise does not"]
+        return [
+            *rows,
+            "  errors of the model (stiffness, mass, friction) are correlated from sample to sample, noise is not",
+        ]
 
     def _channel_line(self, index: int, name: str) -> str:
         first, size = self.autocorrelation[0, index], self.sizes[index]

@@ -1,4 +1,4 @@
-"""Control of elastic-joint robots: motions, torques along them, feedback, and what it does to the loop."""
+"""Control of elastic-joint robots: motions, torques along them, feedback, and analysis of the closed loop."""
 
 from .feedforward import Desired, derivative_order, inverse_dynamics
 

@@ -27,14 +27,14 @@ def closed_loop_poles(
 ) -> ComplexArray:
     """Poles of the sampled loop about a posture at rest; it is stable if all are inside the unit circle.
 
-    The robot, rigid joints included, has its torque held between samples; the observer takes gravity off its
-    accelerometers at its own estimate of the posture; the estimate is fed back. Left out are dry friction and nonlinear
-    springs.
+    The robot, rigid joints included, has its torque held between samples; the observer subtracts gravity from its
+    accelerometers at its own estimate of the posture; the estimate is fed back. Dry friction and nonlinear springs are
+    left out.
 
     Parameters
     ----------
     observer
-        With the robot as it is known.
+        With the robot's model.
     gains : (n, 4 n)
         On θ, q, θ̇ and q̇.
     q : (n,)
@@ -42,7 +42,7 @@ def closed_loop_poles(
     period
         [s].
     specimen
-        The robot as it is; as it is known by default.
+        The real robot; by default the model.
 
     Returns
     -------

@@ -82,7 +82,7 @@ class SimpleAdaptive:
     times : (K,)
         Knots of the command [s]; straight between them, at rest before and after.
     command : (K, axes)
-        Where the tool is to be at the knots, in the base frame [m].
+        Commanded position of the tool at the knots, in the base frame [m].
     axes
         Coordinates of the tool that are controlled, such as ``"xy"``.
     position, velocity

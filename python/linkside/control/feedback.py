@@ -42,8 +42,8 @@ def pole_placement(
 ) -> FloatArray:
     """Gains that place four poles for each elastic joint, two for each rigid one.
 
-    Each joint is taken for itself, its link with the inertia that it has at `q`. Two poles are at ``slow``; the other
-    two stay at the joint's own elastic frequency, but are damped.
+    Each joint is designed separately, with the link's inertia at `q`. Two poles are at ``slow``; the other two stay at
+    the joint's resonance frequency, but are damped.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def lqr(
 ) -> FloatArray:
     """Gains of the linear-quadratic regulator at a working point, all elastic joints together (SciPy).
 
-    It weighs link positions, link velocities and torques by one over the square of what is tolerable of each. Rigid
+    It weighs link positions, link velocities and torques by one over the square of their tolerable deviation. Rigid
     joints are as in `pole_placement`.
 
     Parameters
@@ -151,7 +151,7 @@ class StateFeedback:
     Parameters
     ----------
     robot
-        The robot as it is known.
+        The robot's model.
     desired
         The desired motion, from `control.inverse_dynamics`, with a row a sample.
     gains : (n, 4 n)

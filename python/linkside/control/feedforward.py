@@ -41,7 +41,7 @@ class Desired:
 
     @property
     def torsion(self) -> FloatArray:
-        """Motors less links, θ − q, (T, n) [rad]."""
+        """Motors minus links, θ − q, (T, n) [rad]."""
         return self.theta - self.q
 
 

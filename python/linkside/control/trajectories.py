@@ -1,4 +1,4 @@
-"""Smooth motions of the links, with the derivatives that inverse dynamics of elastic joints asks for."""
+"""Smooth motions of the links, with the derivatives that inverse dynamics of elastic joints needs."""
 
 from __future__ import annotations
 
@@ -180,7 +180,7 @@ def polyline(
     robot
         With a tool.
     points : (m, k)
-        Corners that the tool goes to one after the other from where it is at `start` [m], in `axes`.
+        Corners that the tool visits one after the other, from its position at `start` [m], in `axes`.
     duration
         Of each of the m lines, or of all [s].
     period

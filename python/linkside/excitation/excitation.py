@@ -14,10 +14,10 @@ from linkside.files.tables import ArrowTable
 from linkside.recording.layout import as_columns
 from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
+from linkside.robot.limits import Limits
 from linkside.text import Titled, as_text
 
 from .expected import ExpectedErrors, MotorMotion
-from .limits import Limits
 from .words import errors_table
 
 if TYPE_CHECKING:
@@ -26,16 +26,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Excitation:
-    """A planned motion of the motors, and the standard errors that a calibration by it will have.
+    """A planned motion of the motors, and the standard errors of a calibration with it.
 
     Attributes
     ----------
     robot : Robot
         The robot that it was planned for.
     motion : MotorMotion
-        How the motors are to move.
+        The motion of the motors.
     limits : Limits
-        What it keeps.
+        The limits of the motion.
     torque : (T, n)
         Torques of the motors along it, if the robot is as robot.yaml says [N m].
     before, after : ExpectedErrors

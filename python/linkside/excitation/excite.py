@@ -12,10 +12,11 @@ from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.recording.log import Log
 from linkside.robot import Robot
+from linkside.robot.limits import Limits, joint_index
 
 from .excitation import Excitation
 from .expected import ExpectedErrors, MotorMotion, Sensing, expect, motion_of
-from .limits import Limits, joint_index
+from .limits import complete
 from .planner import PER_PERIOD, Planner, Progress, Room
 from .series import TERMS, FourierSeries
 
@@ -32,7 +33,7 @@ RATE = 1000.0
 def expected_errors(robot: Robot, logs: Log | Sequence[Log], free: Iterable[str] | None = None) -> ExpectedErrors:
     """Find which parameters are identifiable from recordings or planned motions, and how well.
 
-    Only the motors' positions are looked at: sensors are taken to read what robot.yaml says, with its noise.
+    Only the motors' positions are used: the sensors are assumed to be those of robot.yaml, with its noise.
 
     Parameters
     ----------
@@ -46,7 +47,7 @@ def expected_errors(robot: Robot, logs: Log | Sequence[Log], free: Iterable[str]
     Raises
     ------
     EstimatorError
-        The robot has no sensor on its links, or what calibration does not account for.
+        The robot has no sensor on its links, or something that calibration does not account for.
     """
     logs = [logs] if isinstance(logs, Log) else list(logs)
     return expect(Sensing(robot, free), [motion_of(robot, log) for log in logs])
@@ -70,16 +71,16 @@ def excite(
 ) -> Excitation:
     """Plan a motion of the motors that makes springs, masses and poses of sensors identifiable.
 
-    Each joint moves along a finite Fourier series that begins and ends at rest. Of all series within the limits the
-    one is sought whose recording leaves the smallest volume of uncertainty of what is sought (D-optimality), by the
-    information of `calibrate`'s own likelihood, with the ``tolerances`` of robot.yaml as a prior.
+    Each joint moves along a finite Fourier series that begins and ends at rest. Of all series within the limits it is
+    the one after whose recording the volume of the parameters' covariance is smallest (D-optimality), from the Fisher
+    information of `calibrate`'s likelihood, with the ``tolerances`` of robot.yaml as a prior.
 
     Parameters
     ----------
     robot
         The robot as robot.yaml has it.
     logs
-        Recordings that it will be calibrated with besides: the motion adds what they lack.
+        Recordings that will be used for the calibration as well: the motion adds what they lack.
     free
         Kinds or names of parameters that calibration will free; those that `calibrate` frees by default.
     limits
@@ -89,30 +90,30 @@ def excite(
     rate
         Of the recording [Hz]; robot.yaml's ``rate_hz`` by default, or 1000.
     bandwidth
-        Highest frequency of the motion [Hz]. By default half the lowest frequency at which a link swings on its
+        Highest frequency of the motion [Hz]. By default half the lowest frequency at which a link vibrates on its
         spring, at most 10.
     posture
         Where the motion begins and ends, by joint [rad, m]; by default the middle of each joint's range.
     reach
-        How far joints move from there, as far as their range allows [rad, m].
+        How far joints move from there, within their range [rad, m].
     one_by_one
         Whether joints move one after the other instead of together; each has an equal part of ``duration``.
     evaluations
         Motions that are tried.
     seed
-        Of the random directions that the search starts from: the same seed gives the same motion.
+        Seed of the random directions that the search starts from: the same seed gives the same motion.
     progress
         Called with the number of motions tried so far and the best cost.
 
     Raises
     ------
     EstimatorError
-        A setting out of range, a posture outside the limits or that motors cannot hold, a robot without a sensor on
-        its links.
+        A setting out of range, a joint without a limit, a posture outside the limits or that motors cannot hold, a
+        robot without a sensor on its links.
     """
     sensing = Sensing(robot, free)
     logs = [logs] if isinstance(logs, Log) else list(logs)
-    limits = limits or Limits.of(robot)
+    limits = complete(robot, limits or Limits.of(robot))
     rate = positive("rate", rate or robot.config.rate_hz or RATE)
     duration, reach = positive("duration", duration), positive("reach", reach)
     whole("evaluations", evaluations, least=2)

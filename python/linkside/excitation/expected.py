@@ -21,6 +21,7 @@ from linkside.recording.log import Log
 from linkside.recording.motion import moving
 from linkside.robot import Robot
 from linkside.robot.requirements import refuse_unsupported
+from linkside.robot.sensors import ThreeAxes
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +61,9 @@ class ExpectedErrors:
     parameters : tuple of Parameter
         All that it would free.
     std : (p,)
-        Standard errors, in tolerances; 1 is that nothing is known beyond robot.yaml.
+        Standard errors, in tolerances; 1 if nothing is known beyond robot.yaml.
     reasons : dict of str to str
-        Parameters that the motion cannot tell, and why.
+        Parameters that the motion does not identify, and why.
     information : (p, p)
         Fisher's, in tolerances.
     """
@@ -194,7 +195,12 @@ def _noise(robot: Robot) -> dict[str, FloatArray | float]:
     """Standard deviations of what sensors on links read, by signal."""
     config = robot.config
     found: dict[str, FloatArray | float] = {}
-    for kind, carriers in (("acceleration", robot.accelerometers), ("rate", robot.gyroscopes)):
+    carried: dict[str, Sequence[ThreeAxes]] = {
+        "acceleration": robot.accelerometers,
+        "rate": robot.gyroscopes,
+        "position": robot.trackers,
+    }
+    for kind, carriers in carried.items():
         if carriers:
             found[kind] = np.array([sensor.noise_std for sensor in carriers for _ in sensor.axes])
     if config.link_encoder is not None:

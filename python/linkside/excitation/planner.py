@@ -12,13 +12,13 @@ import scipy.optimize
 
 from linkside._core import Response
 from linkside.arrays import FloatArray
-from linkside.calibration.prepared import Prepared
+from linkside.calibration.prepared import ZEROS, Prepared
 from linkside.calibration.problem import bare
 from linkside.calibration.response import ResponseProblem
 from linkside.errors import EstimatorError
+from linkside.robot.limits import Limits
 
 from .expected import MotorMotion, Sensing
-from .limits import Limits
 from .series import FourierSeries
 
 SOUGHT = ("stiffness", "mass_scale", "payload_mass", "translation", "rotation")
@@ -134,7 +134,7 @@ class Planner:
         sensing, log = self.sensing, self.sensing.log(motion.t, motion.theta)
         std = np.concatenate([np.broadcast_to(sensing.noise[k], len(log.columns(k))) for k in sensing.noise])
         nothing = np.zeros((len(motion.t), len(std)))
-        zeros = sum(len(log.columns(kind)) for kind in sensing.noise if kind in ("rate", "q", "torque"))
+        zeros = sum(len(log.columns(kind)) for kind in sensing.noise if kind in ZEROS)
         blank = Prepared(log, motion.arrays, nothing, nothing > 0, np.zeros(2 * sensing.robot.n + zeros))
         problem = ResponseProblem(sensing.robot, [blank], sensing.free, size=std, base=self._base)
         z = sensing.start(problem)

@@ -77,7 +77,7 @@ class ArrayTable:
         try:
             import h5py
         except ImportError:
-            raise failure(self.source, "h5py is needed to read this: pip install linkside[hdf5]") from None
+            raise failure(self.source, "h5py is needed to read this: pip install 'linkside[hdf5]'") from None
         with h5py.File(self.source, "r") as file:
             found: dict[str, Load] = {}
             file.visititems(lambda name, item: found.update(_dataset(name, item)) if hasattr(item, "dtype") else None)

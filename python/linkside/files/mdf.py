@@ -32,7 +32,7 @@ def _opened(source: str) -> Iterator[_MdfReader]:
     try:
         from asammdf import MDF
     except ImportError:
-        raise failure(source, "asammdf is needed to read this: pip install linkside[mdf]") from None
+        raise failure(source, "asammdf is needed to read this: pip install 'linkside[mdf]'") from None
     with open(source, "rb") as opened, MDF(opened) as file:
         yield _MdfReader(file)
 

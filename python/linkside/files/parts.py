@@ -39,10 +39,34 @@ def open_part(path: Path) -> tuple[Path, IO[bytes]]:
         file.close()
 
 
+@contextmanager
+def replacing(path: Path) -> Iterator[IO[bytes]]:
+    """Give a file that takes the place of ``path`` when the block ends well, and is gone when not. Raises OSError."""
+    part, file = open_part(path)
+    try:
+        yield file
+        publish(part, file, path)
+    finally:
+        discard(part, file)
+
+
+def settle(file: IO[bytes]) -> None:
+    """Bring all that was written onto the disk. Raises OSError."""
+    file.flush()
+    os.fsync(file.fileno())
+
+
+def discard(part: Path, file: IO[bytes]) -> None:
+    """Close a file and remove it, unless it was published."""
+    with suppress(OSError):  # a full disk refuses what is still to be flushed
+        file.close()
+    with suppress(OSError):
+        part.unlink(missing_ok=True)
+
+
 def publish(part: Path, file: IO[bytes], path: Path) -> None:
     """Give a file that is written its name, in place of an older one, safe against a power cut. Raises OSError."""
-    file.flush()
-    os.fsync(file.fileno())  # or the name could be left on an empty file
+    settle(file)  # or the name could be left on an empty file
     if fcntl is None:
         file.close()  # Windows renames no file that is open
     os.replace(part, os.path.realpath(path))  # before its lock is gone: to others it were abandoned

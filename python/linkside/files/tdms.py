@@ -43,7 +43,7 @@ def _opened(source: str) -> Iterator[_TdmsReader]:
     try:
         from nptdms import TdmsFile
     except ImportError:
-        raise failure(source, "npTDMS is needed to read this: pip install linkside[tdms]") from None
+        raise failure(source, "npTDMS is needed to read this: pip install 'linkside[tdms]'") from None
     with _without_its_log(), open(source, "rb") as opened, TdmsFile.open(opened, raw_timestamps=True) as file:
         if file.file_status.incomplete_final_segment:
             text = f"{source}: this file was cut off: it is read as far as it goes"

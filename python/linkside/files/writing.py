@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from linkside.errors import OutputError
 
-from .parts import open_part, publish
+from .parts import discard, open_part, replacing
 from .regular import instead
 
 
@@ -23,11 +23,8 @@ def write_text(path: str | Path, text: str) -> None:
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
     """Write a small file whole or not at all; `OutputError` when that cannot be."""
     path = Path(path)
-    with writing(path):
-        part, file = open_part(path)
-        with file:
-            file.write(content)
-            publish(part, file, path)
+    with writing(path), replacing(path) as file:
+        file.write(content)
 
 
 def check_writable(path: str | os.PathLike[str], suffixes: tuple[str, ...] = (".parquet", ".csv")) -> None:
@@ -44,9 +41,7 @@ def check_writable(path: str | os.PathLike[str], suffixes: tuple[str, ...] = (".
         folder = Path(os.path.realpath(path)).parent
         if not folder.is_dir():
             raise OutputError(f"{path}: there is no directory {folder}")
-        part, file = open_part(path)  # only an attempt tells of full disks and read-only file systems
-        file.close()
-        part.unlink(missing_ok=True)  # without its lock it looks abandoned, and may have been cleared
+        discard(*open_part(path))  # only an attempt tells of full disks and read-only file systems
 
 
 @contextmanager

@@ -24,6 +24,7 @@ from linkside.kalman.jerk_driven import (
 )
 from linkside.kalman.linearisation import Linearisation
 from linkside.kalman.losses import Loss
+from linkside.kalman.motor_jerk import MotorJerkFilter, MotorJerkNoise, MotorJerkSmoother
 from linkside.kalman.noise import Noise
 from linkside.kalman.stretches import smooth_pieces
 from linkside.observers.poles import PolePattern, damped
@@ -120,6 +121,14 @@ def _elastic_map(robot: Robot, options: Options) -> Run:
     return partial(map, ElasticJointIteratedSmoother(robot, options.tuning, **options.of_filters).run)
 
 
+def _motor_filter(robot: Robot, options: Options) -> Run:
+    return MotorJerkFilter(robot, options.tuning, **options.of_filters).run_pieces
+
+
+def _motor_smoother(robot: Robot, options: Options) -> Run:
+    return partial(map, MotorJerkSmoother(robot, options.tuning, **options.of_filters).run)
+
+
 def _particle(method: type[ParticleFilter], robot: Robot, options: Options) -> Run:
     return method(robot, options.tuning, particles=options.particles, seed=options.seed).run_pieces
 
@@ -142,13 +151,11 @@ METHODS = {
     "ekf": Method(
         "Kalman filter with link dynamics and standard deviations", OF_FILTERS, partial(_filter, ExtendedKalmanFilter)
     ),
-    "ukf": Method(
-        "the same by sigma points in place of derivatives", OF_FILTERS, partial(_filter, UnscentedKalmanFilter)
-    ),
-    "ckf": Method("the same without their centre", OF_FILTERS, partial(_filter, CubatureKalmanFilter)),
-    "smoother": Method("ekf using all samples, later ones included", OF_FILTERS, _smoother),
+    "ukf": Method("ekf with sigma points in place of derivatives", OF_FILTERS, partial(_filter, UnscentedKalmanFilter)),
+    "ckf": Method("ukf without the central point", OF_FILTERS, partial(_filter, CubatureKalmanFilter)),
+    "smoother": Method("as ekf, but each row from all samples, later ones too", OF_FILTERS, _smoother),
     "map": Method(
-        "the most probable motion, linearised at itself; --loss huber or student-t for outliers",
+        "the most probable motion, found by iterations of smoother; --loss huber or student-t for outliers",
         OF_FILTERS,
         _map,
         whole=lambda _: True,
@@ -160,19 +167,19 @@ METHODS = {
         read_tuning=ElasticNoise.read,
     ),
     "elastic-ukf": Method(
-        "the same by sigma points in place of derivatives",
+        "elastic-ekf with sigma points in place of derivatives",
         OF_FILTERS,
         partial(_elastic_filter, "unscented"),
         read_tuning=ElasticNoise.read,
     ),
     "elastic-ckf": Method(
-        "the same without their centre",
+        "elastic-ukf without the central point",
         OF_FILTERS,
         partial(_elastic_filter, "cubature"),
         read_tuning=ElasticNoise.read,
     ),
     "elastic-smoother": Method(
-        "elastic-ekf using all samples, later ones included",
+        "as elastic-ekf, but each row from all samples, later ones too",
         OF_FILTERS,
         _elastic_smoother,
         whole=lambda _: True,
@@ -185,11 +192,26 @@ METHODS = {
         whole=lambda _: True,
         read_tuning=ElasticNoise.read,
     ),
+    "motor-ekf": Method(
+        "Kalman filter on the elastic-joint dynamics, motors moving as measured; needs no motor torque",
+        OF_FILTERS,
+        _motor_filter,
+        read_tuning=MotorJerkNoise.read,
+    ),
+    "motor-smoother": Method(
+        "motor-ekf using all samples, later ones included",
+        OF_FILTERS,
+        _motor_smoother,
+        whole=lambda _: True,
+        read_tuning=MotorJerkNoise.read,
+    ),
     "particle": Method(
-        "weighted samples of the state", ("tuning", "particles", "seed"), partial(_particle, ParticleFilter)
+        "particle filter, weighted samples of the state",
+        ("tuning", "particles", "seed"),
+        partial(_particle, ParticleFilter),
     ),
     "marginalized": Method(
-        "the same, with biases marginalised in closed form",
+        "as particle, with biases computed in closed form",
         ("tuning", "particles", "seed"),
         partial(_particle, MarginalizedParticleFilter),
     ),
@@ -200,7 +222,7 @@ METHODS = {
         uneven=False,
     ),
     "nicosia-tomei": Method(
-        "the same, with a spring on the position error",
+        "as reduced-order, with a spring on the position error",
         ("gain",),
         partial(_velocity, NicosiaTomeiObserver),
         uneven=False,

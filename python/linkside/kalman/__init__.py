@@ -11,6 +11,7 @@ from .jerk_driven import (
     RauchTungStriebelSmoother,
     UnscentedKalmanFilter,
 )
+from .motor_jerk import MotorJerkFilter, MotorJerkNoise, MotorJerkSmoother
 from .noise import Noise
 from .stretches import smooth_file, smooth_pieces
 
@@ -25,6 +26,9 @@ __all__ = [
     "FixedLagSmoother",
     "IteratedSmoother",
     "KalmanEstimate",
+    "MotorJerkFilter",
+    "MotorJerkNoise",
+    "MotorJerkSmoother",
     "Noise",
     "RauchTungStriebelSmoother",
     "UnscentedKalmanFilter",

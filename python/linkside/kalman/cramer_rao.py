@@ -46,7 +46,7 @@ class Bound:
     smoother_tool: FloatArray | None = None
 
     def tables(self) -> Iterator[RenderableType]:
-        """Say how good a filter and a smoother can get, as root mean squares over the motion."""
+        """Tabulate the bounds of a filter and a smoother, as root mean squares over the motion."""
         table = Titled(
             "no estimate can be better: Cramér–Rao bound, RMS along the log",
             ("", "filter", "smoother", "smoother, worst"),
@@ -66,9 +66,9 @@ class Bound:
 def bound(robot: Robot, log: Log, motion: Estimate | None = None, noise: Noise | None = None) -> Bound:
     """Find the least standard deviations along a motion on the jerk-driven model.
 
-    Tichavský, Muravchik and Nehorai (1998), with the derivatives of the dynamics at the motion itself: what sensors and
-    noise allow there, whatever the readings. An error above it is the method's; one below it is chance, or a method
-    that knows more than the model.
+    Tichavský, Muravchik and Nehorai (1998), with the derivatives of the dynamics at the motion itself: the accuracy
+    that sensors and noise allow there, whatever the readings. A larger error is due to the method; a smaller one is due
+    to chance, or to a method that uses more than the model.
 
     Parameters
     ----------
@@ -78,8 +78,8 @@ def bound(robot: Robot, log: Log, motion: Estimate | None = None, noise: Noise |
         Says which readings there are and when. Their values matter only where ``motion`` or ``noise`` is not given, and
         for the damping torque where the log has no motor velocities.
     motion
-        Where the robot is, a truth for example, with ``q``, ``dq`` and ``ddq`` at the log's samples; by default what
-        `IteratedSmoother` finds.
+        The motion, a truth for example, with ``q``, ``dq`` and ``ddq`` at the log's samples; by default the estimate of
+        `IteratedSmoother`.
     noise
         As of `ExtendedKalmanFilter`.
 

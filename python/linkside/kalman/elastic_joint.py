@@ -15,17 +15,26 @@ from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
 from linkside.robot.compiled import Compiles
-from linkside.robot.considered import Uncertain, considered, core_settings
+from linkside.robot.considered import considered
 from linkside.robot.requirements import refuse_unsupported
 
-from .filtering import KalmanEstimate, KalmanMethod
-from .late_sensors import inside
+from .elastic_dynamics import LiveOnElasticDynamics, OnElasticDynamics
+from .filtering import KalmanEstimate
 from .linearisation import Linearisation
 from .link_disturbance import LinkDisturbance, Wanted
 from .losses import Losses
-from .noise import PositiveStd, ReadingNoise, Std, channel_arrays, jerk_scale, motor_noise, torque_noise
+from .noise import (
+    PositiveStd,
+    ReadingNoise,
+    Std,
+    channel_arrays,
+    friction_at_unit_speed,
+    jerk_scale,
+    motor_noise,
+    torque_noise,
+)
 from .start import Moving, Readings, Start
-from .starting import DecidingFilter, first_readings, in_pieces
+from .starting import first_readings, in_pieces
 
 Arrays = tuple[FloatArray, FloatArray, FloatArray]
 
@@ -39,16 +48,16 @@ class ElasticNoise(ReadingNoise):
     Attributes
     ----------
     link_acceleration, motor_acceleration
-        Density of what the equations of links and of motors leave out: velocity wanders by this in a second
+        Density of accelerations that the equations of links and motors lack: the random walk of velocity in one second
         [rad/s/√s].
     torque
         Noise of the motor torques, in multiples of robot.yaml's ``torque.noise_std``.
     torque_walk
-        By how much a motor torque may have wandered from its last reading after one second without [N m/√s]. None: the
-        most that the log's torques do over any time up to `TORQUE_TIME`.
+        Random walk of a motor torque in one second without readings [N m/√s]. None: the largest walk
+        of the log's torques over any time up to `TORQUE_TIME`.
     disturbance, disturbance_walk
-        Initial uncertainty of each motor's disturbance torque, and by how much it wanders in a second, in multiples of
-        the torque that the motor's friction has at 1 rad/s (N m if it has none).
+        Initial uncertainty of each motor's disturbance torque, and its random walk in one second, in multiples of the
+        motor's friction torque at 1 rad/s (of 1 N m if it has none).
     transmission, motor_velocity, acceleration, rate, link, joint_torque, link_velocity, position, velocity
         And biases and disturbance torques of links: as of `ReadingNoise`, at the first sample of links and of motors.
     """
@@ -62,7 +71,7 @@ class ElasticNoise(ReadingNoise):
     motor_velocity: PositiveStd = 1e-3
 
     def for_log(self, log: Log, robot: Robot) -> ElasticNoise:
-        """Fill in what is to be read off the log: how far torques wander where they are missing."""
+        """Fill in what is estimated from the log: the random walk of torques that are missing."""
         if self.torque_walk is not None or log.tau is None or not np.isnan(log.tau).any():
             return self
         walk = torque_walk(log, self.torque * torque_noise(robot))
@@ -71,7 +80,7 @@ class ElasticNoise(ReadingNoise):
     def arrays(self, robot: Robot, kinds: tuple[str, ...]) -> dict[str, list[float]]:
         """Arrays for the filter: one number a joint or channel, the channels being those of ``kinds`` in order."""
         n = robot.n
-        drag = np.array([d.motor_friction.viscous + d.motor_friction.coulomb or 1.0 for d in robot.drives])
+        drag = friction_at_unit_speed(robot)
         initial = [np.repeat([self.position, self.velocity], n), self.disturbance * drag]
         channels = channel_arrays(self, motor_noise(robot, self.transmission), robot, kinds)
         arrays = channels | {
@@ -85,7 +94,7 @@ class ElasticNoise(ReadingNoise):
         return {name: values.tolist() for name, values in arrays.items()}
 
 
-class ElasticJoint(KalmanMethod):
+class ElasticJoint(OnElasticDynamics):
     """What filter and smoother on the elastic-joint model share; parameters as of `ElasticJointFilter`."""
 
     def __init__(
@@ -99,7 +108,7 @@ class ElasticJoint(KalmanMethod):
         q: bool | None = None,
         torque: bool | None = None,
         dq: bool | None = None,
-        biases: Sequence[str] = ("acceleration", "rate"),
+        biases: Sequence[str] = ("acceleration", "rate", "position"),
         disturbances: bool = True,
         motor_torque: Literal["sampled", "held"] = "sampled",
         transition: Literal["exact", "first-order"] = "exact",
@@ -120,8 +129,6 @@ class ElasticJoint(KalmanMethod):
         self._uncertain = considered(robot, motors=True) if tolerances else []
         self._held = motor_torque == "held"
         self._disturbances, self._transition = disturbances, transition
-
-    _run_all = staticmethod(_core.ElasticJointFilter.run_all)
 
     def _job(self, log: Log, law: LinkDisturbance | None = None) -> Job[KalmanEstimate]:
         kinds = self.kinds(log)
@@ -145,41 +152,14 @@ class ElasticJoint(KalmanMethod):
         self._begin(core, first, kinds, noise, jerk_scale(first), law)
         return core
 
-    def _counts(self, one: Uncertain, kinds: tuple[str, ...]) -> bool:
-        """Whether a parameter is one of known tolerance: not the past of friction elements that is estimated."""
-        return one.kind != "hysteresis" or self._relaxed(kinds)
-
-    def _relaxed(self, kinds: tuple[str, ...]) -> bool:
-        """Whether friction elements start relaxed: no sensor tells where links are, so that noise would move them."""
-        return "q" not in kinds
-
     def _state(
         self, moving: Moving, arrays: Mapping[str, Any], kinds: tuple[str, ...]
     ) -> tuple[FloatArray, FloatArray]:
-        elastic = self.robot.elastic
-        disturbance = np.array(arrays["initial"])[2 * self.robot.n :]
-        mean = [moving.q, moving.dq, moving.theta[elastic], moving.dtheta[elastic]]
-        motors = np.hypot(arrays["reading"][: self.robot.n], self.noise.position)
-        std = [moving.q_std, moving.dq_std, motors[elastic], moving.dtheta_std[elastic]]
-        reach = [element.reach for drive in self.robot.drives for element in drive.hysteresis]
-        mean.append(np.zeros(len(reach)))
-        gone = _core.RELAXED if self._relaxed(kinds) else 1.0
-        std.append(gone * np.array(reach) / np.sqrt(3))  # anywhere between the limits, or near the middle
+        mean, std = self._begun(moving, arrays, kinds)
         if self._disturbances:
             mean.append(np.zeros(self.robot.n))
-            std.append(disturbance)
+            std.append(np.array(arrays["initial"])[2 * self.robot.n :])
         return np.concatenate(mean), np.concatenate(std)
-
-    def _tied(self, covariance: FloatArray) -> FloatArray:
-        """Links stand where springs hold what friction elements do not."""
-        k = 2 * (self.robot.n + int(self.robot.elastic.sum()))
-        for j, drive in enumerate(self.robot.drives):
-            for element in drive.hysteresis:
-                nearer = element.stiffness / (drive.stiffness or np.inf) * covariance[k, k]
-                covariance[j, j] += nearer**2 / covariance[k, k]
-                covariance[j, k] = covariance[k, j] = nearer
-                k += 1
-        return covariance
 
     def core(
         self,
@@ -198,20 +178,10 @@ class ElasticJoint(KalmanMethod):
     ) -> dict[str, Any]:
         """Describe such a filter in plain numbers, as the core takes it."""
         return {
-            **self._channels(kinds),
+            **self._common(kinds, period, noise, law),
             "disturbances": self._disturbances,
-            "relaxed": self._relaxed(kinds),
             "first_order": self._transition == "first-order",
             "held": held,
-            "noise": noise.arrays(self.robot, kinds),
-            "gate": self._gate,
-            "iterations": self._iterations,
-            "late": inside(self.robot, kinds, period),
-            **core_settings(self.robot, [one for one in self._uncertain if self._counts(one, kinds)]),
-            "losses": self._loss_names(kinds),
-            "points": self._points,
-            "link_disturbance": None if law is None else law.arrays,
-            "wrenches": self._wrench_law,
         }
 
     def arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:
@@ -221,23 +191,21 @@ class ElasticJoint(KalmanMethod):
         """
         if before is None:
             log.require_start("a filter", ("theta", "tau"))
-        readings = np.hstack([log.theta if kind == "motor" else getattr(log, kind) for kind in kinds])
-        dt = np.diff(log.t, prepend=log.t[0] - log.period if before is None else before.t[-1])
         tau = log.tau
         assert tau is not None  # `kinds` has asked for it
         if self._held:
             earlier = None if before is None else before.tau
             tau = np.vstack([tau[:1] if earlier is None else earlier[-1:], tau[:-1]])
-        return dt, np.ascontiguousarray(readings), tau
+        return *self._sampled(log, kinds, before), tau
 
 
-class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter], Compiles):
+class ElasticJointFilter(ElasticJoint, LiveOnElasticDynamics, Compiles):
     """EKF on the full elastic-joint dynamics, driven by the motor torques of the log.
 
-    Ulrich and Sasiadek, "Extended Kalman filtering for flexible joint space robot control", ACC 2011, who measure motor
-    positions and velocities alone; here every sensor of the log is used. State: position and velocity of every link and
-    of every elastic joint's motor, a disturbance torque of each motor, and biases. Any spring, friction and coupling
-    that robot.yaml can describe is in the model, with exact derivatives.
+    Ulrich and Sasiadek, "Extended Kalman filtering for flexible joint space robot control", ACC 2011. The paper
+    measures motor positions and velocities alone; here every sensor of the log is used. State: position and velocity of
+    every link and of every elastic joint's motor, a disturbance torque of each motor, and biases. Any spring, friction
+    and coupling that robot.yaml can describe is in the model, with exact derivatives.
 
     Parameters
     ----------
@@ -246,21 +214,23 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter],
     noise
         Noise levels.
     accelerations
-        Whether accelerometers are used; by default where the log has them, in `step` where the robot has them.
+        Whether accelerometers are used; by default if the log has them, in `step` if the robot has them.
     dtheta, rate, q, torque, dq
         Whether motor velocities, gyroscopes, link encoders, joint torque sensors and link tachometers are used; by
-        default where the log has them, in `step` motor velocities only.
+        default if the log has them, in `step` motor velocities only.
     biases
-        Kinds of channels with a bias state: any of ``"motor"``, ``"acceleration"``, ``"rate"``.
+        Kinds of channels with a bias state: any of ``"motor"``, ``"acceleration"``, ``"rate"``,
+        ``"position"``.
     disturbances
-        Whether each motor has a slowly changing torque beside the measured one, such as friction that robot.yaml does
-        not know.
+        Whether to estimate a slowly changing torque on each motor in addition to the measured one, such as friction
+        that robot.yaml lacks.
     transition
-        How the covariance is carried over a step: ``"exact"``, by the exponential of the derivatives, or
-        ``"first-order"``, 1 + A h, as in the paper.
+        How the covariance is propagated over a step: ``"exact"``, with the matrix exponential of A h, or
+        ``"first-order"``, with 1 + A h, as in the paper.
     gate, iterations, tolerances, start, link_disturbance, loss, linearisation
-        As of `ExtendedKalmanFilter`; sigma points go through the step of time as well. With ``link_disturbance=True``
-        the motors' torques tell a disturbance even without further sensors, as far as the motors' friction is known.
+        As of `ExtendedKalmanFilter`; sigma points are also propagated over the time step. With
+        ``link_disturbance=True``, motor torques alone determine a disturbance, as accurately as the motor friction is
+        known.
 
     Raises
     ------
@@ -269,7 +239,7 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter],
 
     Notes
     -----
-    Between samples the mean moves by the fourth-order rule of Runge and Kutta, in as many substeps as the robot's
+    Between samples the mean is integrated by the fourth-order Runge–Kutta method, in as many substeps as the robot's
     fastest mode needs.
     """
 
@@ -344,13 +314,6 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter],
         start = self._compiled_start(own_states, kinds, self.noise, law)
         return {"elastic-ekf": self.described(kinds, period, self.noise, self._held, law) | {"start": start}}
 
-    @property
-    def live_kinds(self) -> tuple[str, ...]:
-        """Kinds of channels that `step` takes."""
-        there = {"acceleration": bool(self.robot.acceleration_channels), "dtheta": True}
-        wanted = {kind: there.get(kind, False) if asked is None else asked for kind, asked in self._wanted.items()}
-        return ("motor", *(kind for kind, use in wanted.items() if use))
-
     def _start(self) -> _core.ElasticJointFilter:
         return self._told(self._period, held=self._held)
 
@@ -361,9 +324,9 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter],
         return core
 
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
-        """Estimate a recording that comes piece by piece, in bounded memory; the same bits as `run`.
+        """Estimate a recording piece by piece, in bounded memory; bit-identical to `run`.
 
-        Whether links are disturbed is what the first piece shows.
+        The first piece decides whether disturbance torques are estimated.
         """
 
         def start(piece: Log, first: Readings) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
@@ -380,19 +343,19 @@ class ElasticJointFilter(ElasticJoint, DecidingFilter[_core.ElasticJointFilter],
     def fresh(self, period: float) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
         """Build a filter of the core for a loop of this period [s], and the kinds of its channels.
 
-        It has taken no sample; a sample's torques are those that have acted, held, since the one before.
+        It has taken no sample. The torques of a sample are those that were held since the sample before.
         """
         return self._told(period, held=True), self.live_kinds
 
 
 class ElasticJointSmoother(ElasticJoint):
-    """Smoother on the elastic-joint model: each sample by all of the recording. Parameters as of the filter."""
+    """Smoother on the elastic-joint model: each sample from all samples. Parameters as of `ElasticJointFilter`."""
 
     _way = "smooth"
 
 
 class ElasticJointIteratedSmoother(ElasticJoint):
-    """The most probable motion on the elastic-joint model; parameters as of the filter. See `IteratedSmoother`."""
+    """Most probable motion on the elastic-joint model, as `IteratedSmoother`; parameters as of `ElasticJointFilter`."""
 
     _way = "iterate"
 

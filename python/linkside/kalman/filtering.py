@@ -42,9 +42,9 @@ class KalmanEstimate(Estimate):
     log_likelihood : (T,)
         Logarithm of the probability density of the sample's readings, given those before.
     state : (T, k), optional
-        The filter's whole state, biases last. ``covariance`` is its.
+        The filter's whole state, biases last; ``covariance`` belongs to it.
     innovation, innovation_std : (T, m), optional
-        Readings less their predictions, and the standard deviations of these differences.
+        Readings minus their predictions, and the standard deviations of these differences.
     channels : tuple of str
         The m columns of the log that were read.
     """
@@ -151,6 +151,8 @@ class KalmanMethod(Described, ABC):
         self._wanted, self._biases = dict(wanted), tuple(biases)
         if robot.wrench_channels:
             self._wanted["wrench"] = True
+        if robot.position_channels:
+            self._wanted["position"] = None
         self._gate, self._iterations = gate, whole("iterations", iterations, least=1)
 
     def _described(self) -> dict[str, Any]:
@@ -310,7 +312,7 @@ class KalmanMethod(Described, ABC):
             return None
         mean, std = self._state(moving, arrays, kinds)
         dense, std = len(std), np.concatenate([std, bias])
-        start = np.concatenate([mean, np.zeros(len(bias))]), self._tied(np.diag(std**2))
+        start = np.concatenate([mean, np.zeros(len(bias))]), self._tied(np.diag(std**2), moving)
         return Outside(law, self.robot).widened(start, dense, first.wrench, arrays["reading"])
 
     def _compiled_start(
@@ -328,7 +330,7 @@ class KalmanMethod(Described, ABC):
             return np.inf
         return period_of(self.robot, period, "as sensors have delays")
 
-    def _tied(self, covariance: FloatArray) -> FloatArray:
+    def _tied(self, covariance: FloatArray, moving: Moving) -> FloatArray:
         """Set the correlations of states that depend on each other at the start."""
         return covariance
 

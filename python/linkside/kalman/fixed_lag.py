@@ -21,7 +21,7 @@ from .starting import early_readings, own_sample
 
 
 class FixedLagSmoother(Copies):
-    """Smoother for a stream: the estimate of ``lag`` samples ago by all samples since.
+    """Smoother for a stream: estimates the state ``lag`` samples ago from all samples up to now.
 
     A step costs the same whatever the lag. A lag much longer than the filter's memory gains little.
 
@@ -39,10 +39,11 @@ class FixedLagSmoother(Copies):
 
     Notes
     -----
-    Each step of time is a regression of the state before it on the state after it (Rauch, Tung and Striebel 1965).
-    Regressions over half a lag are kept joined (Särkkä and García-Fernández 2021), so that a step joins a few.
+    Each time step is a regression of the state before it on the state after it (Rauch, Tung and Striebel 1965).
+    Regressions over half a lag are kept combined (Särkkä and García-Fernández 2021), so that each `step` combines only
+    a few.
 
-    A fault that is found flags all rows that were waiting: it began before.
+    A fault that is found flags all rows that are still within the lag, because it began earlier.
     """
 
     _cores = ("_core",)

@@ -75,7 +75,7 @@ class JerkDrivenFilter(LiveFilter[Core]):
             Motor velocities [rad/s] and commanded link accelerations [rad/s²], where there are any.
         further : (k,)
             Readings of the kinds asked for, one after the other: ``dtheta``, ``rate``, ``q``, ``torque``,
-            ``dq``.
+            ``dq``, ``position``.
 
         Returns
         -------
@@ -110,7 +110,7 @@ class JerkDriven(KalmanMethod):
         robot: Robot,
         noise: Noise | None = None,
         *,
-        biases: Sequence[str] = ("motor", "acceleration", "rate"),
+        biases: Sequence[str] = ("motor", "acceleration", "rate", "position"),
         damping: bool = True,
         dtheta: bool = False,
         rate: bool | None = None,
@@ -228,12 +228,12 @@ class JerkDriven(KalmanMethod):
 class ExtendedKalmanFilter(
     JerkDriven, DecidingFilter[_core.ExtendedKalmanFilter], JerkDrivenFilter[_core.ExtendedKalmanFilter], Compiles
 ):
-    """EKF on the jerk-driven model: jerk moves the links, motor and sensors measure.
+    """EKF on the jerk-driven model: jerk moves the links; motor positions and sensors are measurements.
 
     Axelsson, Karlsson and Norrlöf, "Tool position estimation of a flexible industrial robot using recursive Bayesian
     methods", ICRA 2012. State: link position, velocity and acceleration of every joint, and a bias of each motor and
-    sensor channel. The links' dynamics are in the measurement: a motor is displaced from its link by the torsion under
-    the torque that the links need.
+    sensor channel. The links' dynamics are in the measurement: a motor position is that of its link plus the torsion of
+    the spring under the torque that the links need.
 
     Parameters
     ----------
@@ -242,15 +242,16 @@ class ExtendedKalmanFilter(
     noise
         Noise levels; defaults come from robot.yaml, and the scale of jerk from the log.
     biases
-        Kinds of channels with a bias state: any of ``"motor"``, ``"acceleration"``, ``"rate"``.
+        Kinds of channels with a bias state: any of ``"motor"``, ``"acceleration"``, ``"rate"``,
+        ``"position"``.
     damping
         Whether the damping torque D(dtheta - dq), which the paper drops, is predicted: from the log's motor velocity,
         and where that is missing from the motor positions.
     dtheta
-        Whether motor velocities measure the state, too: a second use of what the damping torque is computed from.
+        Whether motor velocities are also measurements, in addition to their use for the damping torque.
     rate, q, torque, dq
         Whether gyroscopes, link encoders (``q_<joint>``), joint torque sensors (``torque_<joint>``) and tachometers on
-        the links (``dq_<joint>``) are used; by default where the log has them, in `step` not.
+        the links (``dq_<joint>``) are used; by default if the log has them, and not in `step`.
     gate
         Leave a reading out when its innovation exceeds this many standard deviations; None uses all.
     iterations
@@ -259,18 +260,18 @@ class ExtendedKalmanFilter(
         Whether the ``tolerances`` of robot.yaml count in standard deviations, as far as independent sensors have not
         narrowed them (Schmidt–Kalman); the estimate itself is the same.
     start
-        The state at the first sample: ``"auto"``, the first 32 samples decide, be the robot at rest or in motion;
-        ``"rest"``; or a mean and a covariance of the state, with or without its biases. `step` answers at once: its
-        first rows are as uncertain as the samples up to then leave them.
+        The state at the first sample: ``"auto"``, from the first 32 samples, at rest or in motion; ``"rest"``; or a
+        mean and a covariance of the state, with or without its biases. `step` gives an estimate from the first sample
+        on, with the uncertainty that the samples so far leave.
     link_disturbance
-        Whether each link has a disturbance torque of its own that the model lacks, such as contact, a push, a payload
-        or a counterbalance; it adds to what the transmission gives the link, and is in the estimate as ``disturbance``.
+        Whether to estimate a disturbance torque on each link, of something that the model lacks: a contact, a push, a
+        payload or a counterbalance. It adds to the torque of the transmission, and is ``disturbance`` of the estimate.
         ``"auto"``, where joint torque sensors or link encoders are read and a recording's innovations show such torques
-        and no broken sensor; in `step` not. The size is read off the recording unless ``noise`` says it.
+        and no broken sensor; not in `step`. Its size is estimated from the recording unless ``noise`` states it.
     loss
         What an error of a sensor's readings costs: ``"squares"``, for Gaussian noise, or where there are outliers
-        ``"huber"`` or ``"student-t"``; for all sensors, or by kind as in ``{"acceleration": "student-t"}``. The more
-        an error is beyond what is expected, the less its sensor counts at that sample.
+        ``"huber"`` or ``"student-t"``; for all sensors, or by kind as in ``{"acceleration": "student-t"}``. The larger
+        an error is compared with its expectation, the less its sensor counts at that sample.
     linearisation
         ``"derivatives"`` at the estimate; or values at points about it, ``"unscented"`` or ``"cubature"``: see
         `UnscentedKalmanFilter`.
@@ -283,11 +284,11 @@ class ExtendedKalmanFilter(
     Notes
     -----
     ``corner_frequency`` and ``delay`` of accelerometers, gyroscopes, ``link_encoder`` and ``joint_torque`` in
-    robot.yaml are accounted for: what the sensor holds is part of the state, behind the biases. In `step` the first
-    ``dt`` says how many samples a delay spans.
+    robot.yaml are accounted for: the internal state of such a sensor is part of the state, behind the biases. In `step`
+    the first ``dt`` determines how many samples a delay spans.
 
-    A reading that is NaN is missing, which equals deleting it. Steps of time may vary, and sensors have rates of their
-    own: leave NaN where a sensor has no sample.
+    A reading that is NaN is missing, as if it were deleted. Time steps may vary, and sensors may have different rates:
+    leave NaN where a sensor has no sample.
     """
 
     def step(self, **sample: Any) -> _core.State:
@@ -321,8 +322,8 @@ class ExtendedKalmanFilter(
     def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
         """Estimate a recording that comes piece by piece, in bounded memory.
 
-        The same bits as `run` when ``noise.jerk`` is given; otherwise the scale of jerk is read off the first piece.
-        The first piece also shows whether links are disturbed.
+        Bit-identical to `run` when ``noise.jerk`` is given; otherwise the scale of jerk is estimated from the first
+        piece. The first piece also decides whether disturbance torques are estimated.
         """
 
         def start(piece: Log, first: Readings) -> tuple[_core.ExtendedKalmanFilter, tuple[str, ...]]:
@@ -338,12 +339,12 @@ class ExtendedKalmanFilter(
 
 
 class UnscentedKalmanFilter(ExtendedKalmanFilter):
-    """The same by values of the channels at points about the estimate; parameters as of `ExtendedKalmanFilter`.
+    """`ExtendedKalmanFilter` with sigma points, values of the channels about the estimate, in place of derivatives.
 
     S. J. Julier and J. K. Uhlmann, "Unscented filtering and nonlinear estimation", Proc. IEEE 92 (2004), with α = 1,
-    β = 2 and κ = 0: no weight is negative. Mean, slope and what the slope leaves are those of the regression of the
-    channels on the points; with ``iterations`` it is repeated where readings put the estimate. What a sensor with a
-    filter or a delay inside reads is predicted by derivatives.
+    β = 2 and κ = 0: no weight is negative. Mean, slope and remainder are those of a regression of the channels on the
+    points; with ``iterations`` it is repeated at the corrected estimate. Readings of sensors with an internal filter or
+    delay are predicted with derivatives. Parameters are those of `ExtendedKalmanFilter`.
     """
 
     _default: Linearisation = "unscented"
@@ -353,13 +354,13 @@ class UnscentedKalmanFilter(ExtendedKalmanFilter):
 
 
 class CubatureKalmanFilter(UnscentedKalmanFilter):
-    """The same without the centre: I. Arasaratnam and S. Haykin, IEEE Trans. Automatic Control 54 (2009)."""
+    """`UnscentedKalmanFilter` without its centre: Arasaratnam and Haykin, IEEE Trans. Automatic Control 54 (2009)."""
 
     _default = "cubature"
 
 
 class RauchTungStriebelSmoother(JerkDriven):
-    """Smoother: the estimate at each sample of a recording by all of its samples. Parameters as of the filter.
+    """Smoother: estimates each sample of a recording from all of its samples. Parameters as of `ExtendedKalmanFilter`.
 
     Rauch, Tung and Striebel (1965), in Bierman's (1973) form on the filter's own updates, which inverts no
     covariance. Memory is bounded whatever the recording's length.
@@ -369,15 +370,15 @@ class RauchTungStriebelSmoother(JerkDriven):
 
 
 class IteratedSmoother(JerkDriven):
-    """Smoother that finds the most probable motion: linearised at its own estimate, and robust by its ``loss``.
+    """Smoother that finds the most probable motion: linearised at its own estimate, and robust with a ``loss``.
 
-    Parameters as of the filter; ``iterations`` does not matter here. Each pass of Gauss and Newton is a linear smoother
-    of the model at the trajectory of the pass before (Bell 1994), so that time and memory grow as the recording does.
-    With a ``loss`` for outliers, a reading is judged by how far it is from the smoothed trajectory, later samples
-    included. Student's t begins at the trajectory that Huber's loss leads to.
+    Parameters as of `ExtendedKalmanFilter`; ``iterations`` has no effect here. Each Gauss–Newton pass is a linear
+    smoother of the model at the trajectory of the pass before (Bell 1994), so that time and memory are proportional to
+    the length of the recording. With a ``loss`` for outliers, a reading is judged by how far it is from the smoothed
+    trajectory, later samples included. Student's t starts from the result with Huber's loss.
 
-    A row that one more pass would move by more than a fifth of ``q_std`` has the status ``CONTRADICTED``, one at which
-    a sensor counts less than a tenth ``GATED``.
+    A row that another pass would move by more than a fifth of ``q_std`` has the status ``CONTRADICTED``, and one at
+    which a sensor has a weight below a tenth ``GATED``.
     """
 
     _way = "iterate"

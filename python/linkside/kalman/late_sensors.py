@@ -8,7 +8,7 @@ import numpy as np
 
 from linkside.channels import CHANNELS
 from linkside.robot import Robot
-from linkside.robot.sensors import Lateness
+from linkside.robot.sensors import Lateness, ThreeAxes
 
 Inside = tuple[float, float, int]
 """Time constant [s], delay [s], and how many steps of time the delay can have."""
@@ -21,9 +21,13 @@ def inside(robot: Robot, kinds: Sequence[str], period: float) -> list[Inside | N
 
 def sensors(robot: Robot, kind: str) -> list[Lateness | None]:
     """What robot.yaml says of the sensor of each channel of a kind; None where it says nothing."""
-    if kind in ("acceleration", "rate"):
-        carriers = robot.accelerometers if kind == "acceleration" else robot.gyroscopes
-        return [sensor for sensor in carriers for _ in sensor.axes]
+    carriers: dict[str, Sequence[ThreeAxes]] = {
+        "acceleration": robot.accelerometers,
+        "rate": robot.gyroscopes,
+        "position": robot.trackers,
+    }
+    if kind in carriers:
+        return [sensor for sensor in carriers[kind] for _ in sensor.axes]
     if kind == "wrench":
         return [None] * len(robot.wrench_channels)
     of_joints = {"q": robot.config.link_encoder, "torque": robot.config.joint_torque}

@@ -44,8 +44,8 @@ LEAST_JERK = 10.0
 class ReadingNoise(BaseModel):
     """Noise of the readings, which is the same for all models: the common part of `Noise` and `ElasticNoise`.
 
-    The defaults belong to industrial arms in SI units, and are meant to work untuned. The priors on biases are tight on
-    purpose: at rest a motor's bias cannot be distinguished from the link's position, nor an accelerometer's from the
+    The defaults belong to industrial arms in SI units, and are meant to work untuned. The priors on biases are narrow
+    because at rest a motor's bias cannot be distinguished from the link's position, nor an accelerometer's from the
     direction of gravity, so the prior decides.
 
     Attributes
@@ -65,17 +65,19 @@ class ReadingNoise(BaseModel):
         Noise of tachometers on the links [rad/s].
     wrench
         Noise of force sensors, in multiples of the ``noise_std`` of ``wrenches`` in robot.yaml.
-    motor_bias, acceleration_bias, rate_bias
-        Initial uncertainty of biases [rad, m/s², rad/s].
-    motor_bias_walk, acceleration_bias_walk, rate_bias_walk
-        By how much biases wander in one second [rad/√s, m/s²/√s, rad/s/√s].
-    motor_bias_time, acceleration_bias_time, rate_bias_time
-        Over which time biases forget where they were [s] (Gauss and Markov's process): beyond it they wander no further
-        than ``walk · √(time/2)``. None: the time with which that is their initial uncertainty, so that they are as
-        uncertain at any time. Infinite: they wander without bound, and over a long recording the estimate with them.
+    tracker
+        Noise of trackers, in multiples of their ``noise_std``.
+    motor_bias, acceleration_bias, rate_bias, position_bias
+        Initial uncertainty of biases [rad, m/s², rad/s, m]; of a tracker also for lengths of the URDF.
+    motor_bias_walk, acceleration_bias_walk, rate_bias_walk, position_bias_walk
+        Random walk of biases in one second [rad/√s, m/s²/√s, rad/s/√s, m/√s].
+    motor_bias_time, acceleration_bias_time, rate_bias_time, position_bias_time
+        Correlation time of biases [s] (Gauss–Markov process): their standard deviation stays at ``walk · √(time/2)``.
+        None: the time for which this is the initial uncertainty, so that it is the same at any time. Infinite: a random
+        walk without bound, with which the estimate drifts in a long recording.
     link_disturbance, link_disturbance_time
-        Standard deviation of each link's disturbance torque, where a filter has such torques, and over which time it
-        forgets where it was [N m, s]. None: read off the log; in `step`, what would move a resting link at 10 rad/s².
+        Standard deviation and correlation time of each link's disturbance torque, if a filter estimates it [N m, s].
+        None: estimated from the log; in `step`, the torque that accelerates a resting link by 10 rad/s².
     position, velocity
         Uncertainty at the first sample, where the robot is taken to be at rest [rad, rad/s].
     """
@@ -90,6 +92,7 @@ class ReadingNoise(BaseModel):
     joint_torque: PositiveStd = 1.0
     link_velocity: PositiveStd = 1e-3
     wrench: PositiveStd = 1.0
+    tracker: PositiveStd = 1.0
     motor_bias: Std = 1e-5
     motor_bias_walk: Std = 1e-6
     motor_bias_time: Time | None = None
@@ -99,6 +102,9 @@ class ReadingNoise(BaseModel):
     rate_bias: Std = 1e-3
     rate_bias_walk: Std = 1e-5
     rate_bias_time: Time | None = None
+    position_bias: Std = 5e-4
+    position_bias_walk: Std = 5e-4
+    position_bias_time: Time | None = None
     link_disturbance: Std | tuple[Std, ...] | None = None
     link_disturbance_time: PositiveStd = 1.0
     position: Std = 1e-4
@@ -124,17 +130,18 @@ class Noise(ReadingNoise):
 
     Attributes
     ----------
-    transmission, motor_velocity, acceleration, rate, link, joint_torque, link_velocity, wrench, position, velocity
-        And biases: as of `ReadingNoise`. Motor velocities are what the damping torque is computed from.
+    transmission, motor_velocity, acceleration, rate, link, joint_torque, link_velocity, wrench, tracker
+        And position, velocity and biases: as of `ReadingNoise`. Motor velocities are what the damping torque is
+        computed from.
     jerk
-        Density of the links' jerk beside the commanded one: acceleration wanders by this in a second
-        [rad/s³/√Hz]. None: read off the log.
+        Density of the links' jerk in addition to the commanded one: the random walk of acceleration in one second
+        [rad/s³/√Hz]. None: estimated from the log.
     torsion
-        Relative error of the predicted torsion, as of a stiffness that is not quite right.
+        Relative error of the predicted torsion, for example from a wrong stiffness.
     position_walk, velocity_walk
-        By how much the links' positions and velocities wander in one second beside what their acceleration does
-        [rad/√s, rad/s/√s]. Zero is mechanics; more is room for what no acceleration explains, such as samples that are
-        not quite in time.
+        Random walk of the links' positions and velocities in one second, in addition to the motion by their
+        acceleration [rad/√s, rad/s/√s]. Zero is exact kinematics; larger values allow for other errors, such as inexact
+        sampling times.
     initial_acceleration
         Uncertainty of the links' acceleration at the first sample [rad/s²].
     """
@@ -146,7 +153,7 @@ class Noise(ReadingNoise):
     initial_acceleration: Std = 0.1
 
     def for_log(self, log: Log, robot: Robot) -> Noise:
-        """Fill in what is to be read off the log: the scale of jerk."""
+        """Fill in what is estimated from the log: the scale of jerk."""
         if self.jerk is not None:
             return self
         jerk = np.hypot(jerk_scale(log), ripple_jerk(log, robot))
@@ -200,14 +207,16 @@ def _reading_noise(noise: ReadingNoise, channel: Channel, robot: Robot) -> Float
         value = np.hypot(robot.config.link_encoder.resolution / np.sqrt(12), value)
     if channel.kind == "torque" and robot.config.joint_torque is not None:
         value = robot.config.joint_torque.noise_std * value
+    if channel.kind == "tau":
+        return np.asarray(value * torque_noise(robot))
     if channel.kind == "q":
         return np.asarray(np.hypot(value, link_lines(robot)))
     if channel.carrier == "joint":
         return np.full(robot.n, value)
     if channel.carrier == "wrench":
         return np.asarray(value * reading_noise(robot.varying_wrenches))
-    sensors = robot.accelerometers if channel.carrier == "accelerometer" else robot.gyroscopes
-    return np.asarray(value * sensor_noise(sensors))
+    carriers = {"accelerometer": robot.accelerometers, "gyroscope": robot.gyroscopes, "tracker": robot.trackers}
+    return np.asarray(value * sensor_noise(carriers[channel.carrier]))
 
 
 def motor_noise(robot: Robot, transmission: float | tuple[float, ...]) -> FloatArray:
@@ -225,6 +234,11 @@ def link_lines(robot: Robot) -> FloatArray:
 def torque_noise(robot: Robot) -> FloatArray:
     """Noise of motor torques (n,), of motors that turn several joints as those have it [N m]."""
     return np.asarray(robot.config.torque.noise_std * np.linalg.norm(np.linalg.inv(robot.gearing), axis=0))
+
+
+def friction_at_unit_speed(robot: Robot) -> FloatArray:
+    """Torque that each motor's friction has at 1 rad/s (n,); 1 if it has none [N m]."""
+    return np.array([d.motor_friction.viscous + d.motor_friction.coulomb or 1.0 for d in robot.drives])
 
 
 def jerk_scale(log: Log | Readings) -> FloatArray:

@@ -64,17 +64,25 @@ class Spread:
 
 @dataclass(frozen=True)
 class Moving:
-    """Links and motors at the first sample, each (n,), and standard deviations that belong to them."""
+    """Links and motors at the first sample, each (n,), and standard deviations that belong to them.
+
+    ``by_dtheta`` and ``by_ddtheta`` (n, n) [s²] are how much faster and further links would be were motors faster and
+    accelerated more: zero where links are not taken to move as their motors.
+    """
 
     q: FloatArray
     dq: FloatArray
     ddq: FloatArray
     theta: FloatArray
     dtheta: FloatArray
+    ddtheta: FloatArray
     q_std: FloatArray
     dq_std: FloatArray
     ddq_std: FloatArray
     dtheta_std: FloatArray
+    ddtheta_std: FloatArray
+    by_dtheta: float
+    by_ddtheta: FloatArray
 
 
 def find_start(robot: Robot, readings: Readings, spread: Spread) -> Moving | None:
@@ -102,6 +110,8 @@ def _moving(robot: Robot, readings: Readings, spread: Spread) -> Moving | None:
     theta, dtheta, ddtheta, std = _fit(readings, spread)
     if not all(np.isfinite(values).all() for values in (theta, dtheta, ddtheta)):
         return None
+    if stands := bool((np.abs(dtheta) <= WIDENING * std[1]).all()):
+        dtheta = np.zeros_like(dtheta)  # it has rested so far, or turns back just then
     stiffness = np.array([d.stiffness if d.elastic else np.inf for d in robot.drives], float)
     q, dq = theta.copy(), dtheta.copy()
     for _ in range(ROUNDS):
@@ -110,7 +120,7 @@ def _moving(robot: Robot, readings: Readings, spread: Spread) -> Moving | None:
         load, weight = robot.inverse_dynamics(q, dq, ddq), robot.gravity_torque(q)
         twist = np.clip(mass @ jerk / stiffness, -np.abs(dtheta) - 0.1, np.abs(dtheta) + 0.1)
         q, dq = theta - load / stiffness, dtheta - twist
-    follows = np.isinf(stiffness)
+    follows, seen = np.isinf(stiffness), _sees(readings, spread)
     ddq_std = np.where(follows, WIDENING * std[2], ddq_std)
     q_std = np.hypot(np.abs(mass) @ ddq_std, DOUBT * (load - weight)) / stiffness
     return Moving(
@@ -119,10 +129,14 @@ def _moving(robot: Robot, readings: Readings, spread: Spread) -> Moving | None:
         ddq=ddq,
         theta=theta,
         dtheta=dtheta,
+        ddtheta=ddtheta,
         q_std=np.hypot(q_std, WIDENING * std[0]),
         dq_std=np.hypot(twist, WIDENING * std[1]),
         ddq_std=ddq_std,
         dtheta_std=WIDENING * std[1],
+        ddtheta_std=WIDENING * std[2],
+        by_dtheta=0.0 if stands else 1.0,
+        by_ddtheta=np.zeros_like(mass) if seen or stands else -mass / stiffness[:, None],
     )
 
 
@@ -206,12 +220,13 @@ def _link_acceleration(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Acceleration and jerk of links at the first sample, and the former's standard deviation, each (n,).
 
-    As their motors', give or take as much again; accelerometers tell more, to their noise and `OFFSET`.
+    As their motors', give or take as much again, or not at all where all motors stand. Accelerometers tell more, to
+    their noise and `OFFSET`.
     """
-    _, ddtheta, std = motors
+    dtheta, ddtheta, std = motors
     loose = np.hypot(np.hypot(1.0, ddtheta), WIDENING * std[2])
-    if readings.acceleration is None or not len(spread.acceleration) or np.isnan(readings.acceleration[0]).any():
-        return ddtheta, np.zeros_like(ddtheta), loose
+    if readings.acceleration is None or not _sees(readings, spread):
+        return ddtheta if dtheta.any() else np.zeros_like(ddtheta), np.zeros_like(ddtheta), loose
     there = ~np.isnan(readings.acceleration).any(axis=1)
     age = (readings.t - readings.t[0])[there]
     path, velocity = q + np.outer(age, dq) + np.outer(age**2 / 2, ddtheta), dq + np.outer(age, ddtheta)
@@ -226,6 +241,12 @@ def _link_acceleration(
     scatter = np.sqrt(np.mean((more - line @ fit) ** 2, axis=0))
     jerk = fit[1] if len(fit) > 1 else np.zeros_like(ddtheta)
     return ddtheta + fit[0], jerk, np.hypot(np.sqrt(np.diag(covariance)), 2 * scatter)
+
+
+def _sees(readings: Readings, spread: Spread) -> bool:
+    """Whether accelerometers say how links accelerate at the first sample."""
+    there = readings.acceleration
+    return there is not None and len(spread.acceleration) > 0 and bool(np.isfinite(there[0]).all())
 
 
 def given(start: tuple[npt.ArrayLike, npt.ArrayLike], std: FloatArray, dense: int) -> tuple[FloatArray, FloatArray]:

@@ -55,11 +55,11 @@ def smooth_file(
     *,
     check: bool = True,
 ) -> int:
-    """Smooth a recording of any length from file to file, in bounded memory; gives the rows written.
+    """Smooth a recording of any length from file to file, in bounded memory; returns the number of rows written.
 
     The estimate of `RauchTungStriebelSmoother.run` on the whole recording when ``noise.jerk`` is given; otherwise the
-    scale of jerk is read off the first ``rows``. While this runs, a directory beside ``out`` holds about as much as the
-    recording and the estimate together.
+    scale of jerk is estimated from the first ``rows``. While this runs, a directory beside ``out`` holds about as much
+    as the recording and the estimate together.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def smooth_file(
 def smooth_pieces(
     smoother: RauchTungStriebelSmoother, pieces: Iterable[Log], folder: str | Path | None = None
 ) -> Iterator[KalmanEstimate]:
-    """Smooth a recording that comes piece by piece; estimates come in order, once the last piece is there.
+    """Smooth a recording piece by piece; estimates are returned in order, after the last piece was read.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def smooth_pieces(
     pieces
         Of the recording, such as `Log.stream` gives them.
     folder
-        Where a temporary directory is made, removed at the end whatever happens; by default the system's.
+        Where a temporary directory is made, which is always removed at the end; by default the system's.
     """
     with _spill_folder(folder) as spill:
         starts, columns = _forward(smoother, pieces, spill)

@@ -12,12 +12,19 @@ from linkside.arguments import per_joint
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.recording.estimate import Estimate
+from linkside.recording.log import Log
 from linkside.recording.times import counterparts
 from linkside.robot import Robot
 from linkside.robot.considered import considered
+from linkside.robot.limits import Limits
 from linkside.statistics import rms
 
+from .belief import Belief, Seen
+from .blocks import BlockProgram, require_solver
+from .limited import limited
 from .loop import Loop, Motion
+from .signals import KINDS, Bounds, Signals
+from .trial import Trial
 
 BANDWIDTHS = (20.0, 14.0, 10.0, 7.0, 5.0, 3.5, 2.5)
 """Frequencies up to which a robot may learn: the first with which it converges is taken [Hz]."""
@@ -25,38 +32,8 @@ BANDWIDTHS = (20.0, 14.0, 10.0, 7.0, 5.0, 3.5, 2.5)
 ALLOWED = 0.95
 """Contraction that the worst robot within tolerances may then have."""
 
-
-@dataclass(frozen=True)
-class Trial:
-    """Errors of one repeat of the motion, and those expected of the next.
-
-    Attributes
-    ----------
-    number : int
-        From 0, the repeat without a correction.
-    rms : (n,)
-        Error of the links, rms [rad].
-    tool_rms : float, optional
-        Distance of the tool from where it was to be, rms, where the robot has a tool [m].
-    std : (n,)
-        Standard deviation of the estimate, rms, as far as the method has one [rad].
-    expected : (n,)
-        Error that the model expects of the next repeat, rms [rad].
-    used : float
-        Share of the rows that were learnt from.
-    """
-
-    number: int
-    rms: tuple[float, ...]
-    tool_rms: float | None
-    std: tuple[float, ...]
-    expected: tuple[float, ...]
-    used: float
-
-    @property
-    def reached(self) -> bool:
-        """Whether every link's error is below the estimate's own standard deviation, so that no more can be learnt."""
-        return all(error <= std for error, std in zip(self.rms, self.std, strict=True))
+PRICE = 2.0
+"""By which factor errors may grow to bring back a signal that the last repeat had beyond its limit."""
 
 
 @dataclass(frozen=True)
@@ -113,11 +90,15 @@ class PathLearning:
         Standard deviations by which stiffnesses and masses may be off.
     margin
         As it was found before for the same settings, ``bandwidth`` among them; by default it is looked for.
+    limits
+        Limits of the motors' reference, its velocity and acceleration, and of motor torques, which the next repeats
+        keep as the model has them; needs `linkside[learning]`. By default there are none.
 
     Raises
     ------
     EstimatorError
-        Settings out of range, a motion of other joints, a loop that is not stable, or one that would not converge.
+        Settings out of range, a motion of other joints or beyond a limit, a loop that is not stable, or one that would
+        not converge.
 
     Attributes
     ----------
@@ -125,6 +106,8 @@ class PathLearning:
         Second derivative of the correction [rad/s²].
     trials : tuple of Trial
         The repeats that were learnt from.
+    belief : Belief
+        What is known of the errors of the next repeat.
     margin : Margin
         How fast it converges.
     """
@@ -140,6 +123,7 @@ class PathLearning:
         rate: float = 0.5,
         deviations: float = 1.0,
         margin: Margin | None = None,
+        limits: Limits | None = None,
     ) -> None:
         robot.require_masses("learning")
         if bandwidth is not None and not 0 < bandwidth < 0.5 / motion.period:
@@ -154,7 +138,11 @@ class PathLearning:
         if bandwidth is None or margin is None:
             bandwidth, margin = self._designed(bandwidth, deviations)
         self.bandwidth, self.margin = bandwidth, margin
-        self.curvature = np.zeros_like(motion.q)
+        self.limits = limits
+        self._signals = None if limits is None else Signals(robot, self._loop, motion, limits)
+        if limits is not None:
+            require_solver()
+        self.curvature, self.belief = np.zeros_like(motion.q), Belief.none(motion)
         self.trials: tuple[Trial, ...] = ()
 
     @property
@@ -166,71 +154,110 @@ class PathLearning:
         """How links are expected to deviate by a correction of this second derivative, (T, n) [rad]."""
         return self._loop.core.answer(np.ascontiguousarray(curvature))
 
-    def learn(self, estimate: Estimate) -> Trial:
+    def learn(self, estimate: Estimate, log: Log | None = None) -> Trial:
         """Take the estimate of a repeat with the present `correction`, and improve that.
 
-        Rows that are not good are left out, and rows with a larger standard deviation than usual count for less.
+        Rows that are not good are left out. A link that is nearer to its path than its estimate can tell is left there.
+
+        Parameters
+        ----------
+        estimate
+            Of the repeat.
+        log
+            Its recording, whose torques are needed for their limits.
 
         Raises
         ------
         EstimatorError
-            Of other joints, without a row for each time of the motion, or without a good row.
+            Of other joints, without a row for each time of the motion, or without a good row; or without torques where
+            these have limits.
         """
-        error, std, weight = self._read(estimate)
-        # The step that costs nothing but its own weights goes to an input without curvature, as far as the rate says.
-        change = self._step(self.bandwidth, weight).solve(error, -self.rate * self.curvature)
-        expected = error - self.answer(change)
-        trial = Trial(
-            number=len(self.trials),
-            rms=_of_each(error),
-            tool_rms=self._tool_rms(error),
-            std=_of_each(std),
-            expected=_of_each(expected),
-            used=float(np.mean(weight[:, 0] > 0)),
-        )
-        self.curvature, self.trials = self.curvature + change, (*self.trials, trial)
-        return trial
-
-    def resumed(self, curvature: FloatArray, trials: tuple[Trial, ...]) -> PathLearning:
-        """Resume an iteration."""
-        if curvature.shape != self.motion.q.shape or not np.isfinite(curvature).all():
-            raise EstimatorError(
-                f"curvature has shape {curvature.shape}, expected finite numbers {self.motion.q.shape}"
-            )
-        self.curvature, self.trials = curvature, trials
-        return self
-
-    def _read(self, estimate: Estimate) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Errors of the links, their standard deviations and weights, (T, n) each; zero where nothing is known."""
         if estimate.names != self.robot.names:
             raise EstimatorError(
                 f"the estimate is of {', '.join(estimate.names)}, expected {', '.join(self.robot.names)}"
             )
-        own = self.motion.t - self.motion.t[0]
-        rows = counterparts(own, estimate.t - estimate.t[0], "the estimate")
-        q, good = estimate.q[rows], (estimate.status[rows] == 0) & np.isfinite(estimate.q[rows]).all(axis=1)
-        if not good.any():
-            raise EstimatorError("the estimate has no good row during the motion: nothing can be learnt from it")
-        std = np.zeros_like(q) if estimate.q_std is None else estimate.q_std[rows]
-        usual = np.median(std[good], axis=0)
-        share = np.ones_like(q) if not usual.all() else np.minimum(1.0, usual / np.maximum(std, usual)) ** 2
-        return (
-            np.where(good[:, None], self.motion.q - q, 0.0),
-            np.where(good[:, None], std, 0.0),
-            np.where(good[:, None], share, 0.0),
+        seen, tau = Seen.of(self.motion, estimate), self._torque(log)
+        belief = self.belief.told(seen)
+        errors = seen.sizes(seen.error)
+        weight = belief.weight(np.array(self.trials[0].rms if self.trials else errors))
+        change, held = self._change(belief.error, weight, tau)
+        moved = self.answer(change)
+        trial = Trial(
+            number=len(self.trials),
+            rms=errors,
+            tool_rms=self._tool(seen.error, seen.known[:, 0]),
+            std=seen.sizes(seen.std),
+            tool_std=seen.tool_std,
+            step=_of_each(moved),
+            tool_step=self._tool(moved),
+            expected=_of_each(belief.error - moved),
+            used=float(np.mean(seen.known)),
+            held=held,
         )
+        self.trials = (*self.trials, trial)
+        if not trial.reached:
+            self.curvature, belief = self.curvature + change, belief.after(moved)
+        self.belief = belief
+        return trial
 
-    def _tool_rms(self, error: FloatArray) -> float | None:
+    def resumed(self, curvature: FloatArray, trials: tuple[Trial, ...], belief: Belief | None = None) -> PathLearning:
+        """Resume an iteration; by default nothing is known of errors yet."""
+        if curvature.shape != self.motion.q.shape or not np.isfinite(curvature).all():
+            raise EstimatorError(
+                f"curvature has shape {curvature.shape}, expected finite numbers {self.motion.q.shape}"
+            )
+        self.curvature, self.trials, self.belief = curvature, trials, belief or Belief.none(self.motion)
+        return self
+
+    def _change(self, error: FloatArray, weight: FloatArray, tau: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
+        """The step, and the limits that hold it back."""
+        # The step that costs nothing but its own weights goes to an input without curvature, as far as the rate says.
+        change = self._step(self.bandwidth, weight).solve(error, -self.rate * self.curvature)
+        if self.limits is None or self._signals is None:
+            return change, ()
+        bounds = Bounds.of(self.limits, self._signals.of(self.curvature, tau))
+        passed = np.argwhere(bounds.passed(self._signals.deviation(change)))
+        if not len(passed):
+            return change, ()
+        blocks = BlockProgram(self._loop, weight, self._rough(self.bandwidth) / self.rate, self.bandwidth)
+        held = tuple(f"{KINDS[kind]} of {self.robot.names[j]}" for kind, j in passed)
+
+        def far(step: FloatArray) -> bool:
+            after, before = (np.sum(weight * e**2) for e in (error - self.answer(step), error))
+            return bool(after > PRICE**2 * before)
+
+        return limited(change, blocks, self._signals, bounds, far), held
+
+    def _torque(self, log: Log | None) -> FloatArray:
+        """Motor torques during the motion, (T, n); zero where they have no limits."""
+        limits = np.full(self.robot.n, np.inf) if self.limits is None else self.limits.torque
+        if np.isinf(limits).all():
+            return np.zeros_like(self.motion.q)
+        if log is None or log.tau is None:
+            raise EstimatorError("torques have limits: the recording of the repeat is needed, with motor torques")
+        rows = counterparts(self.motion.t - self.motion.t[0], log.t - log.t[0], "the log")
+        tau = log.tau[rows]
+        if not np.isfinite(tau[:, np.isfinite(limits)]).all():
+            raise EstimatorError("torques have limits: a motor torque of the recording is missing")
+        return tau
+
+    def _tool(self, off: FloatArray, known: npt.NDArray[np.bool_] | None = None) -> float | None:
+        """How far the tool is where links are ``off``, (T, n), rms over the rows that are known [m]."""
         if self.robot.tool is None:
             return None
-        wanted, found = (self.robot.tool_position(q) for q in (self.motion.q, self.motion.q - error))
-        return float(rms(np.linalg.norm(wanted - found, axis=1)))
+        wanted, found = (self.robot.tool_position(q) for q in (self.motion.q, self.motion.q - off))
+        away = np.linalg.norm(wanted - found, axis=1)
+        return rms(away if known is None else away[known])
 
     def _step(self, bandwidth: float, weight: FloatArray) -> _core.LearningStep:
         """The step for a bandwidth, at which by ρ curvature costs as much as the error; ρ/(ρ + λ) is the rate."""
-        rough = (2 * np.pi * bandwidth) ** -4.0
-        n = self.robot.n
+        rough, n = self._rough(bandwidth), self.robot.n
         return _core.LearningStep(self._loop.core, weight, [rough] * n, [rough * (1 - self.rate) / self.rate] * n)
+
+    @staticmethod
+    def _rough(bandwidth: float) -> float:
+        """The cost of curvature that is that of errors at the bandwidth, ρ."""
+        return float((2 * np.pi * bandwidth) ** -4.0)
 
     def _designed(self, bandwidth: float | None, deviations: float) -> tuple[float, Margin]:
         """The bandwidth and its margin: that which is given, or the widest that converges."""

@@ -84,6 +84,12 @@ class Loop:
         G, for the step of `linkside._core.LearningStep`.
     period
         Between samples [s].
+    transition, entry : (postures, s, s) and (s, n)
+        x₊ = A x + B v about each posture.
+    posture : (T,)
+        That of each sample.
+    links, command, rate, torque : (n, s)
+        Deviations of links, of the motors' reference and its velocity, and of torques, by x.
     """
 
     def __init__(self, robot: Robot, motion: Motion, kp: FloatArray, kd: FloatArray) -> None:
@@ -103,12 +109,25 @@ class Loop:
         largest = np.abs(np.linalg.eigvals(a[:, : 2 * p, : 2 * p])).max()
         if largest >= 1:
             raise EstimatorError(f"the loop is not stable with these gains: a pole of {largest:.6f} in the plane of z")
-        entry = np.vstack([np.zeros((2 * p, n)), self.period**2 / 2 * one, self.period * one])
-        links = np.hstack([linear.free[n:], np.zeros((n, p + 2 * n))])
-        self.core = _core.LearningLoop(a, (np.arange(len(motion.t)) // every).tolist(), entry, links)
+        self.transition, self.posture = a, np.arange(len(motion.t)) // every
+        self.entry = np.vstack([np.zeros((2 * p, n)), self.period**2 / 2 * one, self.period * one])
+        self.links = np.hstack([linear.free[n:], np.zeros((n, p + 2 * n))])
+        self.command = np.hstack([np.zeros((n, 2 * p)), one, 0 * one])
+        self.rate = np.hstack([np.zeros((n, 2 * p)), 0 * one, one])
+        position, velocity = np.diag(kp), np.diag(kd)
+        self.torque = np.hstack([-position @ motors, -velocity @ motors, position, velocity])
+        self.core = self.seen(self.links)
+
+    def seen(self, outputs: FloatArray) -> _core.LearningLoop:
+        """Responses of other outputs of x, (n, s)."""
+        return _core.LearningLoop(self.transition, self.posture.tolist(), self.entry, outputs)
 
     def correction(self, v: FloatArray) -> FloatArray:
         """Correction of the motors' reference, u (T, n), by v (T, n)."""
+        return self.smooth(v)[0]
+
+    def smooth(self, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Correction of the motors' reference and its velocity, u and u̇ (T, n), by v (T, n)."""
         zero = np.zeros((1, v.shape[1]))
         velocity = np.vstack([zero, np.cumsum(self.period * v, axis=0)[:-1]])
-        return np.vstack([zero, np.cumsum(self.period * velocity + self.period**2 / 2 * v, axis=0)[:-1]])
+        return np.vstack([zero, np.cumsum(self.period * velocity + self.period**2 / 2 * v, axis=0)[:-1]]), velocity

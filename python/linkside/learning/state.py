@@ -18,15 +18,18 @@ from linkside.files.opening import open_table
 from linkside.files.tables import failure, numbers, reading
 from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
+from linkside.robot.limits import Limits
 
-from .learning import Margin, PathLearning, Trial
+from .belief import Belief
+from .learning import Margin, PathLearning
 from .loop import Motion
+from .trial import Trial
 
 KEY = "linkside.learning"
 """Of the file's metadata: settings and trials, as JSON."""
 
-SIGNALS = ("q", "dq", "ddq", "v")
-"""What the iteration goes on from: the motion, and the correction's second derivative."""
+SIGNALS = ("q", "dq", "ddq", "v", "e", "e_std")
+"""What the iteration goes on from: the motion, the correction's second derivative, and what is known of errors."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,8 @@ def write(learning: PathLearning, path: str | PathLike[str]) -> None:
     """Write the state of an iteration, whole or not at all.
 
     Columns are ``t``, the wanted motion ``q_``, ``dq_``, ``ddq_<joint>``, the correction ``u_<joint>`` and its second
-    derivative ``v_<joint>``, and what motors are to follow in the next repeat, ``ref_<joint>`` = q + u.
+    derivative ``v_<joint>``, the error to expect of the next repeat and its standard deviation, ``e_<joint>`` and
+    ``e_std_<joint>``, and what motors are to follow in the next repeat, ``ref_<joint>`` = q + u.
 
     Raises
     ------
@@ -56,6 +60,8 @@ def write(learning: PathLearning, path: str | PathLike[str]) -> None:
         "dq": motion.dq,
         "ddq": motion.ddq,
         "v": learning.curvature,
+        "e": learning.belief.error,
+        "e_std": np.sqrt(learning.belief.variance),
         "u": learning.correction,
         "ref": motion.q + learning.correction,
     }
@@ -68,6 +74,7 @@ def write(learning: PathLearning, path: str | PathLike[str]) -> None:
         "bandwidth": learning.bandwidth,
         "rate": learning.rate,
         "margin": asdict(learning.margin),
+        "limits": _listed(learning.limits),
         "trials": [asdict(trial) for trial in learning.trials],
     }
     with EstimateWriter(str(path), {KEY: json.dumps(settings)}) as file:
@@ -92,11 +99,14 @@ def read(path: str | PathLike[str], robot: Robot) -> PathLearning:
     if missing or "t" not in table.names:
         raise failure(source, f"no column {(missing or ['t'])[0]!r}: this is a state of learning of another robot")
     rows = table.read(["t", *(c for columns in wanted.values() for c in columns)])
-    q, dq, ddq, v = (np.stack([numbers(rows, c, source) for c in columns], axis=1) for columns in wanted.values())
+    q, dq, ddq, v, e, std = (
+        np.stack([numbers(rows, c, source) for c in columns], axis=1) for columns in wanted.values()
+    )
     try:
-        trials, margin = settings.pop("trials"), Margin(**settings.pop("margin"))
-        learning = PathLearning(robot, Motion(numbers(rows, "t", source), q, dq, ddq), **settings, margin=margin)
-        return learning.resumed(v, tuple(Trial(**_tupled(trial)) for trial in trials))
+        motion, trials = Motion(numbers(rows, "t", source), q, dq, ddq), settings.pop("trials")
+        margin, limits = Margin(**settings.pop("margin")), _limits(settings.pop("limits"))
+        learning = PathLearning(robot, motion, **settings, margin=margin, limits=limits)
+        return learning.resumed(v, tuple(Trial(**_tupled(trial)) for trial in trials), Belief(e, std**2))
     except (TypeError, KeyError) as error:
         raise failure(source, f"its settings are not those of a state of learning: {error}") from None
     except EstimatorError as error:
@@ -138,6 +148,15 @@ def _settings(source: str) -> dict[str, Any]:
     except (KeyError, ValueError):
         raise LogError(f"{source}: this is no state of learning; `linkside learn start` begins one") from None
     return settings
+
+
+def _listed(limits: Limits | None) -> dict[str, Any] | None:
+    """Limits for JSON, which has no infinity: its numbers as texts."""
+    return None if limits is None else {name: values.astype(str).tolist() for name, values in vars(limits).items()}
+
+
+def _limits(listed: dict[str, Any] | None) -> Limits | None:
+    return None if listed is None else Limits(**{name: np.array(values, float) for name, values in listed.items()})
 
 
 def _tupled(trial: dict[str, Any]) -> dict[str, Any]:

@@ -45,15 +45,18 @@ def _verdict(report: CheckReport, looked_at: Sequence[tuple[str, str]], refused:
         return Verdict("bad", "No estimate from this recording can be right", (str(refused),))
     if report.joints and not report.observable:
         return Verdict(
-            "bad", "The sensors cannot tell the links' accelerations apart", ("Methods by accelerometers alone fail.",)
+            "bad", "The sensors do not distinguish the links' accelerations", ("Methods by accelerometers alone fail.",)
         )
     doubts = tuple(words for _, words in looked_at if words.startswith("suspicious"))
     lost = float(np.mean(report.observability.worst > LIMIT)) if report.joints else 0.0
     if lost > 0:
-        doubts += (f"In {100 * lost:.2g} % of the workspace some acceleration is seen worse than {LIMIT:g} rad/s².",)
+        doubts += (
+            f"In {100 * lost:.2g} % of the workspace "
+            f"the standard deviation of some acceleration exceeds {LIMIT:g} rad/s².",
+        )
     if doubts:
-        return Verdict("doubtful", "It can work, with what is said below", doubts)
-    return Verdict("good", "The sensors see every link" + (", and the recording is sound" if looked_at else ""))
+        return Verdict("doubtful", "It can work, with the reservations below", doubts)
+    return Verdict("good", "The sensors observe every link" + (", and the recording is sound" if looked_at else ""))
 
 
 def _next_steps(report: CheckReport, looked_at: Sequence[tuple[str, str]], refused: Finding | None) -> list[str]:

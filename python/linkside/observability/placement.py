@@ -17,10 +17,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations, product
-from math import comb
+from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -35,19 +34,14 @@ from linkside.robot.sensors import AccelerometerConfig
 from linkside.robot.workspace import workspace
 
 from .analysis import check
+from .placement_search import NAMES, Criterion, PlacementSearch, mounted, number
 from .report import CheckReport
-from .result import Observability
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Criterion = Literal["condition", "covariance"]
-
 POSTURES = 256
 """Postures that sets are compared in."""
-
-EVERY_SET = 2000
-"""Up to this many sets are searched exhaustively; beyond that, one set is improved sensor by sensor."""
 
 WORKSPACE_SHARE = 0.9
 """Share of the workspace's postures that the worst is taken of: some are singular for every set."""
@@ -67,14 +61,18 @@ class Placement:
         ``"condition"`` or ``"covariance"``.
     score : float
         Worst condition number, or root of the expected variance of link accelerations [rad/s²].
+    spares : int
+        How many sensors may fail.
+    left : float
+        The score when those have failed that the set needs most; `score` without spares.
     before : float
-        The same of the robot's own accelerometers; inf if they see too little.
+        The same of the robot's own accelerometers; inf if they do not observe all joints.
     q : (T, n)
-        Postures that counted [rad].
+        Postures that were used [rad].
     log : Log or None
         The first recording that they are from.
     alone : tuple of float
-        Score of every candidate alone; inf if it sees too little.
+        Score of every candidate alone; inf if it does not observe all joints.
     links : tuple of str
         The link of every candidate.
     """
@@ -83,6 +81,8 @@ class Placement:
     chosen: tuple[AccelerometerConfig, ...]
     criterion: Criterion
     score: float
+    spares: int
+    left: float
     before: float
     q: FloatArray
     log: Log | None
@@ -96,8 +96,12 @@ class Placement:
 
     def to_text(self) -> str:
         """Report in words."""
-        what, unit = _NAMES[self.criterion]
-        lines = [f"{what}: {_number(self.score)}{unit}; the robot's own sensors: {_number(self.before)}{unit}"]
+        what, unit = NAMES[self.criterion]
+        lines = [f"{what}: {number(self.score)}{unit}; the robot's own sensors: {number(self.before)}{unit}"]
+        if self.spares:
+            lines.append(
+                f"after the worst loss of {self.spares} of {len(self.chosen)} sensors: {number(self.left)}{unit}"
+            )
         for s in self.chosen:
             place, turn = (" ".join(f"{x:.4g}" for x in vector) for vector in (s.xyz, s.rpy))
             lines.append(f"{s.name}: link {s.link}, axes {s.axes}, xyz {place} m, rpy {turn} rad")
@@ -111,7 +115,7 @@ class Placement:
         return "\n".join(lines) + "\n"
 
     def figure(self) -> Figure:
-        """Draw where the set is singular, its singular postures marked, and how well each candidate does alone."""
+        """Draw where the set is singular, its singular postures marked, and the score of each candidate alone."""
         from .placement_figure import Scores, placement_figure
 
         label = "worst condition number" if self.criterion == "condition" else "standard deviation [rad/s²]"
@@ -122,12 +126,6 @@ class Placement:
         """Write the chosen ``accelerometers`` as robot.yaml has them."""
         sensors = [sensor.model_dump(mode="json", exclude_defaults=True) for sensor in self.chosen]
         write_yaml(path, {"accelerometers": sensors})
-
-
-_NAMES: dict[Criterion, tuple[str, str]] = {
-    "condition": ("worst condition number", ""),
-    "covariance": ("expected standard deviation of link accelerations", " rad/s²"),
-}
 
 
 def candidates(
@@ -153,7 +151,7 @@ def candidates(
     axes
         Kinds of sensor: ``("xyz",)`` are three-axis ones, ``("x", "y", "z")`` a choice of single axes.
     rpy
-        Orientations to choose from [rad]. What a three-axis sensor of even noise sees does not depend on it.
+        Orientations to choose from [rad]. For a three-axis sensor with equal noise on all axes it does not matter.
     noise_std
         Of each axis [m/s²]; by default that of the robot's first accelerometer, or 0.05.
     """
@@ -194,6 +192,7 @@ def place(
     count: int | None = None,
     limit: float | None = None,
     criterion: Criterion = "condition",
+    spares: int = 0,
 ) -> Placement:
     """Choose the best set of accelerometers, or the smallest that is good enough.
 
@@ -207,157 +206,40 @@ def place(
         Where it must work: recordings (their motor positions), positions (T, n), or by default the whole workspace
         without the worst tenth of its postures.
     count
-        Sensors in the set; by default the fewest whose axes can tell the elastic joints apart.
+        Sensors in the set; by default the fewest whose axes distinguish the elastic joints.
     limit
         Take the smallest set whose score is at most this, of up to `count` sensors if that is given.
     criterion
         ``"condition"``: the largest condition number over the postures. ``"covariance"``: root of the mean, over
         postures, of the summed variance of the elastic joints' accelerations.
+    spares
+        How many sensors may fail, whichever they are: sets are compared, and held to the limit, without those that they
+        need most.
 
     Raises
     ------
     EstimatorError
-        Candidates none of which sees some joint, or all of which together cannot tell joints apart; a limit that no
+        Candidates none of which observes some joint, or which together do not distinguish the joints; a limit that no
         set meets.
     """
-    search = _PlacementSearch(robot, _candidates(robot, sensors), *_postures(robot, postures), criterion)
-    if limit is not None:
-        return search.result(search.smallest(limit, count))
-    return search.result(search.best(search.fewest if count is None else count))
-
-
-class _PlacementSearch:
-    """Scores of sets; of each candidate the information matrix T_Aᵀ R⁻¹ T_A in each posture, (C, T, e, e)."""
-
-    def __init__(
-        self,
-        robot: Robot,
-        sensors: tuple[AccelerometerConfig, ...],
-        q: FloatArray,
-        logs: Sequence[Log],
-        share: float,
-        criterion: Criterion,
-    ) -> None:
-        if criterion not in _NAMES:
-            raise EstimatorError(f"criterion is {criterion!r}, expected one of {', '.join(_NAMES)}")
-        self.robot, self.sensors, self.q, self.criterion = robot, sensors, q, criterion
-        self.links = tuple(sensor.link for sensor in sensors)
-        self.log = logs[0] if logs else None
-        self.share = share
-        rows = self._rows()
-        self._refuse_unseen(rows)
-        self.information = np.stack([np.einsum("tri,trj->tij", block, block) for block in rows])
-        # Sets that see too little still compare: a trace of knowledge in all directions.
-        self.trace = 1e-12 * np.trace(self.information.sum(axis=0), axis1=1, axis2=2).max() * np.eye(rows[0].shape[2])
-        everything = _mounted(robot, sensors)
-        if not np.isfinite(Observability.of(everything, q).worst).any():
-            raise EstimatorError(
-                "all candidates together do not tell the elastic joints apart; add some on other links, or more axes"
-            )
-
-    def _rows(self) -> list[FloatArray]:
-        """T_A over noise of each candidate, elastic joints alone, (T, axes, e)."""
-        everything = _mounted(self.robot, self.sensors)
-        matrix = everything.acceleration_map(self.q, np.zeros_like(self.q))[0][:, :, self.robot.elastic]
-        ends = np.cumsum([len(sensor.axes) for sensor in self.sensors])
-        blocks = np.split(matrix, ends[:-1], axis=1)
-        return [block / sensor.noise_std for block, sensor in zip(blocks, self.sensors, strict=True)]
-
-    def _refuse_unseen(self, rows: list[FloatArray]) -> None:
-        size = np.max([np.abs(block).max(axis=(0, 1)) for block in rows], axis=0)
-        names = [name for name, elastic in zip(self.robot.names, self.robot.elastic, strict=True) if elastic]
-        for name, seen in zip(names, size > 1e-9 * size.max(initial=0.0), strict=True):
-            if not seen:
-                carried = ", ".join(_carried(self.robot, name))
-                raise EstimatorError(
-                    f"no candidate sees joint '{name}'; add one on a link that it carries ({carried}), off its axis"
-                )
-
-    @property
-    def fewest(self) -> int:
-        """Sensors whose axes are as many as elastic joints."""
-        most = max(len(sensor.axes) for sensor in self.sensors)
-        return max(1, -(-int(self.robot.elastic.sum()) // most))
-
-    def scores(self, sets: Sequence[tuple[int, ...]]) -> FloatArray:
-        """Of several sets, to compare them."""
-        return np.array([self._score(self._sum(chosen)) for chosen in sets])
-
-    def _sum(self, chosen: tuple[int, ...]) -> FloatArray:
-        return np.asarray(self.information[list(chosen)].sum(axis=0) + self.trace)
-
-    def _volume(self, chosen: tuple[int, ...]) -> float:
-        """What a set tells even if it is too small to have a score: its log-determinant, over all postures."""
-        return float(np.linalg.slogdet(self._sum(chosen))[1].mean())
-
-    def _score(self, information: FloatArray) -> float:
-        values = np.linalg.eigvalsh(information)
-        if self.criterion == "condition":
-            return float(np.quantile(np.sqrt(values[:, -1] / values[:, 0]), self.share, method="lower"))
-        variance = np.sort(np.sum(1 / values, axis=1))
-        return float(np.sqrt(variance[: max(1, int(self.share * len(variance)))].mean()))
-
-    def best(self, count: int) -> tuple[int, ...]:
-        """The best set of ``count`` candidates."""
-        total = len(self.sensors)
-        if not 1 <= count <= total:
-            raise EstimatorError(f"count is {count}, expected 1 to {total}, the number of candidates")
-        if comb(total, count) <= EVERY_SET:
-            sets = list(combinations(range(total), count))
-            return sets[int(np.argmin(self.scores(sets)))]
-        return self._exchange(count)
-
-    def _exchange(self, count: int) -> tuple[int, ...]:
-        """Add the sensor that tells most, one after the other; then exchange single ones as long as that helps."""
-        chosen: tuple[int, ...] = ()
-        while len(chosen) < count:
-            chosen = max(((*chosen, other) for other in self._others(chosen)), key=self._volume)
-        score = self._score(self._sum(chosen))
-        while True:
-            swaps = [(*chosen[:i], *chosen[i + 1 :], o) for i in range(count) for o in self._others(chosen)]
-            other, better = self._improved(swaps)
-            if not better < score:
-                return tuple(sorted(chosen))
-            chosen, score = other, better
-
-    def _others(self, chosen: tuple[int, ...]) -> list[int]:
-        return [index for index in range(len(self.sensors)) if index not in chosen]
-
-    def _improved(self, sets: Sequence[tuple[int, ...]]) -> tuple[tuple[int, ...], float]:
-        scores = self.scores(sets)
-        return sets[int(np.argmin(scores))], float(scores.min())
-
-    def smallest(self, limit: float, most: int | None) -> tuple[int, ...]:
-        """The smallest set whose score is at most ``limit``."""
-        most = min(most or 8, len(self.sensors))
-        for count in range(1, most + 1):
-            best = self.best(count)
-            score = self.score(best)
-            if score <= limit:
-                return best
-        raise EstimatorError(
-            f"no set of up to {most} candidates has a {_NAMES[self.criterion][0]} of {limit:g} or less; the best of "
-            f"{most} has {_number(score)}: allow more sensors, or offer better places"
-        )
-
-    def score(self, chosen: tuple[int, ...]) -> float:
-        """Of one set, by singular values."""
-        return self._exact(_mounted(self.robot, tuple(self.sensors[i] for i in chosen)))
-
-    def _exact(self, robot: Robot) -> float:
-        observability = Observability.of(robot, self.q)
-        if self.criterion == "condition":
-            return float(np.quantile(observability.condition, self.share, method="lower"))
-        variance = np.sort(np.sum(observability.joints**2, axis=1))
-        return float(np.sqrt(variance[: max(1, int(self.share * len(variance)))].mean()))
-
-    def result(self, best: tuple[int, ...]) -> Placement:
-        """Put together what was found."""
-        chosen = tuple(self.sensors[index] for index in best)
-        robot = _mounted(self.robot, chosen)
-        alone = tuple(self.score((index,)) for index in range(len(self.sensors)))
-        before = self._exact(self.robot)
-        return Placement(robot, chosen, self.criterion, self.score(best), before, self.q, self.log, alone, self.links)
+    offered = _candidates(robot, sensors)
+    q, logs, share = _postures(robot, postures)
+    search = PlacementSearch(robot, offered, q, share, criterion, spares)
+    best = search.best(search.fewest if count is None else count) if limit is None else search.smallest(limit, count)
+    chosen = tuple(offered[index] for index in best)
+    return Placement(
+        robot=mounted(robot, chosen),
+        chosen=chosen,
+        criterion=criterion,
+        score=search.whole(best),
+        spares=spares,
+        left=search.score(best),
+        before=search.of(robot),
+        q=q,
+        log=logs[0] if logs else None,
+        alone=tuple(search.whole((index,)) for index in range(len(offered))),
+        links=tuple(sensor.link for sensor in offered),
+    )
 
 
 def _candidates(
@@ -392,16 +274,3 @@ def _postures(
         raise EstimatorError(f"postures: expected finite positions (T, {robot.n}), got shape {q.shape}")
     rows = np.unique(np.linspace(0, len(q) - 1, POSTURES).astype(int))
     return np.ascontiguousarray(q[rows]), logs, 1.0
-
-
-def _mounted(robot: Robot, sensors: tuple[AccelerometerConfig, ...]) -> Robot:
-    return Robot(robot.config.model_copy(update={"accelerometers": sensors}), robot.tree)
-
-
-def _carried(robot: Robot, joint: str) -> list[str]:
-    tree = robot.tree
-    return [name for name, link in tree.moving_links.items() if tree.index[joint] in tree.carriers(link.joint)]
-
-
-def _number(value: float) -> str:
-    return "sees too little" if np.isinf(value) else f"{value:.3g}"

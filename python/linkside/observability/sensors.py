@@ -26,7 +26,7 @@ from .result import Observability
 
 @dataclass(frozen=True, eq=False)
 class AccelerationMap:
-    """Link accelerations to accelerometer readings, in one state, and how well the map can be turned round.
+    """Map from link accelerations to accelerometer readings in one state, and how well it can be inverted.
 
     Attributes
     ----------

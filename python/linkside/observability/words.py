@@ -37,21 +37,23 @@ def check_words(report: CheckResult) -> Iterator[str]:
     if not joints:
         yield "No joint is elastic: links follow their motors, and no accelerometer is needed."
     elif not axes:
-        yield "The robot has no accelerometer: no link acceleration is seen, in any posture."
+        yield "The robot has no accelerometer: no link acceleration is observed in any posture."
     elif axes < len(joints):
-        yield f"Too few axes: {axes} cannot tell {len(joints)} link accelerations apart, in any posture."
+        yield f"Too few axes: {axes} cannot distinguish {len(joints)} link accelerations in any posture."
     elif not report.observable:
-        yield "The axes are enough in number, yet in no posture do they tell all link accelerations apart."
+        yield "There are enough axes, but in no posture do they distinguish all link accelerations."
     else:
         yield from _seen(report)
 
 
 def _seen(report: CheckResult) -> Iterator[str]:
     lost = float(np.mean(report.observability.worst > LIMIT))
-    share = f"In {_percent(lost)} of the workspace some link acceleration is known worse than {LIMIT:g} rad/s² (1 σ)."
-    yield f"Every link acceleration is seen. {share}"
+    yield (
+        f"Every link acceleration is observed. In {_percent(lost)} of the workspace "
+        f"the standard deviation of some link acceleration exceeds {LIMIT:g} rad/s²."
+    )
     if report.singular:
-        yield f"In singular postures no sensor sees {'; or '.join(p.words for p in report.singular)}."
+        yield f"In singular postures no sensor observes {'; or '.join(p.words for p in report.singular)}."
     else:
         yield f"No singular posture was found; the worst combination is {report.postures[0].words}."
     if report.path is not None:
@@ -81,8 +83,8 @@ def _three(values: FloatArray) -> list[str]:
 
 def _grade(lost: float) -> str:
     if lost == 1:
-        return "never seen"
-    return "seen in every posture drawn" if lost == 0 else "lost near singular postures"
+        return "never observed"
+    return "observed in every posture drawn" if lost == 0 else "lost near singular postures"
 
 
 def _spread_table(report: CheckResult) -> Titled:
@@ -102,7 +104,7 @@ def _posture_table(report: CheckResult) -> Titled:
     for posture in report.postures:
         places = [f"{q:.4f}" if slide else f"{np.degrees(q):.2f}" for q, slide in zip(posture.q, slides, strict=True)]
         cells = [place if joint in report.influential else "any" for joint, place in enumerate(places)]
-        table.add_row(posture.words, *cells, "not seen" if posture.singular else _deviation(posture.worst))
+        table.add_row(posture.words, *cells, "not observed" if posture.singular else _deviation(posture.worst))
     return table
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from linkside import _core
-from linkside.arguments import one_of, start_of
+from linkside.arguments import one_of, start_of, time_step
 from linkside.arrays import FloatArray, Signal
 from linkside.errors import EstimatorError
 from linkside.recording.batch import run_each
@@ -22,7 +22,9 @@ from linkside.robot import Robot
 from linkside.robot.compiled import Compiles, period_of
 from linkside.robot.requirements import refuse_unsupported
 
+from .bound import ErrorBound, error_bound
 from .poles import PolePattern, damped
+from .uncertainty import uncertainty
 
 Poles = float | PolePattern | Mapping[str, "PolePattern | Sequence[complex]"]
 
@@ -50,12 +52,16 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
     period
         Sampling period for `step` [s]; by default ``rate_hz`` of robot.yaml. `run` takes the log's.
     worst_acceleration_std
-        Combinations of link accelerations that the sensors determine worse than this [rad/s²] are damped, as near a
-        singular posture, and flagged in ``status``.
+        Combinations of link accelerations that the sensors determine worse than this [rad/s²], as near a singular
+        posture, are damped and flagged in ``status``.
     start
         ``"auto"``: the first samples determine how fast the robot moves. ``"rest"``: the robot is at rest at the first
         sample. Or a state one period before the first sample, a mapping of ``theta``, ``q``, ``dtheta`` and ``dq``,
         each (n,).
+    std
+        Whether the estimate has standard deviations, ``q_std`` and ``tool_std``. It is the same without, and faster.
+    tolerances
+        Whether the ``tolerances`` of robot.yaml count in them. The estimate itself is the same.
 
     Raises
     ------
@@ -65,9 +71,11 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
 
     Notes
     -----
-    Motor positions may be slower than the log, NaN between, as slow as one in 0.05 s: each then counts for the time
-    since the one before. Where innovations have for 0.05 s been as large as an error of
-    ``worst_acceleration_std`` in the measured accelerations makes them, ``status`` says CONTRADICTED.
+    Motor positions may come at a lower rate than the rows of the log, at least one in 0.05 s, with NaN in between: each
+    then counts for the time since the one before. If innovations have been as large for 0.05 s as an error of
+    ``worst_acceleration_std`` in the measured accelerations would make them, ``status`` is CONTRADICTED. With
+    ``std``, also if they stay on one side by more than three standard deviations of what noise and ``tolerances`` make
+    of them, or if a channel repeats a reading that it cannot have.
 
     The innovation is used at the sampling instants only; between them the model is integrated exactly, with the
     torque held and the acceleration interpolated.
@@ -84,6 +92,8 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         period: float | None = None,
         worst_acceleration_std: float = 10.0,
         start: Literal["auto", "rest"] | Mapping[str, npt.ArrayLike] = "auto",
+        std: bool = True,
+        tolerances: bool = True,
     ) -> None:
         self._given = start_of(start, ("theta", "q", "dtheta", "dq"), robot.n)
         one_of("form", form, ("current", "predictor"))
@@ -100,6 +110,7 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
             "joint_accelerations": accelerations == "joints",
             "worst_acceleration_std": worst_acceleration_std,
             "rest": isinstance(start, str) and start == "rest",
+            "uncertainty": uncertainty(robot, tolerances=tolerances) if std else None,
         }
         self._signal = "acceleration" if accelerations == "sensors" else "ddq"
         self._set_period(period)
@@ -125,7 +136,8 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         Returns
         -------
         State
-            ``q``, ``dq``, ``ddq``, ``theta``, ``dtheta`` (n,), ``tool_position`` (3,) and ``status``.
+            ``q``, ``dq``, ``ddq``, ``theta``, ``dtheta`` (n,), ``tool_position`` (3,) and ``status``; with ``std``
+            also ``q_std`` (n,) and ``tool_std`` (3,).
 
         Raises
         ------
@@ -165,12 +177,53 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         return Estimate(t=log.t, names=self.robot.names, **without_waits(log, result))
 
     def gains(self) -> dict[str, FloatArray]:
-        """Continuous-time gains L of each joint in closed form (Remark 3), by the order of its states."""
+        """Continuous-time gains L of each joint in closed form (Remark 3), in the order of its states."""
         names = self.robot.names
         return {name: _core.observer_gains(self.robot.core, names.index(name), p) for name, p in self.poles.items()}
 
+    def bound(
+        self,
+        *,
+        torque: npt.ArrayLike = 0.0,
+        acceleration: npt.ArrayLike = 0.0,
+        theta: npt.ArrayLike = 0.0,
+        period: float | None = None,
+    ) -> ErrorBound:
+        """Give the ultimate bound of the error: how far off links can get by what is bounded, whatever its course.
+
+        The sum of the error's impulse response without signs (its L₁ norm), from the gains alone. Nonlinear springs and
+        dry friction are taken to be compensated: what is left of them is a torque.
+
+        Parameters
+        ----------
+        torque
+            Largest torque on a motor beside those of the model, for all joints or (n,) [N m].
+        acceleration
+            Largest error of a measured link acceleration, likewise [rad/s²].
+        theta
+            Largest error of a motor position, likewise [rad].
+        period
+            Sampling period [s]; by default that of `step`.
+
+        Returns
+        -------
+        ErrorBound
+            ``q`` and ``dq`` (n,), and what a unit of each disturbance does.
+
+        Raises
+        ------
+        EstimatorError
+            No period is known, or a disturbance has neither 1 nor n entries.
+        """
+        period = self._period if period is None else time_step(period)
+        if period is None:
+            raise EstimatorError("bound needs the sampling period: give period=…, or rate_hz in robot.yaml")
+        self._designed(period)  # what is wrong is said with names of joints
+        disturbances = {"torque": torque, "acceleration": acceleration, "theta": theta}
+        return error_bound(self.robot, self.poles, period, disturbances, predictor=self.form == "predictor")
+
     def fresh(self, period: float) -> _core.AccelerationObserver:
-        """Build an observer of the core, of accelerometers, that has taken no sample."""
+        """Build a new observer of the core, driven by accelerometers, that has taken no sample."""
         if self._signal != "acceleration":
             raise EstimatorError("feedback: link accelerations are not simulated as readings; accelerations='sensors'")
         return self._designed(period)

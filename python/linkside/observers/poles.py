@@ -1,6 +1,6 @@
 """Ready-made patterns of poles for an observer's error dynamics.
 
-A pattern is asked for as many poles as a joint's model has states: four for an elastic joint, five with a bias
+A pattern gives as many poles as a joint's model has states: four for an elastic joint, five with a bias
 state, three for a rigid one.
 
 >>> damped(250).poles(4).round(3)
@@ -63,7 +63,7 @@ def damped(frequency: float, damping: Sequence[float] = (0.9, 0.75)) -> PolePatt
 
 
 def bessel(frequency: float) -> PolePattern:
-    """Bessel's poles: the smoothest step response, no overshoot to speak of; ``frequency`` ω [rad/s]."""
+    """Bessel's poles: the smoothest step response, with hardly any overshoot; ``frequency`` ω [rad/s]."""
     return PolePattern("bessel", frequency, lambda order: _signal().besselap(order, norm="mag")[1])
 
 

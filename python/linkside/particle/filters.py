@@ -29,7 +29,7 @@ from linkside.robot.requirements import refuse_unsupported
 
 @dataclass(frozen=True)
 class Mixture:
-    """Normal noise with outliers, (1 - share) N(0, σ²) + share N(0, (scale σ)²), σ what `Noise` or the robot says.
+    """Normal noise with outliers, (1 - share) N(0, σ²) + share N(0, (scale σ)²), with σ of `Noise` or robot.yaml.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class ParticleEstimate(Estimate):
     quantiles : (T, k, n), optional
         Quantiles of the link positions, for the k shares that were asked for [rad].
     state : (T, d), optional
-        Mean of the whole state: q, dq, ddq, then biases. ``covariance`` is its.
+        Mean of the whole state: q, dq, ddq, then biases; ``covariance`` belongs to it.
     channels : tuple of str
         The columns of the log that were read.
     """
@@ -113,19 +113,19 @@ class ParticleFilter(DecidingFilter[_core.ParticleFilter], JerkDrivenFilter[_cor
     limits
         Least and largest position by joint [rad]; particles beyond are impossible.
     initial : (k, n)
-        Link positions at rest that particles start from in turn, each spread by ``noise.position`` [rad]: a belief with
-        several peaks, say. None: as ``start`` says.
+        Link positions at rest that particles start from in turn, each spread by ``noise.position`` [rad], for example
+        for several possible postures. None: as ``start`` says.
     start
-        As of `ExtendedKalmanFilter`: ``"auto"``, the first 32 samples decide; ``"rest"``, the posture in which the
-        first motor positions hold the links; or a mean and a covariance of the state, with or without its biases. Each
-        of the first samples of `step` redoes those before it.
+        As of `ExtendedKalmanFilter`: ``"auto"``, from the first 32 samples; ``"rest"``, the posture in which the first
+        motor positions hold the links; or a mean and a covariance of the state, with or without its biases. During the
+        first samples, each `step` repeats the estimate of those before.
     collapse
         What to do with a cloud that does not explain the readings, as a Kalman filter that runs beside it does.
         ``"reseed"`` flags the row `Status.CONTRADICTED` and draws the cloud again from the Kalman filter's estimate; a
         cloud that has only lost its spread is renewed earlier, and each resampling moves it towards that estimate as
         far as their difference is explained by chance. ``"flag"`` flags the row and leaves the cloud as it is.
-        ``"raise"`` stops with the sample's number. A sample that is impossible to all particles counts as missing, and
-        its row is flagged, unless it stops the run.
+        ``"raise"`` stops with the sample's number. A sample that is impossible for every particle counts as missing,
+        and its row is flagged, unless it stops the run.
     quantiles
         Shares of probability, such as ``(0.05, 0.95)``, whose quantiles of position are kept.
     biases, damping, rate, q, torque, tolerances
@@ -138,7 +138,7 @@ class ParticleFilter(DecidingFilter[_core.ParticleFilter], JerkDrivenFilter[_cor
 
     Notes
     -----
-    The recording of a log is one thread for up to 2047 particles, all cores beyond.
+    `run` on one log uses one thread for up to 2047 particles, and all cores for more.
     """
 
     _marginalised: Literal["nothing", "biases", "accelerations"] = "nothing"
@@ -236,10 +236,10 @@ class ParticleFilter(DecidingFilter[_core.ParticleFilter], JerkDrivenFilter[_cor
     def smooth(
         self, log: Log | Sequence[Log], *, covariance: bool = False
     ) -> ParticleEstimate | list[ParticleEstimate]:
-        """Estimate each sample of a recording by all of its samples, those after it as well.
+        """Estimate each sample of a recording from all of its samples, including later ones.
 
         Rauch, Tung and Striebel's pass (1965) back along the clouds' means and covariances: the motion is linear and
-        its noise normal, so nothing is linearised again. What is not normal in a cloud is not carried back. There is
+        its noise normal, so nothing is linearised again. The non-normal part of a cloud is not carried back. There is
         neither ``best`` nor ``quantiles``; ``effective``, ``log_likelihood`` and ``status`` are the filter's. Memory is
         about d²/2 numbers a sample, d the number of states. Parameters and errors are those of `run`.
         """
@@ -319,16 +319,16 @@ class MarginalizedParticleFilter(ParticleFilter):
     """Particle filter with a part of the state marginalised (Rao–Blackwellised).
 
     Schön, Gustafsson and Nordlund, "Marginalized particle filters for mixed linear/nonlinear state-space models", IEEE
-    Transactions on Signal Processing 53 (2005). Particles stand for positions, velocities and accelerations alone; the
-    biases, which add to the readings and depend on nothing else, are known in closed form for each. ``outliers`` are
-    not for it.
+    Transactions on Signal Processing 53 (2005). Particles represent positions, velocities and accelerations only; the
+    biases, which add to the readings and depend on nothing else, are computed in closed form for each. ``outliers`` are
+    not supported.
 
     Parameters
     ----------
     robot, noise, settings
         As of `ParticleFilter`.
     accelerations
-        Marginalise accelerations, too: particles stand for positions and velocities, and each carries a Kalman filter
+        Marginalise accelerations, too: particles represent positions and velocities, and each carries a Kalman filter
         of its accelerations and biases. Exact where springs are linear, else to first order in the acceleration.
 
     Raises

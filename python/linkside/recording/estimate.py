@@ -52,11 +52,11 @@ class Status(IntFlag):
     BRIDGED = 2
     """A reading was missing when it was due, and was bridged by the model; a slow sensor's are due at its own rate."""
     UNSEEN = 4
-    """A direction of joint acceleration is not seen by the sensors at all."""
+    """Some combination of joint accelerations is not observed by the sensors at all."""
     GATED = 8
-    """A reading was left out as an outlier, or counted less than a tenth."""
+    """A reading was left out as an outlier, or had a weight below a tenth."""
     PREDICTED = 16
-    """Not one reading was used: the row is a prediction."""
+    """No reading was used: the row is a prediction."""
     UNWRAPPED = 32
     """An encoder wrapped, and its jump was removed."""
     CONTRADICTED = 64
@@ -86,9 +86,9 @@ class Estimate:
     tool_position : (T, 3), optional
         Tool in the base frame [m].
     q_std, tool_std : (T, n) and (T, 3), optional
-        Standard deviations, where the method has a covariance [rad, m].
+        Standard deviations, if the method has a covariance [rad, m].
     disturbance, disturbance_std : (T, n), optional
-        Torque on each link from outside, or that the model lacks, and its standard deviation [N m]; columns
+        Estimated torque on each link that the model lacks, such as a contact, and its standard deviation [N m]; columns
         ``d_<joint>`` and ``d_std_<joint>``.
     wrench, wrench_std : (T, 6k), optional
         Force [N] and moment [N m] of each of the wrenches from outside that vary, and standard deviations; columns
@@ -98,11 +98,11 @@ class Estimate:
     covariance : (T, k, k), optional
         Covariance of the method's state. It is kept in memory only: files have the standard deviations.
     nis : (T,), optional
-        Normalised innovation squared, where the method has innovations; its mean should be the number of readings used.
+        Normalised innovation squared, if the method has innovations; its mean should be the number of readings used.
     findings : tuple of Fault
         Contradictions between readings and model, from the recording's start on; not in files.
     left_out : tuple of str
-        Fields that are no columns, and are not compared: the recording itself knows them better than the method.
+        Fields that are not columns and are not compared, because the recording itself has better values.
     """
 
     t: FloatArray
@@ -144,7 +144,7 @@ class Estimate:
 
     @classmethod
     def read(cls, path: str | Path) -> Estimate:
-        """Read a Parquet or CSV file in the columns of `columns`; joints are those of its ``q_<joint>``.
+        """Read a Parquet or CSV file with the columns of `columns`; the joints are those of its ``q_<joint>``.
 
         A file that lacks velocities or motor positions, as a measured truth may, has NaN in their place; one
         that lacks ``status`` is good throughout.
@@ -217,7 +217,7 @@ class Estimate:
             writer.write(self)
 
     def require(self, *fields: str) -> tuple[FloatArray, ...]:
-        """Give fields that not every estimate has: ``tool, std = estimate.require("tool_position", "tool_std")``.
+        """Return fields that not every estimate has: ``tool, std = estimate.require("tool_position", "tool_std")``.
 
         Raises
         ------
@@ -241,8 +241,8 @@ class Estimate:
         Parameters
         ----------
         truth
-            With a row at the time of every row of this estimate, to 1 % of a period; it may have more. Where
-            it is NaN, nothing is compared.
+            An estimate with a row at the time of every row of this one, to within 1 % of a period; it may have more
+            rows. Rows that are NaN are not compared.
 
         Raises
         ------

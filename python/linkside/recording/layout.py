@@ -70,6 +70,10 @@ class RobotColumns(Protocol):
         """Gyroscope columns, such as ``gyro_wx``."""
 
     @property
+    def position_channels(self) -> tuple[str, ...]:
+        """Columns of trackers, such as ``laser_px``."""
+
+    @property
     def wrench_channels(self) -> tuple[str, ...]:
         """Columns of force sensors, such as ``press_fx``."""
 
@@ -150,7 +154,12 @@ class Layout:
         if signal not in self.wanted:
             raise EstimatorError(f"{signal!r} is no signal of a log; there are {', '.join(self.wanted)}")
         columns = self.wanted[signal]
-        sensors = {"acceleration": "accelerometer", "rate": "gyroscope", "wrench": "force sensor"}
+        sensors = {
+            "acceleration": "accelerometer",
+            "rate": "gyroscope",
+            "wrench": "force sensor",
+            "position": "tracker",
+        }
         if signal in sensors and not columns:
             sensor = sensors[signal]
             raise failure(source, f"the robot has no {sensor} to read a column of (needed for {purpose})")
@@ -259,7 +268,7 @@ def time_unit(robot: RobotColumns) -> float:
 
 
 def _our_columns(robot: RobotColumns) -> dict[str, tuple[str, ...]]:
-    measured = {channel.signal: channel.columns(robot) for channel in CHANNELS.values()}
+    measured = {channel.signal: channel.columns(robot) for channel in CHANNELS.values() if not channel.drives}
     others = {signal: joint_columns(signal, robot.names) for signal in UNMEASURED}
     inertial = {signal: measured.pop(signal) for signal in ("acceleration", "rate")}
     return {"t": ("t",)} | measured | others | inertial

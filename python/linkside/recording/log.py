@@ -50,8 +50,8 @@ class Log:
     theta, dtheta : (T, n)
         Motor position [rad] and velocity [rad/s], reflected through the gear to the link side.
     tau : (T, n)
-        Motor torque, likewise [N m]: at the row's time as sensors read it, or held from it until the next row as
-        controllers command it; ``motor_torque`` of `ElasticJointFilter` says which.
+        Motor torque, likewise [N m]: measured at the row's time, or commanded and held until the next row;
+        ``motor_torque`` of `ElasticJointFilter` states which.
     acceleration : (T, m)
         Accelerometers: specific force in the sensor's axes [m/s²].
     rate : (T, g)
@@ -59,9 +59,11 @@ class Log:
     q, dq, ddq : (T, n)
         Link positions [rad], velocities [rad/s] and accelerations [rad/s²], where sensors measure them.
     torque : (T, n)
-        Joint torque sensors: what the transmission gives the link [N m].
+        Joint torque sensors: torque of the transmission on the link [N m].
     wrench : (T, 6k)
-        Force sensors: what acts on links from outside, force and moment of each measured wrench [N, N m].
+        Force sensors: force and moment on a link from outside, of each measured wrench [N, N m].
+    position : (T, p)
+        Trackers: where points of links are, in the tracker's axes [m].
     qref, dqref, ddqref : (T, n)
         Commanded motion [rad, rad/s, rad/s²].
     source : str
@@ -69,7 +71,7 @@ class Log:
     period : float
         Median step of ``t`` at the beginning of the recording [s].
     pace : Pace
-        How often each channel is read, by the beginning of the recording.
+        How often each channel is read, from the beginning of the recording.
     findings : tuple of Finding
         What the checks found suspicious, or corrected, while it was read.
     """
@@ -85,6 +87,7 @@ class Log:
     ddq: FloatArray | None
     torque: FloatArray | None
     wrench: FloatArray | None
+    position: FloatArray | None
     qref: FloatArray | None
     dqref: FloatArray | None
     ddqref: FloatArray | None
@@ -127,8 +130,8 @@ class Log:
     ) -> Log:
         """Take a recording from a pandas or Polars data frame, an Arrow table, or a dict of arrays.
 
-        Memory is borrowed where its order allows, so leave the table alone while the log is in use. Raises
-        `LogError` as `read` does.
+        Memory is shared with the table where its order allows, so do not change the table while the log is in use.
+        Raises `LogError` as `read` does.
         """
         with reading(source):
             layout = Layout.of(robot, column_names(table, source), source)
@@ -145,11 +148,11 @@ class Log:
         rate: float | None = None,
         check: bool = True,
     ) -> Log:
-        """Merge sensors that were recorded apart, at rates and with clocks of their own, by time.
+        """Merge sensors that were recorded separately, with different rates and clocks, by time.
 
-        A row for each time; NaN where a sensor has no reading, as Kalman filters take it, and commands on straight
-        lines between their own. Stamps closer than 1 % of the shortest period are of one row. The recording begins
-        where all motor positions are there.
+        A row for each time; NaN where a sensor has no reading, which Kalman filters accept; commands are interpolated
+        linearly. Readings whose stamps differ by less than 1 % of the shortest period share a row. The recording begins
+        when all motor positions have readings.
 
         Parameters
         ----------
@@ -180,7 +183,7 @@ class Log:
     ) -> LogStream:
         """Read a file piece by piece, in bounded memory: an iterable of logs of ``rows`` rows each.
 
-        A bag is whole in memory, by the columns that are needed.
+        The needed columns of a bag are in memory as a whole.
 
         The file, its columns and its period are checked at once, each piece as it is read, and time across
         the borders of pieces. Together the pieces equal ``Log.read`` bit for bit.
@@ -188,7 +191,7 @@ class Log:
         return LogStream(path, robot, rows, allow_gaps=allow_gaps, check=check)
 
     def resample(self, rate: float) -> Log:
-        """The recording at an even rate [Hz]: each channel on straight lines between its readings.
+        """Resample to an even rate [Hz]: each channel is interpolated linearly between its readings.
 
         Readings further apart than 0.05 s have NaN in between. Nothing is filtered, so a rate below that of the fastest
         sensor aliases faster vibrations.
@@ -209,7 +212,7 @@ class Log:
         return replace(log, pace=_pace(log[:_HEAD], self._layout))
 
     def to_arrow(self) -> pa.Table:
-        """Convert to an Arrow table, in the columns of the recording, those that the robot has."""
+        """Convert to an Arrow table, with those columns of the recording that belong to the robot."""
         arrays = self._layout.as_recorded({signal: getattr(self, signal) for signal in self._layout.wanted})
         columns = {
             column: values
@@ -234,8 +237,8 @@ class Log:
     def require(self, *signals: str, purpose: str = "this estimator") -> tuple[FloatArray, ...]:
         """Require the columns of some signals, and return the signals: ``theta, tau = log.require("theta", "tau")``.
 
-        Torques and link accelerations are needed of elastic joints only, every other signal of all joints. A signal of
-        which nothing is needed, nor there, is NaN.
+        Torques and link accelerations are needed of elastic joints only, every other signal of all joints. A signal
+        that is neither needed nor recorded is NaN.
 
         Raises
         ------
@@ -276,11 +279,11 @@ class Log:
         return self._layout.conversions
 
     def recorded_size(self, signal: str) -> FloatArray:
-        """How much of a signal one of the recording's column is, (k,): by its unit, and by the gear."""
+        """Factor from each of the recording's columns to the signal, (k,): of its unit, and of the gear."""
         return self._layout.recorded_size(signal)
 
     def rates(self) -> list[tuple[str, float, float]]:
-        """Each column that was read, how often a second, and in which part of the rows."""
+        """Return, for each column that was read, its rate and the share of rows with a reading."""
         signals = ((names, getattr(self, signal)) for signal, names in self._layout.wanted.items() if signal != "t")
         there = ((names, array) for names, array in signals if array is not None)
         columns = (column for names, array in there for column in zip(names, array.T, strict=True))

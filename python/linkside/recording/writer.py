@@ -13,7 +13,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from linkside.errors import EstimatorError, OutputError
-from linkside.files.parts import open_part, publish
+from linkside.files.parts import discard, open_part, publish
 from linkside.files.writing import check_writable, writing
 
 GROUP = 131_072
@@ -36,9 +36,9 @@ class EstimateWriter:
     Parameters
     ----------
     path
-        A file that ends in ``.parquet`` or ``.csv``. That it can be written is checked at once.
+        A file that ends in ``.parquet`` or ``.csv``. Whether it can be written is checked at once.
     metadata
-        Kept with the schema of a Parquet file; a CSV file has no place for it.
+        Stored in the schema of a Parquet file; a CSV file does not store it.
 
     Raises
     ------
@@ -81,7 +81,7 @@ class EstimateWriter:
             self._flush(GROUP)
 
     def note(self, metadata: Mapping[str, str]) -> None:
-        """Keep more with a Parquet file, known only after its rows; nothing of it is in a CSV file."""
+        """Add metadata that is known only after the rows; a CSV file does not store it."""
         if isinstance(self._sink, pq.ParquetWriter):
             self._sink.add_key_value_metadata(dict(metadata))
 
@@ -118,10 +118,8 @@ class EstimateWriter:
         if self._sink is not None:  # before its file: it would complain when collected
             with suppress(OSError, pa.ArrowException):
                 self._sink.close()
-        if self._file is not None:
-            self._file.close()
-        if self._part is not None:
-            self._part.unlink(missing_ok=True)
+        if self._part is not None and self._file is not None:
+            discard(self._part, self._file)
         self._file, self._sink, self._held = None, None, []
 
 

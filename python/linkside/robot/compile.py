@@ -12,8 +12,8 @@ from . import gearing, units
 from .config import RobotConfig
 from .counterbalances import Anchor, Counterbalance
 from .joints import JointConfig, RotorConfig
-from .rigid import Body
-from .sensors import FrameConfig, SensorConfig
+from .rigid import Body, Pose
+from .sensors import FrameConfig, SensorConfig, TrackerConfig
 from .tree import SINGLE_AXIS, Joint, Tree
 from .urdf import impossible
 from .wrenches import WrenchConfig
@@ -72,6 +72,7 @@ def describe(config: RobotConfig, tree: Tree) -> dict[str, Any]:
         "coupling": coupling_matrix(config).tolist(),
         "accelerometers": [_sensor(tree, sensor) for sensor in config.accelerometers],
         "gyroscopes": [_sensor(tree, sensor) for sensor in config.gyroscopes],
+        "trackers": [_tracker(tree, tracker) for tracker in config.trackers],
         "tool": None if config.tool is None else _frame(tree, config.tool),
         "rotors": [_rotor(tree, config, motor, rotor) for motor, rotor in config.rotors.items()],
         "counterbalances": [_counterbalance(tree, names, balance) for balance in config.counterbalances],
@@ -119,7 +120,7 @@ def _refuse_unknown_joints(tree: Tree, config: RobotConfig, source: Source) -> N
 
 
 def _refuse_unknown_links(tree: Tree, config: RobotConfig, source: Source) -> None:
-    for kind in ("accelerometers", "gyroscopes", "wrenches"):
+    for kind in ("accelerometers", "gyroscopes", "trackers", "wrenches"):
         for index, sensor in enumerate(getattr(config, kind)):
             _refuse_unknown_link(tree, sensor, source.where(kind, index, "link"))
     for motor, rotor in config.rotors.items():
@@ -152,14 +153,14 @@ def column_units(tree: Tree, config: RobotConfig) -> tuple[dict[str, units.Unit]
     columns = config.columns_by_kind
     slides = [tree.joint(joint.name).slides for joint in config.joints]
     shafts = MOTOR_SIGNALS if config.columns.motor_side else ()
-    of_joints = [kind for kind in columns if kind not in ("t", "acceleration", "rate", "wrench")]
+    of_joints = [kind for kind in columns if kind not in ("t", "acceleration", "rate", "wrench", "position")]
     turning = {c: kind in shafts or not s for kind in of_joints for c, s in zip(columns[kind], slides, strict=True)}
     turning |= {column: column[-2] == "t" for column in columns["wrench"]}
     return units.column_units(config.units, columns, turning)
 
 
 def _refuse_unknown_link(
-    tree: Tree, frame: FrameConfig | RotorConfig | Anchor, where: str, *, moves: bool = True
+    tree: Tree, frame: FrameConfig | RotorConfig | Anchor | TrackerConfig, where: str, *, moves: bool = True
 ) -> None:
     if frame.link not in tree.link:
         raise ConfigError(f"{where}no link '{frame.link}'; {suggest(frame.link, tree.link)}")
@@ -246,6 +247,16 @@ def _wrench(tree: Tree, wrench: WrenchConfig) -> dict[str, Any]:
         "place": _frame(tree, wrench),
         "constant": wrench.constant,
         "measured": wrench.kind == "measured",
+    }
+
+
+def _tracker(tree: Tree, tracker: TrackerConfig) -> dict[str, Any]:
+    target = SensorConfig.model_validate(tracker.model_dump(include={"name", "link", "xyz", "axes", "noise_std"}))
+    place = Pose.of(tracker.place.xyz, tracker.place.rpy)
+    return {
+        "target": _sensor(tree, target),
+        "rotation": place.rotation.tolist(),
+        "origin": place.translation.tolist(),
     }
 
 

@@ -24,6 +24,7 @@ from .sensors import (
     LinkEncoderConfig,
     PayloadConfig,
     TorqueConfig,
+    TrackerConfig,
 )
 from .sources import SourcesConfig
 from .units import DIMENSIONS, UnitsConfig, refuse_unfit
@@ -100,6 +101,7 @@ class RobotConfig(Section):
     wrenches: tuple[WrenchConfig, ...] = ()  # what acts on links from outside
     accelerometers: tuple[AccelerometerConfig, ...] = ()
     gyroscopes: tuple[GyroscopeConfig, ...] = ()
+    trackers: tuple[TrackerConfig, ...] = ()
     encoder: EncoderConfig = EncoderConfig()
     torque: TorqueConfig = TorqueConfig()
     link_encoder: LinkEncoderConfig | None = None
@@ -122,6 +124,11 @@ class RobotConfig(Section):
         return tuple(f"{sensor.name}_w{axis}" for sensor in self.gyroscopes for axis in sensor.axes)
 
     @property
+    def position_channels(self) -> tuple[str, ...]:
+        """Columns of trackers [m], likewise."""
+        return tuple(f"{sensor.name}_p{axis}" for sensor in self.trackers for axis in sensor.axes)
+
+    @property
     def wrench_channels(self) -> tuple[str, ...]:
         """Columns of force sensors [N, N m], `<wrench>_fx` and so on."""
         return tuple(column for one in self.wrenches if one.kind == "measured" for column in one.columns)
@@ -132,7 +139,8 @@ class RobotConfig(Section):
         joints = [joint.name for joint in self.joints]
         columns = {kind: tuple(f"{kind}_{joint}" for joint in joints) for kind in DIMENSIONS}
         inertial = {"acceleration": self.acceleration_channels, "rate": self.gyroscope_channels}
-        return columns | {"t": ("t",)} | inertial | {"wrench": self.wrench_channels}
+        outside = {"wrench": self.wrench_channels, "position": self.position_channels}
+        return columns | {"t": ("t",)} | inertial | outside
 
     @model_validator(mode="after")
     def _driven(self) -> "RobotConfig":
@@ -142,7 +150,7 @@ class RobotConfig(Section):
 
     @model_validator(mode="after")
     def _names_unique(self) -> "RobotConfig":
-        for key in ("joints", "accelerometers", "gyroscopes", "wrenches"):
+        for key in ("joints", "accelerometers", "gyroscopes", "trackers", "wrenches"):
             seen: dict[str, int] = {}
             for index, item in enumerate(getattr(self, key)):
                 if (first := seen.setdefault(item.name, index)) != index:

@@ -92,6 +92,7 @@ UNSUPPORTED: dict[str, tuple[str, ...]] = {
     "the acceleration-driven observer on joint accelerations": BY_ACCELERATION,
     "a filter on the jerk-driven model": (UNKNOWN, "coupling", "rotors"),
     "a filter on the elastic-joint model": (UNKNOWN,),
+    "a filter on motors moved by jerk": (UNKNOWN,),
     "a simulation": (UNKNOWN,),
     "a velocity observer": BY_MOMENTUM,
     "a velocity observer on the links": (*BY_MOMENTUM, *JOINT_SIDE),

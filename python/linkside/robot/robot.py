@@ -20,7 +20,7 @@ from .config import ColumnsConfig, RobotConfig, RobotFile
 from .dynamics import Dynamics
 from .encoders import EncoderReading, readings
 from .joints import JointConfig
-from .sensors import AccelerometerConfig, FrameConfig, GyroscopeConfig
+from .sensors import AccelerometerConfig, FrameConfig, GyroscopeConfig, ThreeAxes, TrackerConfig
 from .tree import Tree
 from .units import Unit
 from .urdf import Urdf
@@ -40,14 +40,14 @@ Joints = Iterable[JointConfig | Mapping[str, Any]]
 class Robot(Dynamics):
     """An elastic-joint robot on a fixed base: made by `load`, `from_urdf` or `from_pinocchio`, then constant.
 
-    Every array is in log order: the order in which the joints are listed, whatever their order in the tree.
-    Dynamics take one state, (n,), or a row for each sample, (T, n), and answer likewise; any other shape is
-    an EstimatorError that names the argument. SI units, radians (metres where a joint is prismatic).
+    Every array is in log order: the order in which the joints are listed, whatever their order in the tree. Dynamics
+    take one state, (n,), or a row for each sample, (T, n), and return the same shape; any other shape raises an
+    EstimatorError that names the argument. SI units, radians (metres where a joint is prismatic).
 
     Parameters
     ----------
     config : RobotConfig
-        What was said about joints, sensors and tool.
+        The description of joints, sensors and tool.
     tree : Tree
         The listed joints alone, all others locked.
     notes : tuple of str
@@ -90,7 +90,7 @@ class Robot(Dynamics):
 
     @classmethod
     def from_urdf(cls, urdf: str | os.PathLike[str], joints: Joints, **settings: Any) -> "Robot":
-        """Build a robot from a URDF, its path or its text; meshes are not looked at.
+        """Build a robot from a URDF, its path or its text; meshes are not read.
 
         Parameters
         ----------
@@ -99,7 +99,7 @@ class Robot(Dynamics):
         joints
             In log order, `JointConfig` or mappings with its keys; all others are locked at neutral.
         **settings
-            Further keys of robot.yaml: coupling, accelerometers, gyroscopes, encoder, torque, tool, columns,
+            Further keys of robot.yaml: coupling, accelerometers, gyroscopes, trackers, encoder, torque, tool, columns,
             gravity.
 
         Raises
@@ -139,13 +139,14 @@ class Robot(Dynamics):
     def __repr__(self) -> str:
         """Name the joints, rigid ones in brackets, and the sensors."""
         joints = " ".join(joint.name if joint.elastic else f"({joint.name})" for joint in self.drives)
-        sensors = ", ".join(sensor.name for sensor in (*self.accelerometers, *self.gyroscopes))
+        all_: tuple[ThreeAxes, ...] = (*self.accelerometers, *self.gyroscopes, *self.trackers)
+        sensors = ", ".join(sensor.name for sensor in all_)
         return f"<Robot {self.tree.name}: {joints}; sensors: {sensors or 'none'}>"
 
     def scaled(
         self, *, stiffness: float = 1.0, damping: float = 1.0, motor_inertia: float = 1.0, mass: float = 1.0
     ) -> "Robot":
-        """Return a robot with other parameters, such as a specimen that differs from its model: factors on all joints.
+        """Return a robot with other parameters, such as one that differs from its model: factors on all joints.
 
         Parameters
         ----------
@@ -179,7 +180,7 @@ class Robot(Dynamics):
         Raises
         ------
         ConfigError
-            A joint moves nothing that has a mass: names its link.
+            A joint moves no mass; names its link.
         """
         for drive in self.drives:
             if drive.name in self._massless and (drive.elastic or not elastic_only):
@@ -254,6 +255,11 @@ class Robot(Dynamics):
         return self.config.gyroscopes
 
     @property
+    def trackers(self) -> tuple[TrackerConfig, ...]:
+        """What sees points of links from beside the robot."""
+        return self.config.trackers
+
+    @property
     def tool(self) -> FrameConfig | None:
         """The tool centre point, if there is one."""
         return self.config.tool
@@ -284,6 +290,11 @@ class Robot(Dynamics):
     def varying_wrenches(self) -> tuple[WrenchConfig, ...]:
         """Wrenches from outside that are not constant, which filters have in their state."""
         return tuple(wrench for wrench in self.config.wrenches if wrench.kind != "constant")
+
+    @property
+    def position_channels(self) -> tuple[str, ...]:
+        """Columns of trackers, `<tracker>_px` and so on."""
+        return self.config.position_channels
 
     @property
     def wrench_channels(self) -> tuple[str, ...]:

@@ -21,12 +21,16 @@ class Lateness(Section):
     delay: NonNegative = 0.0  # s; by how much a reading is later than its time stamp says
 
 
-class SensorConfig(FrameConfig, Lateness):
-    """What accelerometers and gyroscopes share."""
+class ThreeAxes(Lateness):
+    """A sensor of up to three axes."""
 
     name: Name
     axes: Literal["x", "y", "z", "xy", "xz", "yz", "xyz"] = "xyz"
     noise_std: Positive
+
+
+class SensorConfig(FrameConfig, ThreeAxes):
+    """What accelerometers and gyroscopes share."""
 
 
 class AccelerometerConfig(SensorConfig):
@@ -41,6 +45,22 @@ class GyroscopeConfig(SensorConfig):
     """A sensor of angular velocity; columns `<name>_wx` and so on."""
 
     noise_std: Positive = 0.001  # rad/s
+
+
+class PlaceConfig(Section):
+    """Position [m] and roll, pitch, yaw [rad] in the base frame."""
+
+    xyz: Vector3 = (0.0, 0.0, 0.0)
+    rpy: Vector3 = (0.0, 0.0, 0.0)
+
+
+class TrackerConfig(ThreeAxes):
+    """What sees a point of a link from beside the robot: laser tracker, camera, motion capture; columns `<name>_px`."""
+
+    link: Name
+    xyz: Vector3 = (0.0, 0.0, 0.0)  # m; the point, in the link's frame
+    place: PlaceConfig = PlaceConfig()  # of the tracker's own axes, which readings are in
+    noise_std: Positive = 1e-4  # m
 
 
 class EncoderConfig(Section):

@@ -86,6 +86,7 @@ DIMENSIONS: dict[str, tuple[str, str]] = {
     "acceleration": ("acceleration", "acceleration"),
     "rate": ("angular velocity", "angular velocity"),
     "wrench": ("torque", "force"),
+    "position": ("length", "length"),
 }
 """What each kind of channel measures, of a joint that turns and of one that slides; of a moment and of a force."""
 

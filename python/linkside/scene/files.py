@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import tempfile
+import os
+import shutil
 from pathlib import Path
 
 from linkside.arguments import positive
-from linkside.files.parts import open_part, publish
+from linkside.files.parts import replacing, spill_folder
 from linkside.files.writing import check_writable, writing
 from linkside.robot import Robot
 
@@ -60,16 +61,12 @@ def write_scene(
     check_writable(out, SUFFIXES)
     found = Looks() if urdf is None else looks(robot, urdf)
     parts = excerpts(robot, log, estimate, positive("rate", rate))
-    with tempfile.TemporaryDirectory() as folder:
-        whole = Path(folder) / f"scene{out.suffix.lower()}"
+    with spill_folder(Path(os.path.realpath(out)).parent) as folder:
+        whole = folder / f"scene{out.suffix.lower()}"
         if whole.suffix == ".rrd":
             rerun_recording.write(robot, found, parts, whole)
         else:
             mcap_recording.write(robot, parts, whole)
-        with writing(out):
-            part, file = open_part(out)
-            with file, whole.open("rb") as source:
-                while block := source.read(1 << 20):
-                    file.write(block)
-                publish(part, file, out)
+        with whole.open("rb") as source, writing(out), replacing(out) as file:
+            shutil.copyfileobj(source, file, 1 << 20)
     return found

@@ -52,7 +52,7 @@ def write(robot: Robot, excerpts: Iterable[Excerpt], path: Path) -> None:
     try:
         from mcap.writer import Writer
     except ImportError:
-        raise EstimatorError(f"{path}: mcap is needed to write this: pip install linkside[mcap]") from None
+        raise EstimatorError(f"{path}: mcap is needed to write this: pip install 'linkside[mcap]'") from None
     with path.open("wb") as file:
         writer: Any = Writer(file)
         writer.start(profile="", library="linkside")

@@ -31,7 +31,7 @@ def write(robot: Robot, looks: Looks, excerpts: Iterable[Excerpt], path: Path) -
     try:
         import rerun as rr
     except ImportError:
-        raise EstimatorError(f"{path}: rerun-sdk is needed to write this: pip install linkside[rerun]") from None
+        raise EstimatorError(f"{path}: rerun-sdk is needed to write this: pip install 'linkside[rerun]'") from None
     recording = rr.RecordingStream("linkside", recording_id=robot.tree.name or "robot", send_properties=False)
     recording.save(path)
     try:

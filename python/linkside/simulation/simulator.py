@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -30,14 +30,14 @@ from linkside.recording.writer import EstimateWriter
 from linkside.robot import Robot
 from linkside.robot.encoders import EncoderReading
 from linkside.robot.requirements import refuse_unsupported
-from linkside.robot.sensors import Lateness
+from linkside.robot.sensors import Lateness, ThreeAxes
 from linkside.robot.wrenches import AXES, reading_noise
 
 Truth: TypeAlias = dict[str, FloatArray]
 FeedbackSource: TypeAlias = bool | tuple[_core.ElasticJointFilter, list[int]] | _core.AccelerationObserver
 Feedback: TypeAlias = Literal["truth", "sensors"] | ElasticJointFilter | AccelerationObserver
 
-SIGNALS = {channel.signal: channel for channel in CHANNELS.values()}
+SIGNALS = {channel.signal: channel for channel in CHANNELS.values() if not channel.drives}
 """What sensors measure, in the core's order."""
 
 EXTRA = {channel.signal for channel in CHANNELS.values() if channel.extra}
@@ -82,7 +82,7 @@ class Simulation:
         wrenches that vary, ``<wrench>_fx`` to ``<wrench>_tz`` in files.
         Accelerations are those just before the torque changes.
     known
-        What the controller knew of the robot, (T, n) each.
+        The state that was fed back to the controller, (T, n) each.
     """
 
     robot: Robot
@@ -163,16 +163,16 @@ def simulate(
         State and motor torques at the start. Not given: links at zero and at rest; motors where the springs hold
         gravity, as fast as their links; the torques that hold gravity.
     feedback
-        What the controller knows of the robot: ``"truth"``, ``"sensors"`` (motors as measured, links taken to be
-        there too), or the estimate of an `ElasticJointFilter` or `AccelerationObserver`, of a robot with other
-        parameters if need be; it starts from the beginning, at the simulation's rate.
+        What the controller knows of the robot: ``"truth"``, ``"sensors"`` (motors as measured, links assumed to be
+        where the motors are), or the estimate of an `ElasticJointFilter` or `AccelerationObserver`, whose robot may
+        have other parameters; it starts from the beginning, at the simulation's rate.
     sensors
         A `Sensor` of each kind: ``theta``, ``dtheta``, ``acceleration``, ``rate``, ``q``, ``torque``, ``dq``. A kind
         not given is as robot.yaml has it, or exact; link positions and velocities, and joint torques (what the
         transmission gives the link), are in the log only if given, or if robot.yaml has a ``link_encoder`` or
         ``joint_torque``.
     integrator
-        ``"rk4"``, the fourth-order method of Runge and Kutta in fixed steps, as fast as can be where nothing is stiff;
+        ``"rk4"``, the fourth-order method of Runge and Kutta in fixed steps, the fastest where nothing is stiff;
         or ``"adaptive"``, RODAS (Hairer and Wanner, Solving Ordinary Differential Equations II, 1996, section VI.4),
         an L-stable method of order 4 with exact derivatives, whose steps follow the tolerance and not the stiffness,
         and end at every sample. A vibration smaller than the tolerance is damped instead of followed.
@@ -186,10 +186,10 @@ def simulate(
     seed
         Of the noise: the same seed gives the same bits.
     push : (n,) or (T, n)
-        Torque on each link from outside [N m]: contact, a payload, whatever the robot does not know. All the time, or
-        at each sample, straight in between; between samples a link is pushed as in the middle.
+        Torque on each link from outside [N m]: a contact, a payload or anything else that robot.yaml lacks. Constant,
+        or given at each sample; between two samples their mean acts.
     wrench : (6k,) or (T, 6k)
-        What the k wrenches of robot.yaml that vary are, likewise: of each, force [N] and moment [N m] in its frame.
+        Values of the k wrenches of robot.yaml that vary, likewise: of each, force [N] and moment [N m] in its frame.
         None: zero. Those that are measured are in the log, with their sensors' noise.
 
     Raises
@@ -289,7 +289,12 @@ def _declared(robot: Robot) -> dict[str, list[Sensor]]:
     """Models of the sensors that robot.yaml describes, one a channel, by kind."""
     config, n = robot.config, robot.n
     declared = {"theta": [Sensor(resolution=config.encoder.resolution)] * n}
-    for signal, carriers in (("acceleration", robot.accelerometers), ("rate", robot.gyroscopes)):
+    on_links: dict[str, Sequence[ThreeAxes]] = {
+        "acceleration": robot.accelerometers,
+        "rate": robot.gyroscopes,
+        "position": robot.trackers,
+    }
+    for signal, carriers in on_links.items():
         declared[signal] = [_late(s, noise=s.noise_std) for s in carriers for _ in s.axes]
     declared["wrench"] = [Sensor(noise=float(noise)) for noise in reading_noise(robot.varying_wrenches)]
     if config.link_encoder is not None:

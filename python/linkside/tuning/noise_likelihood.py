@@ -105,12 +105,12 @@ def tune(
     widen: bool = True,
     **settings: Any,
 ) -> Tuning:
-    """Find the noise under which recordings are most likely, and widen it where errors last.
+    """Find the noise with which recordings are most likely, and increase it where errors are correlated in time.
 
     The first part maximises the log-likelihood of the filter's innovations, summed over the recordings, over the
-    logarithms of the free values (Powell's method within bounds). A likelihood takes a reading's errors to be
-    independent from sample to sample. Those of a wrong stiffness or mass last for a movement, so that there is less to
-    be learnt from n readings than from n independent ones. The second part therefore multiplies the variance of a
+    logarithms of the free values (Powell's method within bounds). A likelihood assumes that a reading's errors are
+    independent from sample to sample. Errors of a wrong stiffness or mass last as long as a movement, so that n
+    readings contain less information than n independent ones. The second part therefore multiplies the variance of a
     channel's readings by the long-run variance of its normalised innovations, the sum of their autocovariance over all
     lags (Newey and West 1987), where that exceeds 1. Under an exact model it does not, and nothing changes.
 
@@ -121,11 +121,11 @@ def tune(
     logs
         One recording or several, with motion in them.
     noise
-        Where to start, and what stays as it is where not free. Unless free, the scale of jerk is read off each log.
+        Where to start, and the values that are not free. Unless free, the scale of jerk is estimated from each log.
     free
         Attributes of `Noise`. ``transmission``, ``jerk`` and the links' walks are found joint by joint, the first only
-        for joints that move. Freeing ``motor_bias`` or a walk of biases is seldom wise: the likelihood then takes a
-        wrong stiffness for a bias that wanders, and the position follows it.
+        for joints that move. Freeing ``motor_bias`` or a walk of biases is seldom wise: the likelihood then explains a
+        wrong stiffness by a drifting bias, and the position follows it.
     progress
         Called as ``progress(evaluations, best log-likelihood)`` after each evaluation.
     span

@@ -113,8 +113,8 @@ def tune_observer(
 ) -> Front:
     """Find poles, and within bounds drives, with which the observer comes closest to known states.
 
-    Four objectives are kept apart: errors of link position, link velocity and torsion, and the noise of the velocity.
-    The front is found by NSGA-II (Deb et al. 2002, from pymoo), begun at what is least in the sum of all (Powell).
+    There are four objectives: the errors of link position, link velocity and torsion, and the noise of the velocity.
+    The front is found by NSGA-II (Deb et al. 2002, from pymoo), started at the smallest sum of all (Powell).
 
     Parameters
     ----------
@@ -123,9 +123,9 @@ def tune_observer(
     logs
         One recording or several, of one sampling rate, with motion.
     states
-        What the links did in each, measured (``q_``, ``dq_`` and, where there, ``theta_<joint>``), or smoothed. By
-        default the smoother's estimate. That takes the springs to be as robot.yaml has them: to find a stiffness, give
-        measured states.
+        Motion of the links in each, measured (``q_``, ``dq_`` and, if recorded, ``theta_<joint>``) or smoothed. By
+        default the smoother's estimate, which assumes the springs of robot.yaml: to find a stiffness, give measured
+        states.
     free
         ``poles``, ``stiffness``, ``damping``, ``motor_inertia``; for every elastic joint that moves.
     progress

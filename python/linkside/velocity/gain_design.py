@@ -1,4 +1,4 @@
-"""Gains of the reduced-order observer for a robot: how strong Coriolis forces can be, and what gain outweighs them.
+"""Gains of the reduced-order observer for a robot: bounds of Coriolis forces, and the gain that dominates them.
 
 Cristofaro and De Luca, "Reduced-order observer design for robot manipulators", 2023: eqs. (11), (12) and (15),
 Remarks 3.2 and 3.3.
@@ -67,11 +67,11 @@ class GainDesign:
     speed, margin : float
         v_max and η: largest speed of the robot, largest error of the estimate [rad/s].
     gain : float
-        k0 of eq. (11) [1/s]. ``exact`` says what it rests on.
+        k0 of eq. (11) [1/s]; see ``exact``.
     conservative : float
         The gain of Remark 3.3, from separate bounds of c0 and the inertia [1/s].
     posture : (n,)
-        Where eq. (11) asks for the most [rad].
+        The posture of the maximum in eq. (11) [rad].
     coriolis : float
         Largest c0 over the postures [kg m²].
     inertia : tuple of float
@@ -83,8 +83,8 @@ class GainDesign:
 
     Notes
     -----
-    At each posture what is stated is certified. Over postures all is maximised or minimised on a sample and refined
-    from its worst ones: no certificate between them.
+    At each posture the values are certified. Over postures they are maxima or minima of a sample, refined from its
+    worst postures: there is no certificate between them.
     """
 
     speed: float
@@ -172,7 +172,7 @@ def design_gain(
 
 
 def survey(robot: Robot, side: Side = "motors", samples: int = SAMPLES, progress: Progress | None = None) -> Survey:
-    """Look at postures drawn within the joint limits, and at the extremes that refining finds from the worst ones."""
+    """Evaluate postures drawn within the joint limits, and the extremes found by refining the worst ones."""
     kept = _SURVEYS.setdefault(robot, {})
     if (side, samples) not in kept:
         kept[side, samples] = _survey(robot, side, samples, progress)

@@ -16,7 +16,8 @@ class GainMap:
     """A map of positions y whose derivative is the gain: ``k(y) = P y + sum of a sin(m·y) + b cos(m·y)``.
 
     Cristofaro and De Luca, "Reduced-order observer design for robot manipulators", 2023, Section 3.2. Every such gain
-    is a Jacobian, so that the observer needs no velocity. `linkside.velocity.shaped_gain` designs them.
+    is a Jacobian, so the observer uses differences of the map and needs no velocity. `linkside.velocity.shaped_gain`
+    designs them.
 
     Attributes
     ----------

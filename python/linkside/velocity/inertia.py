@@ -15,5 +15,9 @@ def rigid_inertia(robot: Robot, q: FloatArray, side: Literal["motors", "links"] 
     mass: FloatArray = robot.mass_matrix(q)
     if side == "links":
         return mass
-    motors = np.diag([drive.motor_inertia or 0.0 for drive in robot.drives])
-    return np.asarray(mass + motors + robot.coupling + robot.coupling.T)
+    return np.asarray(mass + np.diag(motor_inertia(robot)) + robot.coupling + robot.coupling.T)
+
+
+def motor_inertia(robot: Robot) -> FloatArray:
+    """Inertia of the motors, reflected through the gears; zero where robot.yaml has none (n,) [kg m²]."""
+    return np.array([drive.motor_inertia or 0.0 for drive in robot.drives])

@@ -32,10 +32,11 @@ GAIN = 100.0
 
 @dataclass(frozen=True)
 class HybridGain:
-    """A gain that follows the estimated speed, so that no bound of the velocity need be known.
+    """A gain that follows the estimated speed, so that no bound of the velocity has to be known in advance.
 
     Cristofaro and De Luca, "Reduced-order observer design for robot manipulators", 2023, eqs. (14)-(16), with switching
-    sets that can work and with the estimate kept at a jump. At level r the speed is at most ``r * bound``.
+    sets that do not overlap and an estimate that is continuous at a jump. At level r the speed is at most
+    ``r * bound``.
 
     Attributes
     ----------
@@ -50,7 +51,7 @@ class HybridGain:
     start : int, optional
         Level of the first sample; by default the least whose bound is above the margin.
     dwell : int
-        Samples between a jump and a jump down, against noise.
+        Least number of samples between a jump and a jump down, so that noise does not cause one.
     logic
         ``"repaired"``: up at ``r * bound - margin``, down at ``(r - 1) * bound - margin - hysteresis``.
         ``"printed-sets"``: down at ``(r - 1) * bound + margin`` as printed, at which r chatters.
@@ -91,8 +92,8 @@ class VelocityEstimate(Estimate):
 class ReducedOrderObserver(PeriodicObserver[_core.VelocityObserver, VelocityEstimate], Compiles):
     """Reduced-order velocity observer.
 
-    Cristofaro and De Luca, "Reduced-order observer design for robot manipulators", 2023, eq. (6). It takes the joints
-    to be rigid: motor inertia adds to that of the links, motor friction to theirs.
+    Cristofaro and De Luca, "Reduced-order observer design for robot manipulators", 2023, eq. (6). The joints are
+    assumed to be rigid: motor inertia is added to that of the links, motor friction to theirs.
 
     Parameters
     ----------
@@ -102,15 +103,15 @@ class ReducedOrderObserver(PeriodicObserver[_core.VelocityObserver, VelocityEsti
         k0 [1/s]: one number, one for each joint, a `HybridGain`, or a `GainMap` that depends on the posture.
     side
         ``"motors"``: positions are the log's ``theta`` and torques its ``tau``. ``"links"``: positions are the log's
-        ``q`` and torques its ``torque``, what the transmission gives the link; motors then do not matter.
+        ``q`` and torques its ``torque``, those of the transmission on the link; the motors are then not used.
     wrap
         Positions that jump by a multiple of this are an encoder's wrap, are corrected and flagged UNWRAPPED [rad]:
         one number, or one for each joint. By default a turn for revolute joints.
     period
         Sampling period for `step` [s]; by default ``rate_hz`` of robot.yaml. `run` takes the log's.
     start
-        ``"auto"``: the first samples tell how fast the robot moves. ``"rest"``: it does not at the first one. Or the
-        velocity there, a mapping of ``dq`` (n,).
+        ``"auto"``: the first samples determine how fast the robot moves. ``"rest"``: it is at rest at the first sample.
+        Or the velocity there, a mapping of ``dq`` (n,).
 
     Raises
     ------

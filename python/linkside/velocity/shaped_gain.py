@@ -1,10 +1,10 @@
 """Gains that depend on the posture, designed for a robot.
 
-Cristofaro and De Luca, "Reduced-order observer design for robot manipulators", 2023, Section 3.2, which names two ends
-and leaves the way open. With ``Q = M ∂k/∂y + (M ∂k/∂y)ᵀ``, deformation reduction keeps the eigenvalues of Q together,
-and the other map has ∂k/∂y come near the inverse of M. Neither lowers the peak of the gain: the Euclidean certificate
-asks for ``λmin(Q) / 2 >= c0 (v_max + η) - λmin(F)`` at each posture, hence for ``norm(∂k/∂y)`` of at least that by
-``λmin(M)``, whose maximum is the constant gain of eq. (11).
+Cristofaro and De Luca, "Reduced-order observer design for robot manipulators", 2023, Section 3.2, which states two aims
+and leaves the method open. With ``Q = M ∂k/∂y + (M ∂k/∂y)ᵀ``, deformation reduction keeps the eigenvalues of Q
+together, and the other map brings ∂k/∂y close to the inverse of M. Neither lowers the peak of the gain: the Euclidean
+certificate asks for ``λmin(Q) / 2 >= c0 (v_max + η) - λmin(F)`` at each posture, hence for ``norm(∂k/∂y)`` of at least
+that by ``λmin(M)``, whose maximum is the constant gain of eq. (11).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _MOVES = 1e-9
 
 @dataclass(frozen=True)
 class ShapedGain:
-    """A gain that depends on the posture, and what it does over the postures that were looked at.
+    """A gain that depends on the posture, and its properties over the postures that were sampled.
 
     Attributes
     ----------
@@ -42,11 +42,12 @@ class ShapedGain:
     ratio : float
         Smallest by largest eigenvalue of ``Q = M ∂k/∂y + (M ∂k/∂y)ᵀ`` over all postures; not above 0 is no gain.
     limit : float or None
-        What the ratio of no map of these harmonics exceeds at the same postures: how near the search came.
+        Upper bound of the ratio for maps of these harmonics at the same postures: how close the search came to the
+        optimum.
     peak : float
         Largest norm of ∂k/∂y.
     apart : float
-        Largest norm of ∂k/∂y less the inverse of the inertia [1/(kg m²)].
+        Largest norm of ∂k/∂y minus the inverse of the inertia [1/(kg m²)].
 
     Notes
     -----
@@ -111,7 +112,8 @@ def reduce_deformation(
 
     Notes
     -----
-    A semidefinite program, linear in the coefficients; solved by cutting planes, which also tell how near they came.
+    A semidefinite program, linear in the coefficients; solved by cutting planes, which also bound the distance from the
+    optimum.
     """
     seen, waves, basis, inertia = _postures(robot, harmonics, side, samples)
     mean = np.linalg.inv(inertia.mean(axis=0))
@@ -135,7 +137,7 @@ def approximate_inverse(
 
 
 def shaped(robot: Robot, gain: GainMap, *, side: Side = "motors", samples: int = SAMPLES) -> ShapedGain:
-    """Look at what a map of one's own does, for example ``GainMap.constant(matrix)``."""
+    """Evaluate a given map, for example ``GainMap.constant(matrix)``."""
     if gain.n != robot.n:
         raise EstimatorError(f"a gain map is for {gain.n} joints, expected {robot.n}")
     seen = survey(robot, side, samples)

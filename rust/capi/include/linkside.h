@@ -3,7 +3,7 @@
 // Written by cbindgen (`make header`): do not edit.
 //
 // Memory: once an estimator is made, no function allocates, asks the operating system or waits, until `linkside_free`.
-// Threads: one estimator is used by one thread at a time, whichever; different ones do not know of each other.
+// Threads: use an estimator from one thread at a time; different estimators share nothing.
 // Errors: a function that can fail gives a LinksideResult, and `linkside_error` says in a line what was wrong, and where.
 
 #ifndef LINKSIDE_H
@@ -18,37 +18,37 @@
 // A reading was missing and bridged.
 #define LINKSIDE_BRIDGED 2
 
-// Some combination of accelerations was not seen at all.
+// Some combination of accelerations was not observed at all.
 #define LINKSIDE_UNSEEN 4
 
 // A reading was left out as an outlier.
 #define LINKSIDE_GATED 8
 
-// Not one reading was used: the estimate is a prediction.
+// No reading was used: the estimate is a prediction.
 #define LINKSIDE_PREDICTED 16
 
-// An encoder wrapped, and its jump was taken out.
+// An encoder wrapped, and its jump was removed.
 #define LINKSIDE_UNWRAPPED 32
 
-// Readings contradict the model: the estimate, and its standard deviations, are not to be believed.
+// Readings contradict the model: do not use the estimate and its standard deviations.
 #define LINKSIDE_CONTRADICTED 64
 
 // One channel contradicts the model and all others.
 #define LINKSIDE_FAULTY 128
 
-// What became of a call.
+// The result of a call.
 typedef enum LinksideResult {
   // It is done.
   LINKSIDE_OK = 0,
   // The sample, or an argument, cannot be used; everything is as it was before the call.
   LINKSIDE_REFUSED = 1,
-  // The sample's readings are so absurd that no estimate is left; the next sample starts anew.
+  // The sample's readings are so extreme that no estimate is left; the next sample starts again.
   LINKSIDE_LOST = 2,
-  // A pointer that must not be null is.
+  // A pointer is null that must not be.
   LINKSIDE_NULL = 3,
   // The file cannot be used: read `linkside_last_error`.
   LINKSIDE_FILE = 4,
-  // A fault of this library. The estimator answers nothing else from now on; please report it.
+  // A fault of this library: every later call of the estimator returns the same. Please report it.
   LINKSIDE_FAULT = 5,
 } LinksideResult;
 
@@ -57,8 +57,8 @@ typedef struct LinksideEstimator LinksideEstimator;
 
 // One sample of a robot's signals, on the link side of gears, in SI units; NaN where a reading is missing.
 //
-// Each signal is an array of as many numbers as `linkside_width` says, or null where there is none of it. One that the
-// estimator does not read may be there, and is not looked at. Begin with `{0}`, so that fields you do not set are null.
+// Each signal is an array of as many numbers as `linkside_width` says, or null where it is missing. A signal that the
+// estimator does not read is ignored. Begin with `{0}`, so that fields you do not set are null.
 typedef struct LinksideSample {
   // Time since the sample before [s]; filters need it, observers have the period that they were designed for.
   double dt;
@@ -84,6 +84,8 @@ typedef struct LinksideSample {
   const double *ddqref;
   // Forces and moments from outside that sensors measure, six numbers each [N, N m].
   const double *wrench;
+  // Channels of trackers [m].
+  const double *position;
 } LinksideSample;
 
 #ifdef __cplusplus
@@ -97,13 +99,13 @@ extern "C" {
 enum LinksideResult linkside_read(const char *path,
                                   struct LinksideEstimator **out);
 
-// The same of a file's `length` bytes in memory.
+// Like `linkside_read`, from the `length` bytes of a file in memory.
 //
 // # Safety
 // `content` has `length` bytes, `out` may be written. Free the estimator with `linkside_free`.
 enum LinksideResult linkside_from_bytes(const uint8_t *content, size_t length, struct LinksideEstimator **out);
 
-// Frees an estimator; null is left alone.
+// Frees an estimator; null is ignored.
 //
 // # Safety
 // `estimator` came from this library, and is not used again.
@@ -124,7 +126,7 @@ const char *linkside_error(const struct LinksideEstimator *estimator);
 // `estimator` is one, `sample` a sample with as many numbers a signal as `linkside_width` says.
 enum LinksideResult linkside_step(struct LinksideEstimator *estimator, const struct LinksideSample *sample);
 
-// Forgets all samples: the next one starts anew.
+// Forgets all samples: the next one starts again.
 //
 // # Safety
 // `estimator` is one, or null.
@@ -143,7 +145,7 @@ const double *linkside_values(const struct LinksideEstimator *estimator,
                               const char *name,
                               size_t *length);
 
-// What there is to know about the last sample, a sum of `LINKSIDE_DAMPED` and the like; 0 is good.
+// Status of the last sample, a sum of `LINKSIDE_DAMPED` and the other flags; 0 is good.
 //
 // # Safety
 // `estimator` is one, or null, which gives 0.
@@ -175,7 +177,7 @@ size_t linkside_joints(const struct LinksideEstimator *estimator);
 // `estimator` is one, or null, `name` a string.
 size_t linkside_width(const struct LinksideEstimator *estimator, const char *name);
 
-// What entry `index` of the signal `name` is called: a joint, or a channel of a sensor; null where there is none.
+// Name of entry `index` of the signal `name`: a joint, or a channel of a sensor; null where there is none.
 //
 // # Safety
 // `estimator` is one, or null, `name` a string. The answer is valid until `linkside_free`.

@@ -1,4 +1,4 @@
-// Estimators of linkside in C++17, upon linkside.h. What fails throws `linkside::Error`.
+// Estimators of linkside in C++17, on top of linkside.h. A call that fails throws `linkside::Error`.
 
 #ifndef LINKSIDE_HPP
 #define LINKSIDE_HPP
@@ -41,10 +41,10 @@ class Estimator {
 public:
     explicit Estimator(const std::string &path) : Estimator(made(linkside_read, path.c_str())) {}
 
-    /// Of a file's bytes.
+    /// From a file's bytes.
     Estimator(const uint8_t *bytes, size_t size) : Estimator(made(linkside_from_bytes, bytes, size)) {}
 
-    /// Takes a sample, for control loops: nothing is thrown. `error` says what was wrong.
+    /// Takes a sample, for control loops: throws nothing. `error` says what was wrong.
     LinksideResult try_step(const LinksideSample &sample) noexcept { return linkside_step(handle_.get(), &sample); }
 
     /// Takes a sample.
@@ -78,7 +78,7 @@ public:
     /// How many numbers a signal of a sample has; 0 where it is not read.
     size_t width(const char *signal) const noexcept { return linkside_width(handle_.get(), signal); }
 
-    /// What the entries of a signal are called.
+    /// Names of the entries of a signal.
     std::vector<std::string> names(const char *signal) const {
         std::vector<std::string> names;
         for (size_t i = 0; i < width(signal); ++i) {

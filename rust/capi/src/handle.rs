@@ -50,8 +50,20 @@ impl Handle {
     /// # Safety
     /// Each pointer is null, or for `'a` of as many numbers as the estimator reads of the signal.
     pub(crate) unsafe fn sample<'a>(&self, c: &LinksideSample) -> Sample<'a> {
-        let pointers =
-            [c.theta, c.dtheta, c.tau, c.acceleration, c.rate, c.q, c.dq, c.ddq, c.torque, c.ddqref, c.wrench];
+        let pointers = [
+            c.theta,
+            c.dtheta,
+            c.tau,
+            c.acceleration,
+            c.rate,
+            c.q,
+            c.dq,
+            c.ddq,
+            c.torque,
+            c.ddqref,
+            c.wrench,
+            c.position,
+        ];
         let mut signals: [&[f64]; Signal::ALL.len()] = [&[]; _];
         for ((signal, pointer), &width) in signals.iter_mut().zip(pointers).zip(&self.widths) {
             if !pointer.is_null() && width > 0 {
@@ -59,8 +71,8 @@ impl Handle {
                 *signal = unsafe { slice::from_raw_parts(pointer, width) };
             }
         }
-        let [theta, dtheta, tau, acceleration, rate, q, dq, ddq, torque, ddqref, wrench] = signals;
-        Sample { dt: c.dt, theta, dtheta, tau, acceleration, rate, q, dq, ddq, torque, ddqref, wrench }
+        let [theta, dtheta, tau, acceleration, rate, q, dq, ddq, torque, ddqref, wrench, position] = signals;
+        Sample { dt: c.dt, theta, dtheta, tau, acceleration, rate, q, dq, ddq, torque, ddqref, wrench, position }
     }
 }
 

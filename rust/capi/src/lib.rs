@@ -30,7 +30,7 @@ use std::ptr;
 /// An estimator, made by `linkside_read` or `linkside_from_bytes`.
 pub struct LinksideEstimator(Handle);
 
-/// What became of a call.
+/// The result of a call.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(clippy::enum_variant_names)] // C has no names within names
@@ -39,13 +39,13 @@ pub enum LinksideResult {
     LinksideOk = 0,
     /// The sample, or an argument, cannot be used; everything is as it was before the call.
     LinksideRefused = 1,
-    /// The sample's readings are so absurd that no estimate is left; the next sample starts anew.
+    /// The sample's readings are so extreme that no estimate is left; the next sample starts again.
     LinksideLost = 2,
-    /// A pointer that must not be null is.
+    /// A pointer is null that must not be.
     LinksideNull = 3,
     /// The file cannot be used: read `linkside_last_error`.
     LinksideFile = 4,
-    /// A fault of this library. The estimator answers nothing else from now on; please report it.
+    /// A fault of this library: every later call of the estimator returns the same. Please report it.
     LinksideFault = 5,
 }
 
@@ -53,23 +53,23 @@ pub enum LinksideResult {
 pub const LINKSIDE_DAMPED: u8 = 1;
 /// A reading was missing and bridged.
 pub const LINKSIDE_BRIDGED: u8 = 2;
-/// Some combination of accelerations was not seen at all.
+/// Some combination of accelerations was not observed at all.
 pub const LINKSIDE_UNSEEN: u8 = 4;
 /// A reading was left out as an outlier.
 pub const LINKSIDE_GATED: u8 = 8;
-/// Not one reading was used: the estimate is a prediction.
+/// No reading was used: the estimate is a prediction.
 pub const LINKSIDE_PREDICTED: u8 = 16;
-/// An encoder wrapped, and its jump was taken out.
+/// An encoder wrapped, and its jump was removed.
 pub const LINKSIDE_UNWRAPPED: u8 = 32;
-/// Readings contradict the model: the estimate, and its standard deviations, are not to be believed.
+/// Readings contradict the model: do not use the estimate and its standard deviations.
 pub const LINKSIDE_CONTRADICTED: u8 = 64;
 /// One channel contradicts the model and all others.
 pub const LINKSIDE_FAULTY: u8 = 128;
 
 /// One sample of a robot's signals, on the link side of gears, in SI units; NaN where a reading is missing.
 ///
-/// Each signal is an array of as many numbers as `linkside_width` says, or null where there is none of it. One that the
-/// estimator does not read may be there, and is not looked at. Begin with `{0}`, so that fields you do not set are null.
+/// Each signal is an array of as many numbers as `linkside_width` says, or null where it is missing. A signal that the
+/// estimator does not read is ignored. Begin with `{0}`, so that fields you do not set are null.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct LinksideSample {
@@ -97,6 +97,8 @@ pub struct LinksideSample {
     pub ddqref: *const f64,
     /// Forces and moments from outside that sensors measure, six numbers each [N, N m].
     pub wrench: *const f64,
+    /// Channels of trackers [m].
+    pub position: *const f64,
 }
 
 thread_local! {
@@ -142,7 +144,7 @@ pub unsafe extern "C" fn linkside_read(path: *const c_char, out: *mut *mut Links
     }
 }
 
-/// The same of a file's `length` bytes in memory.
+/// Like `linkside_read`, from the `length` bytes of a file in memory.
 ///
 /// # Safety
 /// `content` has `length` bytes, `out` may be written. Free the estimator with `linkside_free`.
@@ -159,7 +161,7 @@ pub unsafe extern "C" fn linkside_from_bytes(
     }
 }
 
-/// Frees an estimator; null is left alone.
+/// Frees an estimator; null is ignored.
 ///
 /// # Safety
 /// `estimator` came from this library, and is not used again.
@@ -207,7 +209,7 @@ pub unsafe extern "C" fn linkside_step(
     })
 }
 
-/// Forgets all samples: the next one starts anew.
+/// Forgets all samples: the next one starts again.
 ///
 /// # Safety
 /// `estimator` is one, or null.
@@ -248,7 +250,7 @@ pub unsafe extern "C" fn linkside_values(
     found.map_or(ptr::null(), <[f64]>::as_ptr)
 }
 
-/// What there is to know about the last sample, a sum of `LINKSIDE_DAMPED` and the like; 0 is good.
+/// Status of the last sample, a sum of `LINKSIDE_DAMPED` and the other flags; 0 is good.
 ///
 /// # Safety
 /// `estimator` is one, or null, which gives 0.
@@ -308,7 +310,7 @@ pub unsafe extern "C" fn linkside_width(estimator: *const LinksideEstimator, nam
     }
 }
 
-/// What entry `index` of the signal `name` is called: a joint, or a channel of a sensor; null where there is none.
+/// Name of entry `index` of the signal `name`: a joint, or a channel of a sensor; null where there is none.
 ///
 /// # Safety
 /// `estimator` is one, or null, `name` a string. The answer is valid until `linkside_free`.

@@ -32,8 +32,9 @@ fn measure(estimator: &mut Estimator, steps: u64) -> Result<(), Box<dyn std::err
         for row in &mut rows {
             row.iter_mut().enumerate().for_each(|(i, x)| *x = 1e-3 * (phase * (1.0 + i as f64)).sin());
         }
-        let [theta, dtheta, tau, acceleration, rate, q, dq, ddq, torque, ddqref, wrench] = &rows;
-        let sample = Sample { dt: period, theta, dtheta, tau, acceleration, rate, q, dq, ddq, torque, ddqref, wrench };
+        let [theta, dtheta, tau, acceleration, rate, q, dq, ddq, torque, ddqref, wrench, position] = &rows;
+        let sample =
+            Sample { dt: period, theta, dtheta, tau, acceleration, rate, q, dq, ddq, torque, ddqref, wrench, position };
         let start = Instant::now();
         estimator.step(&sample)?;
         let taken = start.elapsed().as_secs_f64() * 1e6;

@@ -28,6 +28,7 @@ pub fn observer() -> Description {
             worst_acceleration_std: 10.0,
             rest: true,
             start: None,
+            uncertainty: None,
         }),
     }
 }
@@ -58,6 +59,7 @@ fn robot() -> Robot {
             noise_std: 0.05,
         }],
         gyroscopes: vec![],
+        trackers: vec![],
         tool: None,
         rotors: vec![],
         counterbalances: vec![],

@@ -153,7 +153,7 @@ impl Estimator {
     ///
     /// # Errors
     /// A sample that cannot be used, after which everything is as before it. [`RunError::NotFinite`] and
-    /// [`RunError::SingularInertia`]: readings so absurd that nothing is left; the next sample starts anew.
+    /// [`RunError::SingularInertia`]: readings so extreme that no estimate is left; the next sample starts again.
     pub fn step(&mut self, sample: &Sample<'_>) -> Result<(), RunError> {
         let of_sensors = self.is_of_sensors();
         match &mut self.method {
@@ -174,7 +174,7 @@ impl Estimator {
         Ok(())
     }
 
-    /// Forgets all samples: the next one starts anew.
+    /// Forgets all samples: the next one starts again.
     #[expect(clippy::expect_used, reason = "the same settings began when it was made")]
     pub fn reset(&mut self) {
         match (&mut self.method, &self.description.estimator) {
@@ -249,7 +249,9 @@ impl Estimator {
                 }
                 let links = [&[observer.time()][..], observer.q(), observer.dq(), observer.ddq()];
                 let motors = [&theta[..n], &dtheta[..n], &observer.tool()[..tool]];
-                fields.fill(links.into_iter().chain(motors));
+                let deviations =
+                    [observer.q_std(), &observer.tool_std()[..if observer.q_std().is_empty() { 0 } else { tool }]];
+                fields.fill(links.into_iter().chain(motors).chain(deviations));
                 *status = observer.status();
             }
             Working::Velocity(observer) => {
@@ -279,7 +281,7 @@ fn velocity_signals(observer: &VelocityObserver) -> [Signal; 2] {
 /// Fields in the order in which [`Estimator::write`] fills them.
 fn fields(method: &Working, robot: &Robot) -> Fields {
     let (mut fields, n) = (Fields::default(), robot.len());
-    let (motors, level) = match method {
+    let (motors, level, deviating) = match method {
         Working::Ekf(filter) => {
             filter.fields(&mut fields);
             return fields;
@@ -288,12 +290,13 @@ fn fields(method: &Working, robot: &Robot) -> Fields {
             filter.fields(&mut fields);
             return fields;
         }
-        Working::Observer(_) => (n, 0),
-        Working::Velocity(observer) => (if observer.is_of_motors() { n } else { 0 }, 1),
+        Working::Observer(observer) => (n, 0, usize::from(!observer.q_std().is_empty())),
+        Working::Velocity(observer) => (if observer.is_of_motors() { n } else { 0 }, 1, 0),
     };
     let tool = usize::from(robot.tool.is_some()) * 3;
     let widths = [("t", 1), ("q", n), ("dq", n), ("ddq", n), ("theta", motors), ("dtheta", motors)];
-    for (name, width) in widths.into_iter().chain([("tool_position", tool), ("level", level)]) {
+    let rest = [("tool_position", tool), ("level", level), ("q_std", n * deviating), ("tool_std", tool * deviating)];
+    for (name, width) in widths.into_iter().chain(rest) {
         fields.add(name, width);
     }
     fields

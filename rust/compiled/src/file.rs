@@ -43,7 +43,7 @@ pub enum FileError {
     #[error("this is no compiled robot of linkside")]
     Foreign,
     /// Another version of the format.
-    #[error("this is version {found} of the format, expected {VERSION}: compile the robot anew")]
+    #[error("this is version {found} of the format, expected {VERSION}: compile the robot again")]
     Version {
         /// The file's.
         found: u32,

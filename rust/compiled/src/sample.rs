@@ -32,6 +32,8 @@ pub struct Sample<'a> {
     pub ddqref: &'a [f64],
     /// Forces and moments from outside that sensors measure (6 each) [N, N m].
     pub wrench: &'a [f64],
+    /// Channels of trackers [m].
+    pub position: &'a [f64],
 }
 
 /// A signal of a [`Sample`].
@@ -49,11 +51,12 @@ pub enum Signal {
     Torque,
     Ddqref,
     Wrench,
+    Position,
 }
 
 impl Signal {
     /// All of them.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Theta,
         Self::Dtheta,
         Self::Tau,
@@ -65,6 +68,7 @@ impl Signal {
         Self::Torque,
         Self::Ddqref,
         Self::Wrench,
+        Self::Position,
     ];
 
     /// What columns of a log begin with.
@@ -81,6 +85,7 @@ impl Signal {
             Self::Torque => "torque",
             Self::Ddqref => "ddqref",
             Self::Wrench => "wrench",
+            Self::Position => "position",
         }
     }
 
@@ -100,6 +105,8 @@ impl Signal {
             Kind::Torque => Self::Torque,
             Kind::LinkVelocity => Self::Dq,
             Kind::Wrench => Self::Wrench,
+            Kind::Position => Self::Position,
+            Kind::MotorTorque => Self::Tau,
         }
     }
 
@@ -117,6 +124,7 @@ impl Signal {
             Self::Torque => sample.torque,
             Self::Ddqref => sample.ddqref,
             Self::Wrench => sample.wrench,
+            Self::Position => sample.position,
         }
     }
 

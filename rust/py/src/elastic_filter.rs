@@ -1,4 +1,4 @@
-//! Kalman filter and smoother on the elastic-joint model.
+//! Kalman filter and smoother on the elastic-joint model, motors moved by torques or by jerk.
 
 use crate::array::{Signal, rows};
 use crate::error::{EstimatorError, IntoPyErr};
@@ -32,11 +32,8 @@ pub(crate) struct ElasticJointFilter {
 
 type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'py>);
 
-#[pymethods]
 impl ElasticJointFilter {
-    #[new]
-    fn new(robot: &Robot, settings: Plain<description::ElasticFilter>) -> PyResult<Self> {
-        let filter = settings.0.build(&robot.0).map_err(IntoPyErr::into_py_err)?;
+    fn of(filter: ExtendedKalmanFilter<ElasticModel>) -> PyResult<Self> {
         let row = FilterOutput::zeros(1, filter.model(), Keep::default()).map_err(IntoPyErr::into_py_err)?;
         let kinds = filter.model().channel_kinds();
         let count = |is: fn(&Channel) -> bool| kinds.iter().filter(|channel| is(channel)).count();
@@ -45,6 +42,20 @@ impl ElasticJointFilter {
             count(|channel| matches!(channel, Channel::MotorVelocity(_))),
         ];
         Ok(Self { readings: vec![f64::NAN; kinds.len()], widths, filter, t: 0.0, row })
+    }
+}
+
+#[pymethods]
+impl ElasticJointFilter {
+    #[new]
+    fn new(robot: &Robot, settings: Plain<description::ElasticFilter>) -> PyResult<Self> {
+        Self::of(settings.0.build(&robot.0).map_err(IntoPyErr::into_py_err)?)
+    }
+
+    /// The same of motors moved by jerk: where torques are said to go, their commanded jerk does.
+    #[staticmethod]
+    fn moved_by_jerk(robot: &Robot, settings: Plain<description::MotorJerkFilter>) -> PyResult<Self> {
+        Self::of(settings.0.build(&robot.0).map_err(IntoPyErr::into_py_err)?)
     }
 
     /// Number of states.
@@ -82,7 +93,8 @@ impl ElasticJointFilter {
         self.filter.set_start(Some(start)).map_err(IntoPyErr::into_py_err)
     }
 
-    /// Takes one sample; what is not given is missing, and what the filter does not measure is not looked at.
+    /// Takes one sample, of motors moved by jerk with that in place of torques; what is not given is missing, and what the
+    /// filter does not measure is not looked at.
     #[pyo3(signature = (dt, theta, tau, dtheta=None, acceleration=None, further=None))]
     fn step(
         &mut self,
@@ -102,7 +114,11 @@ impl ElasticJointFilter {
         let further = given(further.as_ref(), "further", m - n - *sensed - *turned)?;
         let tau = tau.sized("tau", n)?;
         if let Some(joint) = tau.iter().position(|t| !t.is_finite()) {
-            return Err(EstimatorError::new_err(format!("tau of joint {joint} is {}, expected a number", tau[joint])));
+            let what = if filter.model().is_moved_by_jerk() { "jerk" } else { "tau" };
+            return Err(EstimatorError::new_err(format!(
+                "{what} of joint {joint} is {}, expected a number",
+                tau[joint]
+            )));
         }
         let (motors, rest) = readings.split_at_mut(n);
         let (accelerations, rest) = rest.split_at_mut(*sensed);
@@ -111,7 +127,7 @@ impl ElasticJointFilter {
         fill(accelerations, acceleration);
         fill(velocities, dtheta);
         fill(others, further);
-        let inputs = Inputs { tau, ..Inputs::default() };
+        let inputs = inputs(filter.model(), tau);
         filtering::step(filter, KalmanSample { dt, readings, inputs }, t, row)
     }
 
@@ -145,10 +161,19 @@ impl ElasticJointFilter {
     }
 }
 
+/// What moves motors.
+fn inputs<'a>(model: &ElasticModel, moving: &'a [f64]) -> Inputs<'a> {
+    if model.is_moved_by_jerk() {
+        Inputs { jerk: moving, ..Inputs::default() }
+    } else {
+        Inputs { tau: moving, ..Inputs::default() }
+    }
+}
+
 fn recording<'a>(model: &ElasticModel, (dt, readings, tau): &'a Arrays<'_>) -> PyResult<KalmanRecording<'a>> {
     Ok(KalmanRecording {
         dt: rows("dt", dt, dt.len())?,
         readings: rows("readings", readings, model.channels())?,
-        inputs: Inputs { tau: rows("tau", tau, model.robot().len())?, ..Inputs::default() },
+        inputs: inputs(model, rows("tau", tau, model.robot().len())?),
     })
 }

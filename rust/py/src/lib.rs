@@ -40,7 +40,9 @@ mod _core {
     #[pymodule_export]
     use crate::likelihood::{Likelihood, Response};
     #[pymodule_export]
-    use crate::observer::{AccelerationObserver, acceleration_inverse, observer_gains, sampled_observer};
+    use crate::observer::{
+        AccelerationObserver, acceleration_inverse, observer_bound, observer_gains, sampled_observer,
+    };
     #[pymodule_export]
     use crate::particle::ParticleFilter;
     #[pymodule_export]

@@ -9,7 +9,8 @@ use crate::state::State;
 use linkside_compiled::description;
 use linkside_core::error::RunError;
 use linkside_core::estimate::observer::{
-    self, AccelerationMap, Complex, JointModel, ObserverOutput, ObserverRecording, ObserverSample, Poles, Sampled,
+    self, AccelerationMap, Complex, Form, JointModel, ObserverOutput, ObserverRecording, ObserverSample, Poles,
+    Sampled, UltimateBound,
 };
 use linkside_core::robot::Drive;
 use numpy::{PyArray1, PyArrayDyn, PyReadonlyArray2, PyUntypedArrayMethods};
@@ -122,6 +123,12 @@ fn into_dict<'py>(py: Python<'py>, t: ObserverOutput, n: usize, tool: bool) -> P
     if tool {
         out.set_item("tool_position", shaped(py, t.tool, vec![count, 3])?)?;
     }
+    if !t.q_std.is_empty() {
+        out.set_item("q_std", shaped(py, t.q_std, vec![count, n])?)?;
+    }
+    if !t.tool_std.is_empty() {
+        out.set_item("tool_std", shaped(py, t.tool_std, vec![count, 3])?)?;
+    }
     out.set_item("status", PyArray1::from_vec(py, t.status))?;
     Ok(out)
 }
@@ -157,6 +164,21 @@ pub(crate) fn sampled_observer<'py>(
         shaped(py, ramp, vec![order, 2])?,
         shaped(py, gain, vec![order])?,
     ])
+}
+
+/// What one joint's link position and velocity can be off by at most, for a unit of torque, acceleration and reading each.
+#[pyfunction]
+pub(crate) fn observer_bound(
+    robot: &Robot,
+    joint: usize,
+    poles: Vec<Complex>,
+    period: f64,
+    predictor: bool,
+) -> PyResult<[[f64; 2]; 3]> {
+    let (drive, model, poles) = joint_design(robot, joint, &poles)?;
+    let form = if predictor { Form::Predictor } else { Form::Current };
+    let bound = UltimateBound::new(model, drive, &poles, period, form);
+    Ok([bound.torque, bound.acceleration, bound.reading])
 }
 
 /// By how much each joint's acceleration grows with each accelerometer reading, at rest: the damped inverse of their map.

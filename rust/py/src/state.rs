@@ -99,14 +99,15 @@ impl State {
 
     pub(crate) fn of_observer(observer: &observer::AccelerationObserver) -> Self {
         let n = observer.joints();
-        let mut joints = Vec::with_capacity(5 * n);
+        let mut joints = Vec::with_capacity(6 * n);
         for part in [observer.q(), observer.dq(), observer.ddq()] {
             joints.extend_from_slice(part);
         }
         joints.extend((0..n).map(|j| observer.motor(j).0));
         joints.extend((0..n).map(|j| observer.motor(j).1));
-        let tool = observer.tool();
-        Self { tool: (!tool[0].is_nan()).then_some(tool), ..Self::bare(observer.time(), observer.status(), n, joints) }
+        joints.extend_from_slice(observer.q_std());
+        let [tool, tool_std] = [observer.tool(), observer.tool_std()].map(|at| (!at[0].is_nan()).then_some(at));
+        Self { tool, tool_std, ..Self::bare(observer.time(), observer.status(), n, joints) }
     }
 
     pub(crate) fn of_velocity_observer(observer: &velocity::VelocityObserver) -> Self {

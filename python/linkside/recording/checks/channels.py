@@ -14,7 +14,7 @@ from .finding import Finding
 from .gravity import DIFFERENT, expected
 from .view import View
 
-SIGNALS = ("theta", "dtheta", "tau", "acceleration", "rate", "q", "ddq", "torque")
+SIGNALS = ("theta", "dtheta", "tau", "acceleration", "rate", "q", "ddq", "torque", "position")
 SENSORS = ("acceleration", "rate", "torque")
 
 ABSURD = 1e9

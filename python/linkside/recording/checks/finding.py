@@ -17,8 +17,8 @@ class Finding:
     kind : str
         The check that found it: ``"wrap"``, ``"degrees"``, ``"milliseconds"`` and so on.
     verdict : str
-        ``"refused"``: no estimate from such a recording can be right; ``"suspicious"``: it may be meant;
-        ``"mended"``: certain, and corrected.
+        ``"refused"``: no estimate from such a recording can be right; ``"suspicious"``: may be intended; ``"mended"``:
+        a certain mistake, corrected.
     column : str
         The column of the recording.
     what : str

@@ -118,7 +118,7 @@ def _shifted(log: Kind, offsets: Iterable[tuple[str, int, FloatArray | float]]) 
 
 
 def inspect(log: Recording, robot: Robot) -> tuple[Finding, ...]:
-    """Everything that the checks find about a recording, what they refuse included; nothing is raised or warned of."""
+    """Return all findings about a recording, including those that `Log.read` refuses; raise and warn of nothing."""
     return tuple(found for _, results in _results(log, robot) for found in results)
 
 

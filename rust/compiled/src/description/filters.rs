@@ -4,7 +4,7 @@ use super::BuildError;
 use linkside_core::error::DesignError;
 use linkside_core::estimate::kalman::{
     self, Discretization, ElasticModel, ElasticSettings, ExtendedKalmanFilter, FilterSettings, Gaussian, JerkDriven,
-    JerkModel, Lateness, NoiseLoss, Phases, SigmaRule, Tolerances, Uncertain,
+    JerkModel, Lateness, MotorJerkSettings, NoiseLoss, Phases, SigmaRule, Tolerances, Uncertain,
 };
 use linkside_core::estimate::measurement::Kind;
 use linkside_core::robot::Robot;
@@ -93,6 +93,29 @@ pub struct ElasticFilter {
     pub start: Option<Belief>,
 }
 
+/// Kalman filter on the elastic-joint model with motors moved by jerk; see [`ElasticModel::moved_by_jerk`]. What
+/// [`JerkFilter`] and [`ElasticFilter`] have too is the same.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs)]
+pub struct MotorJerkFilter {
+    pub kinds: Vec<String>,
+    pub relaxed: bool,
+    pub biased: Vec<bool>,
+    pub noise: MotorJerkNoise,
+    pub gate: Option<f64>,
+    pub iterations: usize,
+    pub tolerances: Vec<Tolerance>,
+    pub correlations: Vec<(usize, usize, f64)>,
+    pub late: Vec<Option<Late>>,
+    pub losses: Vec<String>,
+    pub points: Option<String>,
+    pub link_disturbance: Option<LinkDisturbance>,
+    pub wrenches: Wrenches,
+    #[serde(default)]
+    pub start: Option<Belief>,
+}
+
 /// Standard deviations of everything that is random; see [`kalman::JerkNoise`].
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
@@ -119,6 +142,20 @@ pub struct ElasticNoise {
     pub disturbance_walk: Vec<f64>,
     pub reading: Vec<f64>,
     pub torque_walk: Vec<f64>,
+    pub bias_walk: Vec<f64>,
+    pub bias_time: Vec<f64>,
+    pub initial: Vec<f64>,
+    pub initial_bias: Vec<f64>,
+}
+
+/// Standard deviations of everything that is random; see [`kalman::MotorJerkNoise`].
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs)]
+pub struct MotorJerkNoise {
+    pub jerk: Vec<f64>,
+    pub link: Vec<f64>,
+    pub reading: Vec<f64>,
     pub bias_walk: Vec<f64>,
     pub bias_time: Vec<f64>,
     pub initial: Vec<f64>,
@@ -217,6 +254,33 @@ impl ElasticFilter {
     }
 }
 
+impl MotorJerkFilter {
+    /// The filter, with all checks.
+    ///
+    /// # Errors
+    /// Settings that do not fit `robot`, or are out of range.
+    pub fn build(&self, robot: &Arc<Robot>) -> Result<ExtendedKalmanFilter<ElasticModel>, BuildError> {
+        let (kinds, biased, relaxed) = (kinds(&self.kinds)?, self.biased.clone(), self.relaxed);
+        let links = self.link_disturbance.clone().map(Into::into);
+        let model = ElasticModel::moved_by_jerk(
+            Arc::clone(robot),
+            &MotorJerkSettings { kinds, biased, relaxed },
+            self.noise.clone().into(),
+            links,
+            self.wrenches.clone().into(),
+        )?
+        .with_tolerances(tolerances(robot, &self.tolerances, &self.correlations)?)
+        .with_late(&late(&self.late)?)?;
+        filter(
+            model,
+            FilterSettings { gate: self.gate, iterations: self.iterations },
+            &self.losses,
+            self.points.as_ref(),
+            self.start.as_ref(),
+        )
+    }
+}
+
 impl From<JerkNoise> for kalman::JerkNoise {
     fn from(n: JerkNoise) -> Self {
         let JerkNoise { jerk, link_walk, reading, torsion, bias_walk, bias_time, initial, initial_bias } = n;
@@ -238,6 +302,13 @@ impl From<ElasticNoise> for kalman::ElasticNoise {
             initial: n.initial,
             initial_bias: n.initial_bias,
         }
+    }
+}
+
+impl From<MotorJerkNoise> for kalman::MotorJerkNoise {
+    fn from(n: MotorJerkNoise) -> Self {
+        let MotorJerkNoise { jerk, link, reading, bias_walk, bias_time, initial, initial_bias } = n;
+        Self { jerk, link, reading, bias_walk, bias_time, initial, initial_bias }
     }
 }
 

@@ -8,8 +8,8 @@ mod observers;
 mod robot;
 
 pub use filters::{
-    Belief, ElasticFilter, ElasticNoise, JerkFilter, JerkNoise, Late, LinkDisturbance, Tolerance, kinds, late,
-    tolerances,
+    Belief, ElasticFilter, ElasticNoise, JerkFilter, JerkNoise, Late, LinkDisturbance, MotorJerkFilter, MotorJerkNoise,
+    Tolerance, kinds, late, tolerances,
 };
 pub use observers::{Levels, Map, Observer, ObserverStart, Velocity};
 pub(crate) use robot::MOST_PARTS;

@@ -1,8 +1,9 @@
 //! Observers, which are designed for one sampling period.
 
+use super::filters::{Tolerance, tolerances};
 use super::{BuildError, MOST_PARTS};
 use linkside_core::estimate::observer::{
-    self, AccelerationObserver, AccelerationSource, Complex, Form, ObserverSettings,
+    self, AccelerationObserver, AccelerationSource, Complex, Form, ObserverSettings, Uncertainty,
 };
 use linkside_core::estimate::velocity::{GainMap, Gains, Logic, Schedule, VelocityObserver, VelocitySettings};
 use linkside_core::robot::Robot;
@@ -28,6 +29,22 @@ pub struct Observer {
     /// A state from which it starts instead.
     #[serde(default)]
     pub start: Option<ObserverStart>,
+    /// What is not known exactly, where standard deviations are wanted.
+    #[serde(default)]
+    pub uncertainty: Option<ObserverUncertainty>,
+}
+
+/// What is not known exactly; see [`Uncertainty`].
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs)]
+pub struct ObserverUncertainty {
+    pub tolerances: Vec<Tolerance>,
+    pub correlations: Vec<(usize, usize, f64)>,
+    pub encoder: Vec<f64>,
+    pub torque: Vec<f64>,
+    pub bias: f64,
+    pub scale: f64,
 }
 
 /// A state one period before the first sample.
@@ -103,6 +120,9 @@ impl Observer {
             worst_acceleration_std: self.worst_acceleration_std,
         };
         let mut observer = AccelerationObserver::new(Arc::clone(robot), settings)?;
+        if let Some(uncertainty) = &self.uncertainty {
+            observer = observer.with_uncertainty(&uncertainty.build(robot)?)?;
+        }
         self.begin(&mut observer)?;
         Ok(observer)
     }
@@ -116,6 +136,21 @@ impl Observer {
             observer.start(theta, q, dtheta, dq)?;
         }
         Ok(())
+    }
+}
+
+impl ObserverUncertainty {
+    /// # Errors
+    /// Tolerances of what there is not.
+    fn build(&self, robot: &Robot) -> Result<Uncertainty, BuildError> {
+        let Self { encoder, torque, bias, scale, .. } = self;
+        Ok(Uncertainty {
+            tolerances: tolerances(robot, &self.tolerances, &self.correlations)?,
+            encoder: encoder.clone(),
+            torque: torque.clone(),
+            bias: *bias,
+            scale: *scale,
+        })
     }
 }
 

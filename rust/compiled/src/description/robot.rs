@@ -47,6 +47,9 @@ pub struct Robot {
     /// What acts on links from outside.
     #[serde(default)]
     pub wrenches: Vec<Wrench>,
+    /// What sees points of links from beside the robot.
+    #[serde(default)]
+    pub trackers: Vec<Tracker>,
 }
 
 /// A moving body; see [`BodySpec`].
@@ -127,6 +130,17 @@ pub struct Sensor {
     pub noise_std: f64,
 }
 
+/// A tracker; see [`linkside_core::robot::Tracker`].
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs)] // as of `Tracker` of the core
+pub struct Tracker {
+    pub target: Sensor,
+    /// Rows of the rotation from its axes to the base frame's.
+    pub rotation: Rows3,
+    pub origin: [f64; 3],
+}
+
 /// A rotor on a link; see [`linkside_core::robot::Rotor`].
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
@@ -183,6 +197,7 @@ impl Robot {
             ("rotors", self.rotors.len()),
             ("counterbalances", self.counterbalances.len()),
             ("wrenches", self.wrenches.len()),
+            ("trackers", self.trackers.len()),
         ];
         for (what, found) in parts {
             BuildError::limit(what, found, MOST_PARTS)?;
@@ -197,6 +212,7 @@ impl Robot {
         let place = |kind, sensors: &[Sensor]| sensors.iter().map(|s| s.build(kind, &tree)).collect::<Result<_, _>>();
         let (accelerometers, gyroscopes) =
             (place("accelerometer", &self.accelerometers)?, place("gyroscope", &self.gyroscopes)?);
+        let trackers = self.trackers.iter().map(|one| one.build(&tree)).collect::<Result<_, _>>()?;
         let tool = self.tool.as_ref().map(|tool| tool.build("tool", &tree)).transpose()?;
         let drives = self.drives.iter().map(Drive::build).collect::<Result<_, _>>()?;
         let counterbalances: Vec<_> = self.counterbalances.iter().map(Balance::build).collect();
@@ -205,7 +221,8 @@ impl Robot {
             .with_counterbalances(&counterbalances)?
             .with_rotors(self.rotors.iter().map(Rotor::build).collect())?
             .with_gearing(self.gearing.0.clone(), &self.gearing.1)?
-            .with_wrenches(wrenches)?;
+            .with_wrenches(wrenches)?
+            .with_trackers(trackers)?;
         check_inertia(&robot)?;
         Ok(robot)
     }
@@ -283,6 +300,13 @@ impl Sensor {
         BuildError::limit("axes of a sensor", self.axes.len(), 3)?;
         let frame = tree.frame(kind, self.body, &Mat3::from_rows(self.rotation), &Vec3(self.translation))?;
         Ok(robot::Sensor { frame, axes: self.axes.clone(), noise_std: self.noise_std })
+    }
+}
+
+impl Tracker {
+    fn build(&self, tree: &Tree) -> Result<robot::Tracker, BuildError> {
+        let (axes, origin) = (Mat3::from_rows(self.rotation), Vec3(self.origin));
+        Ok(robot::Tracker { target: self.target.build("tracker", tree)?, axes, origin })
     }
 }
 

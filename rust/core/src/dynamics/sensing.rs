@@ -1,7 +1,7 @@
 //! What sensors and the tool see, with derivatives. Rows are the frame's own x, y, z unless stated.
 
 use super::Kinematics;
-use crate::robot::{Frame, Tree};
+use crate::robot::{Frame, Sensor, Tree};
 use crate::scalar::Scalar;
 use crate::spatial::{Mat3, Vec3};
 
@@ -56,6 +56,19 @@ impl<T: Scalar> Kinematics<T> {
         let body = &self.bodies[body];
         let centripetal = body.velocity.angular.cross(&body.velocity.at(&point));
         axes.apply_transposed(&(body.acceleration.at(&point) + centripetal))
+    }
+
+    /// An accelerometer's reading, and what a displacement in its own axes adds: ω̇ × r + ω × (ω × r).
+    #[inline(always)]
+    pub(crate) fn seen(&self, sensor: &Sensor) -> (Vec3<T>, impl Fn(&Vec3<T>) -> Vec3<T>) {
+        let placed = self.place(&sensor.frame);
+        let body = &self.bodies[placed.body];
+        let (rate, turning) = (
+            placed.axes.apply_transposed(&body.velocity.angular),
+            placed.axes.apply_transposed(&body.acceleration.angular),
+        );
+        let carry = move |r: &Vec3<T>| turning.cross(r) + rate.cross(&rate.cross(r));
+        (self.specific_force_at(&placed), carry)
     }
 
     /// Derivatives of [`specific_force`](Self::specific_force), handed to `put` joint by joint: in q, in q̇, and in q̈.

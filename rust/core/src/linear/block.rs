@@ -1,24 +1,27 @@
-//! Blocks: R rows by W vector registers of a product, whose sums stay in registers over the whole inner loop.
+//! Blocks: L rows by W vector registers of a product, whose sums stay in registers over the whole inner loop.
 //!
 //! Four rows share each load. A filter's matrices fit into the nearest cache as they are: nothing is blocked for one, and
-//! nothing is copied.
+//! nothing is copied. The compiler knows the size of rows of up to twelve registers ([`Known`]), so that a block is its
+//! arithmetic and little else.
 
 use super::LANES;
-use core::ops::Range;
-
-/// Rows that share what is loaded.
-pub(super) const ROWS: usize = LANES;
 
 /// What one vector register holds.
 pub(super) type Lane = [f64; LANES];
 
-/// The sums of a block: R rows by W registers.
-pub(super) type Block<const R: usize, const W: usize> = [[Lane; W]; R];
+/// The sums of a block: L rows by W registers.
+pub(super) type Block<const L: usize, const W: usize> = [[Lane; W]; L];
 
 /// A padded row by registers.
 #[inline(always)]
-pub(super) fn lanes(values: &[f64]) -> &[Lane] {
+fn lanes(values: &[f64]) -> &[Lane] {
     values.as_chunks().0
+}
+
+/// The same, to be written.
+#[inline(always)]
+fn lanes_mut(values: &mut [f64]) -> &mut [Lane] {
+    values.as_chunks_mut().0
 }
 
 /// `sum += a · b`, lane by lane.
@@ -29,16 +32,129 @@ pub(super) fn accumulate(sum: &mut Lane, a: f64, b: &Lane) {
     }
 }
 
-/// Calls `$body` with `$w` = 2 registers from `$c` on while there are two up to `$to`, then with one.
+/// How many registers a row of a matrix has.
+pub(super) trait Width: Copy {
+    /// Rows, one after the other.
+    type Rows<'a>: Copy;
+
+    fn registers(self) -> usize;
+
+    /// The first `count` rows of `values`.
+    fn rows(self, values: &[f64], count: usize) -> Self::Rows<'_>;
+
+    /// Row `j` of them.
+    fn row<'a>(self, rows: Self::Rows<'a>, j: usize) -> &'a [Lane];
+
+    /// Its register `c`.
+    fn at<'a>(self, rows: Self::Rows<'a>, j: usize, c: usize) -> &'a Lane;
+
+    /// L rows of `values` from the `i`-th on, to be written.
+    fn block_mut<const L: usize>(self, values: &mut [f64], i: usize) -> [&mut [Lane]; L];
+}
+
+/// A number of registers that the compiler knows.
+#[derive(Clone, Copy)]
+pub(super) struct Known<const R: usize>;
+
+impl<const R: usize> Width for Known<R> {
+    type Rows<'a> = &'a [[Lane; R]];
+
+    #[inline(always)]
+    fn registers(self) -> usize {
+        R
+    }
+
+    #[inline(always)]
+    fn rows(self, values: &[f64], count: usize) -> Self::Rows<'_> {
+        &lanes(values).as_chunks().0[..count]
+    }
+
+    #[inline(always)]
+    fn row<'a>(self, rows: Self::Rows<'a>, j: usize) -> &'a [Lane] {
+        &rows[j]
+    }
+
+    #[inline(always)]
+    fn at<'a>(self, rows: Self::Rows<'a>, j: usize, c: usize) -> &'a Lane {
+        &rows[j][c]
+    }
+
+    #[inline(always)]
+    fn block_mut<const L: usize>(self, values: &mut [f64], i: usize) -> [&mut [Lane]; L] {
+        let rows = &mut lanes_mut(values).as_chunks_mut::<R>().0[i..];
+        rows.as_chunks_mut::<L>().0[0].each_mut().map(|row| &mut row[..])
+    }
+}
+
+/// Any number of registers.
+#[derive(Clone, Copy)]
+pub(super) struct Any(pub(super) usize);
+
+impl Width for Any {
+    type Rows<'a> = &'a [Lane];
+
+    #[inline(always)]
+    fn registers(self) -> usize {
+        self.0
+    }
+
+    #[inline(always)]
+    fn rows(self, values: &[f64], count: usize) -> Self::Rows<'_> {
+        &lanes(values)[..count * self.0]
+    }
+
+    #[inline(always)]
+    fn row<'a>(self, rows: Self::Rows<'a>, j: usize) -> &'a [Lane] {
+        &rows[j * self.0..][..self.0]
+    }
+
+    #[inline(always)]
+    fn at<'a>(self, rows: Self::Rows<'a>, j: usize, c: usize) -> &'a Lane {
+        &rows[j * self.0 + c]
+    }
+
+    #[inline(always)]
+    fn block_mut<const L: usize>(self, values: &mut [f64], i: usize) -> [&mut [Lane]; L] {
+        let mut rows = lanes_mut(values)[i * self.0..].chunks_exact_mut(self.0);
+        core::array::from_fn(|_| rows.next().unwrap_or_default())
+    }
+}
+
+/// Calls `$body` with `$width` being the [`Width`] of rows of `$stride` numbers.
+macro_rules! by_width {
+    ($stride:expr, |$width:ident| $body:expr) => {
+        by_width!(@ $stride, $width, $body, 1 2 3 4 5 6 7 8 9 10 11 12)
+    };
+    (@ $stride:expr, $width:ident, $body:expr, $($known:literal)*) => {
+        match $stride / crate::linear::LANES {
+            $($known => {
+                let $width = crate::linear::block::Known::<$known>;
+                $body
+            })*
+            other => {
+                let $width = crate::linear::block::Any(other);
+                $body
+            }
+        }
+    };
+}
+pub(super) use by_width;
+
+/// Calls `$body` with `$w` = 3 registers from `$c` on, the last two or four by twos, up to `$to`.
 macro_rules! by_columns {
     ($from:expr, $to:expr, |$c:ident, $w:ident| $body:expr) => {
-        let mut $c = $from;
-        while $c + 2 <= $to {
+        let (mut $c, to) = ($from, $to);
+        while $c + 3 <= to && $c + 4 != to {
+            const $w: usize = 3;
+            $body;
+            $c += 3;
+        }
+        while $c + 2 <= to {
             const $w: usize = 2;
             $body;
             $c += 2;
         }
-        if $c < $to {
+        if $c < to {
             const $w: usize = 1;
             $body;
         }
@@ -46,26 +162,26 @@ macro_rules! by_columns {
 }
 pub(super) use by_columns;
 
-/// Calls `$body` with `$r` = 4 rows from `$i` on while there are as many up to `$to`, then with what is left.
+/// Calls `$body` with `$l` = 4 rows from `$i` on while there are as many up to `$to`, then with what is left.
 macro_rules! by_rows {
-    ($to:expr, |$i:ident, $r:ident| $body:expr) => {
+    ($to:expr, |$i:ident, $l:ident| $body:expr) => {
         let mut $i = 0;
-        while $i + ROWS <= $to {
-            const $r: usize = ROWS;
+        while $i + crate::linear::LANES <= $to {
+            const $l: usize = crate::linear::LANES;
             $body;
-            $i += ROWS;
+            $i += crate::linear::LANES;
         }
         match $to - $i {
             3 => {
-                const $r: usize = 3;
+                const $l: usize = 3;
                 $body;
             }
             2 => {
-                const $r: usize = 2;
+                const $l: usize = 2;
                 $body;
             }
             1 => {
-                const $r: usize = 1;
+                const $l: usize = 1;
                 $body;
             }
             _ => (),
@@ -74,24 +190,21 @@ macro_rules! by_rows {
 }
 pub(super) use by_rows;
 
-/// R rows by W registers of a product, from register `c` on, over the rows `inner` of `right`.
+/// `left` times `right`, from register `c` on: L rows of `inner` numbers, as many as `right` has rows.
 #[inline(always)]
-pub(super) fn product_block<const R: usize, const W: usize>(
-    (left, width): (&[f64], usize),
-    inner: Range<usize>,
-    right: &[f64],
-    stride: usize,
+pub(super) fn product_block<const L: usize, const W: usize, X: Width>(
+    left: [&[f64]; L],
+    (width, right): (X, X::Rows<'_>),
+    inner: usize,
     c: usize,
-) -> Block<R, W> {
-    let step = stride / LANES;
-    let left: [&[f64]; R] = core::array::from_fn(|r| &left[r * width..][inner.clone()]);
-    let right = &lanes(right)[inner.start * step + c..];
-    let mut sums = [[[0.0; LANES]; W]; R];
-    for j in 0..inner.len() {
-        let row = &right[j * step..][..W];
-        for r in 0..R {
+) -> Block<L, W> {
+    let (left, c) = (left.map(|row| &row[..inner]), inside::<W>(width, c));
+    let mut sums = [[[0.0; LANES]; W]; L];
+    for j in 0..inner {
+        let row = width.row(right, j);
+        for l in 0..L {
             for w in 0..W {
-                accumulate(&mut sums[r][w], left[r][j], &row[w]);
+                accumulate(&mut sums[l][w], left[l][j], &row[c + w]);
             }
         }
     }
@@ -100,48 +213,54 @@ pub(super) fn product_block<const R: usize, const W: usize>(
 
 /// Four rows from register `r` of `a` on, by W registers of `b` from `c` on, of Σᵢ aᵢ bᵢᵀ over the first `inner` rows.
 #[inline(always)]
-pub(super) fn outer_block<const W: usize>(
-    (a, width): (&[f64], usize),
-    (b, stride): (&[f64], usize),
+pub(super) fn outer_block<const W: usize, X: Width, Y: Width>(
+    (wide, a): (X, X::Rows<'_>),
+    (width, b): (Y, Y::Rows<'_>),
     inner: usize,
     r: usize,
     c: usize,
 ) -> Block<LANES, W> {
+    let (r, c) = (inside::<1>(wide, r), inside::<W>(width, c));
     let mut sums = [[[0.0; LANES]; W]; LANES];
-    let (a, b) = (lanes(a), lanes(b));
     for i in 0..inner {
-        let (left, right) = (&a[i * (width / LANES) + r], &b[i * (stride / LANES) + c..][..W]);
-        for k in 0..LANES {
+        let (left, right) = (wide.at(a, i, r), width.row(b, i));
+        for l in 0..LANES {
             for w in 0..W {
-                accumulate(&mut sums[k][w], left[k], &right[w]);
+                accumulate(&mut sums[l][w], left[l], &right[c + w]);
             }
         }
     }
     sums
 }
 
-/// What is done with a block's sums.
-pub(super) trait BlockSums {
-    /// Into the first rows of `out`, from register `c` on.
-    fn put(&self, out: &mut [f64], stride: usize, c: usize);
-    /// Times `factor`, added to the first `rows` rows of `out`.
-    fn add(&self, factor: f64, out: &mut [f64], stride: usize, c: usize, rows: usize);
+/// `c` itself, in a form that tells the compiler that W registers from it on are in a row.
+#[inline(always)]
+pub(super) fn inside<const W: usize>(width: impl Width, c: usize) -> usize {
+    c.min(width.registers() - W)
 }
 
-impl<const R: usize, const W: usize> BlockSums for Block<R, W> {
-    #[inline(always)]
-    fn put(&self, out: &mut [f64], stride: usize, c: usize) {
-        for (r, sum) in self.iter().enumerate() {
-            out[r * stride + c * LANES..][..W * LANES].copy_from_slice(sum.as_flattened());
+/// Puts sums into rows from register `c` on.
+#[inline(always)]
+pub(super) fn put<const L: usize, const W: usize>(sums: &Block<L, W>, out: [&mut [Lane]; L], c: usize) {
+    for l in 0..L {
+        for w in 0..W {
+            out[l][c + w] = sums[l][w];
         }
     }
+}
 
-    #[inline(always)]
-    fn add(&self, factor: f64, out: &mut [f64], stride: usize, c: usize, rows: usize) {
-        for (r, sum) in self.iter().enumerate().take(rows) {
-            for (out, sum) in out[r * stride + c * LANES..][..W * LANES].iter_mut().zip(sum.as_flattened()) {
-                *out += factor * sum;
-            }
+/// Adds sums times `factor` to rows from register `c` on.
+#[inline(always)]
+pub(super) fn add<const L: usize, const W: usize>(factor: f64, sums: &Block<L, W>, out: [&mut [Lane]; L], c: usize) {
+    for l in 0..L {
+        for w in 0..W {
+            accumulate(&mut out[l][c + w], factor, &sums[l][w]);
         }
     }
+}
+
+/// Four rows of a register each, turned.
+#[inline(always)]
+pub(super) fn transposed(block: &Block<LANES, 1>) -> Block<LANES, 1> {
+    core::array::from_fn(|k| [core::array::from_fn(|l| block[l][0][k])])
 }

@@ -1,10 +1,16 @@
 //! Triangular factors of matrices with padded rows, and solutions by them.
+//!
+//! All have a multiple of four rows. A zero on the diagonal of a factor stands for a row of zeros in a solution: padding, or
+//! what depends on the rows before it.
 
 use super::LANES;
-use super::block::{BlockSums, ROWS, accumulate, by_columns, by_rows, lanes, outer_block, product_block};
+use super::block::{
+    Any, Block, Lane, Width, accumulate, add, by_columns, by_width, inside, outer_block, product_block,
+};
 use crate::simd::{self, Kernel};
+use core::hint::black_box;
 
-/// X of Uᵀ X = B, in place: `upper` has n rows of `size` numbers, what is below its diagonal is not looked at; B has n rows
+/// X of Uᵀ X = B, in place: `upper` has rows of `size` numbers, what is below its diagonal is not looked at; B has as many rows
 /// of `stride`.
 pub(crate) fn forward(upper: &[f64], size: usize, b: &mut [f64], stride: usize) {
     simd::phase(Forward { upper, size, b, stride });
@@ -23,44 +29,61 @@ impl Kernel for Forward<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { upper, size, b, stride } = self;
-        let rows = b.len() / stride;
-        by_rows!(rows, |i, R| {
-            by_columns!(0, stride / LANES, |c, W| forward_block::<R, W>(upper, size, b, stride, i, c));
-        });
+        by_width!(self.stride, |width| self.run_with(width));
     }
 }
 
-/// Rows `i` to `i + R` of X, those above being done.
-#[inline(always)]
-fn forward_block<const R: usize, const W: usize>(
-    upper: &[f64],
-    size: usize,
-    b: &mut [f64],
-    stride: usize,
-    i: usize,
-    c: usize,
-) {
-    let (done, own) = b.split_at_mut(i * stride);
-    let (done, step) = (lanes(done), stride / LANES);
-    let mut sums = [[[0.0; LANES]; W]; R];
-    for j in 0..i {
-        let (row, factors) = (&done[j * step + c..][..W], &upper[j * size + i..][..R]);
-        for r in 0..R {
-            for w in 0..W {
-                accumulate(&mut sums[r][w], factors[r], &row[w]);
-            }
+impl Forward<'_> {
+    #[inline(always)]
+    fn run_with(self, width: impl Width) {
+        let Self { upper, size, b, stride } = self;
+        let tall = Any(size / LANES);
+        for r in 0..b.len() / (LANES * stride) {
+            let i = r * LANES;
+            let (done, own) = b.split_at_mut(i * stride);
+            let above = (tall, tall.rows(upper, i + LANES));
+            let triangle: [Lane; LANES] = core::array::from_fn(|s| tall.row(above.1, i + s)[r]);
+            let inverse = core::array::from_fn(|s| inverse(triangle[s][s]));
+            let done = (width, width.rows(done, i));
+            by_columns!(0, width.registers(), |c, W| {
+                let sums = outer_block::<W, _, _>(above, done, i, r, c);
+                substitute(&sums, (&triangle, &inverse), width.block_mut(own, 0), inside::<W>(width, c));
+            });
         }
     }
-    sums.add(-1.0, own, stride, c, R);
-    for r in 0..R {
-        let (before, own) = own.split_at_mut(r * stride);
-        let own = &mut own[c * LANES..][..W * LANES];
-        for s in 0..r {
-            super::add_scaled(own, -upper[(i + s) * size + i + r], &before[s * stride + c * LANES..][..W * LANES]);
+}
+
+/// 1/x, or 0 where there is none.
+#[inline(always)]
+fn inverse(x: f64) -> f64 {
+    if x == 0.0 { 0.0 } else { 1.0 / x }
+}
+
+/// Four rows of X of Uᵀ X = B from register `c` on, by those of B, less `sums`, by the triangle that U has there, and what to
+/// multiply by in place of dividing by its diagonal.
+#[inline(always)]
+fn substitute<const W: usize>(
+    sums: &Block<LANES, W>,
+    (triangle, inverse): (&[Lane; LANES], &[f64; LANES]),
+    own: [&mut [Lane]; LANES],
+    c: usize,
+) {
+    for w in 0..W {
+        let mut x = [[0.0; LANES]; LANES];
+        for l in 0..LANES {
+            let whole = own[l][c + w];
+            for k in 0..LANES {
+                x[l][k] = whole[k] - sums[l][w][k];
+            }
+            for s in 0..l {
+                let above = x[s];
+                accumulate(&mut x[l], -triangle[s][l], &above);
+            }
+            for k in 0..LANES {
+                x[l][k] *= inverse[l];
+            }
+            own[l][c + w] = x[l];
         }
-        let inverse = 1.0 / upper[(i + r) * size + i + r];
-        own.iter_mut().for_each(|x| *x *= inverse);
     }
 }
 
@@ -83,40 +106,31 @@ impl Kernel for Backward<'_> {
     #[inline(always)]
     fn run(self) {
         let Self { upper, size, b, stride } = self;
-        let mut end = b.len() / stride;
-        while end >= ROWS {
-            end -= ROWS;
-            backward_block::<ROWS>(upper, size, b, stride, end);
-        }
-        while end > 0 {
-            end -= 1;
-            backward_block::<1>(upper, size, b, stride, end);
+        let (rows, width) = (b.len() / stride, Any(stride / LANES));
+        for i in (0..rows).step_by(LANES).rev() {
+            let (own, done) = b.split_at_mut((i + LANES) * stride);
+            let (own, below) = (&mut own[i * stride..], rows - i - LANES);
+            let factors = core::array::from_fn(|l| &upper[(i + l) * size + i + LANES..][..below]);
+            let done = (width, width.rows(done, below));
+            by_columns!(0, width.registers(), |c, W| {
+                let sums = product_block::<LANES, W, _>(factors, done, below, c);
+                add(-1.0, &sums, width.block_mut(own, 0), c);
+            });
+            for r in (0..LANES).rev() {
+                let (own, after) = own[r * stride..].split_at_mut(stride);
+                let factors = &upper[(i + r) * size + i + r..][..LANES - r];
+                for (row, factor) in after.chunks_exact(stride).zip(&factors[1..]) {
+                    super::add_scaled(own, -factor, row);
+                }
+                let inverse = inverse(factors[0]);
+                own.iter_mut().for_each(|x| *x *= inverse);
+            }
         }
     }
 }
 
-/// Rows `i` to `i + R` of X, those below being done.
-#[inline(always)]
-fn backward_block<const R: usize>(upper: &[f64], size: usize, b: &mut [f64], stride: usize, i: usize) {
-    let (own, done) = b.split_at_mut((i + R) * stride);
-    let (own, below) = (&mut own[i * stride..], done.len() / stride);
-    if below > 0 {
-        let factors = (&upper[i * size + i + R..], size);
-        by_columns!(0, stride / LANES, |c, W| {
-            product_block::<R, W>(factors, 0..below, done, stride, c).add(-1.0, own, stride, c, R);
-        });
-    }
-    for r in (0..R).rev() {
-        let (own, after) = own[r * stride..].split_at_mut(stride);
-        for (s, row) in after.chunks_exact(stride).enumerate() {
-            super::add_scaled(own, -upper[(i + r) * size + i + r + 1 + s], row);
-        }
-        let inverse = 1.0 / upper[(i + r) * size + i + r];
-        own.iter_mut().for_each(|x| *x *= inverse);
-    }
-}
-
-/// U of A = Uᵀ U over A's upper triangle, zero below the diagonal, for n rows of `stride`.
+/// U of A = Uᵀ U over A's upper triangle, zero below the diagonal, for A of `n` rows, and padding, of `stride`; and U⁻ᵀ B of
+/// what B follows it in its rows.
 ///
 /// A may be singular: a pivot that is lost to rounding leaves a row of zeros.
 pub(crate) fn upper_factor(a: &mut [f64], n: usize, stride: usize) {
@@ -135,28 +149,52 @@ impl Kernel for UpperFactor<'_> {
 
     #[inline(always)]
     fn run(self) {
+        by_width!(self.stride, |width| self.run_with(width));
+    }
+}
+
+impl UpperFactor<'_> {
+    #[inline(always)]
+    fn run_with(self, width: impl Width) {
         let Self { a, n, stride } = self;
-        for i in (0..n).step_by(LANES) {
-            let rows = LANES.min(n - i);
+        // A pivot that is smaller than this part of what it was is rounding: the row depends on those above it.
+        let lost = (n as f64) * f64::EPSILON;
+        for r in 0..a.len() / (LANES * stride) {
+            let i = r * LANES;
             let (done, own) = a.split_at_mut(i * stride);
-            let mut whole = [0.0; LANES];
-            (0..rows).for_each(|r| whole[r] = own[r * stride + i + r]);
-            by_columns!(i / LANES, stride / LANES, |c, W| {
-                outer_block::<W>((done, stride), (done, stride), i, i / LANES, c).add(-1.0, own, stride, c, rows)
+            let done = (width, width.rows(done, i));
+            // That both sides are the same rows is not for the compiler to know: it would compute each sum once, and shuffle.
+            let sums = outer_block::<1, _, _>(done, done, i, black_box(r), r);
+            let (triangle, scale) = pivots(&sums, width.block_mut(own, 0), inside::<1>(width, r), lost);
+            by_columns!(r + 1, width.registers(), |c, W| {
+                let sums = outer_block::<W, _, _>(done, done, i, r, c);
+                substitute(&sums, (&triangle, &scale), width.block_mut(own, 0), inside::<W>(width, c));
             });
-            for r in 0..rows {
-                let (before, own) = own.split_at_mut(r * stride);
-                for s in 0..r {
-                    let earlier = &before[s * stride..][i..stride];
-                    super::add_scaled(&mut own[i..stride], -earlier[r], earlier);
-                }
-                let pivot = own[i + r];
-                // What is left of the diagonal is rounding: the row depends on those above it.
-                let lost = pivot <= whole[r] * (n as f64) * f64::EPSILON;
-                let scale = if lost { 0.0 } else { 1.0 / pivot.sqrt() };
-                own[..i + r].fill(0.0);
-                own[i + r..stride].iter_mut().for_each(|x| *x *= scale);
-            }
         }
     }
+}
+
+/// The rows of U in the block on the diagonal, which is that of A, in register `r`, less `sums`; and what they were multiplied
+/// by.
+#[inline(always)]
+fn pivots(sums: &Block<LANES, 1>, own: [&mut [Lane]; LANES], r: usize, lost: f64) -> ([Lane; LANES], [f64; LANES]) {
+    let (mut u, mut scale) = ([[0.0; LANES]; LANES], [0.0; LANES]);
+    for l in 0..LANES {
+        let whole = own[l][r];
+        for k in 0..LANES {
+            u[l][k] = whole[k] - sums[l][0][k];
+        }
+        for s in 0..l {
+            let above = u[s];
+            accumulate(&mut u[l], -above[l], &above);
+        }
+        let pivot = u[l][l];
+        scale[l] = if pivot <= whole[l] * lost { 0.0 } else { 1.0 / pivot.sqrt() };
+        for k in 0..LANES {
+            u[l][k] = if k < l { 0.0 } else { u[l][k] * scale[l] };
+        }
+        own[l][..r].fill([0.0; LANES]);
+        own[l][r] = u[l];
+    }
+    (u, scale)
 }

@@ -1,7 +1,11 @@
 //! Products of matrices with padded rows. Where half of a matrix is zero, the inner loop leaves that half out.
+//!
+//! What is written block by block has a multiple of four rows, the last of them zero.
 
 use super::LANES;
-use super::block::{BlockSums, Lane, ROWS, by_columns, by_rows, lanes, outer_block, product_block};
+use super::block::{
+    Any, Block, Width, add, by_columns, by_rows, by_width, inside, outer_block, product_block, put, transposed,
+};
 use crate::simd::{self, Kernel};
 
 /// `out[i] = Σⱼ left[i][j] · right[j]`: `left` has rows of `width` numbers, of which the first meet the rows of `right`, each
@@ -24,17 +28,31 @@ impl Kernel for Product<'_> {
 
     #[inline(always)]
     fn run(self) {
+        by_width!(self.stride, |columns| self.run_with(columns));
+    }
+}
+
+impl Product<'_> {
+    #[inline(always)]
+    fn run_with(self, columns: impl Width) {
         let Self { left, width, right, stride, out } = self;
         let inner = width.min(right.len() / stride);
-        by_rows!(left.len() / width, |i, R| {
-            let left = (&left[i * width..], width);
-            by_columns!(0, stride / LANES, |c, W| product_block::<R, W>(left, 0..inner, right, stride, c).put(
-                &mut out[i * stride..],
-                stride,
+        let right = (columns, columns.rows(right, inner));
+        by_rows!(left.len() / width, |i, L| {
+            let left = left_rows::<L>(&left[i * width..], width);
+            by_columns!(0, columns.registers(), |c, W| put(
+                &product_block::<L, W, _>(left, right, inner, c),
+                columns.block_mut(out, i),
                 c
             ));
         });
     }
+}
+
+/// The first L rows of `width` numbers.
+#[inline(always)]
+fn left_rows<const L: usize>(left: &[f64], width: usize) -> [&[f64]; L] {
+    core::array::from_fn(|l| &left[l * width..][..width])
 }
 
 /// `out += factor · Σᵢ aᵢ bᵢᵀ`: one row of `width` of `a` and of `stride` of `b` for each i; `out` has rows of `stride`.
@@ -57,26 +75,37 @@ impl Kernel for AddOuter<'_> {
 
     #[inline(always)]
     fn run(self) {
+        by_width!(self.stride, |columns| self.run_with(columns));
+    }
+}
+
+impl AddOuter<'_> {
+    #[inline(always)]
+    fn run_with(self, columns: impl Width) {
         let Self { factor, a, width, b, stride, out } = self;
-        let (rows, inner) = (out.len() / stride, b.len() / stride);
-        for i in (0..rows).step_by(LANES) {
-            let (out, count) = (&mut out[i * stride..], LANES.min(rows - i));
-            by_columns!(0, stride / LANES, |c, W| outer_block::<W>((a, width), (b, stride), inner, i / LANES, c)
-                .add(factor, out, stride, c, count));
+        let (inner, wide) = (b.len() / stride, Any(width / LANES));
+        let (a, b) = ((wide, wide.rows(a, inner)), (columns, columns.rows(b, inner)));
+        for r in 0..wide.registers() {
+            by_columns!(0, columns.registers(), |c, W| add(
+                factor,
+                &outer_block::<W, _, _>(a, b, inner, r, c),
+                columns.block_mut(out, r * LANES),
+                c
+            ));
         }
     }
 }
 
-/// `p += factor · Σᵢ aᵢ aᵢᵀ` on and above the diagonal, the lower triangle then copied from the upper.
+/// `p += factor · Σᵢ aᵢ aᵢᵀ`, the upper triangle computed and then copied onto the lower.
 ///
-/// `p` has `n` rows of `stride`, `a` one row of `stride` for each i.
-pub(crate) fn add_squares(factor: f64, a: &[f64], n: usize, stride: usize, p: &mut [f64]) {
-    simd::phase(AddSymmetric { factor, a, b: a, n, stride, p });
+/// `p` is square with rows of `stride`, `a` has one row of `stride` for each i.
+pub(crate) fn add_squares(factor: f64, a: &[f64], stride: usize, p: &mut [f64]) {
+    simd::phase(AddSymmetric { factor, a, b: a, stride, p });
 }
 
 /// `p += Σᵢ aᵢ bᵢᵀ` where that sum is symmetric, otherwise as [`add_squares`].
-pub(crate) fn add_symmetric(a: &[f64], b: &[f64], n: usize, stride: usize, p: &mut [f64]) {
-    simd::phase(AddSymmetric { factor: 1.0, a, b, n, stride, p });
+pub(crate) fn add_symmetric(a: &[f64], b: &[f64], stride: usize, p: &mut [f64]) {
+    simd::phase(AddSymmetric { factor: 1.0, a, b, stride, p });
 }
 
 /// [`add_squares`] and [`add_symmetric`], likewise.
@@ -84,7 +113,6 @@ struct AddSymmetric<'a> {
     factor: f64,
     a: &'a [f64],
     b: &'a [f64],
-    n: usize,
     stride: usize,
     p: &'a mut [f64],
 }
@@ -94,45 +122,55 @@ impl Kernel for AddSymmetric<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { factor, a, b, n, stride, p } = self;
+        by_width!(self.stride, |width| self.run_with(width));
+    }
+}
+
+impl AddSymmetric<'_> {
+    #[inline(always)]
+    fn run_with(self, width: impl Width) {
+        let Self { factor, a, b, stride, p } = self;
         let inner = a.len() / stride;
-        for r in 0..stride / LANES {
-            let (out, rows) = (&mut p[r * LANES * stride..], LANES.min(n - r * LANES));
-            by_columns!(r, stride / LANES, |c, W| outer_block::<W>((a, stride), (b, stride), inner, r, c)
-                .add(factor, out, stride, c, rows));
+        let (a, b) = ((width, width.rows(a, inner)), (width, width.rows(b, inner)));
+        for r in 0..width.registers() {
+            by_columns!(r, width.registers(), |c, W| add(
+                factor,
+                &outer_block::<W, _, _>(a, b, inner, r, c),
+                width.block_mut(p, r * LANES),
+                c
+            ));
         }
-        mirror(p, n, stride);
+        mirror_with(width, p);
     }
 }
 
-/// Copies the upper triangle of n rows onto the lower.
+/// Copies the upper triangle of a square matrix with rows of `stride` onto the lower.
 #[inline(always)]
-pub(crate) fn mirror(p: &mut [f64], n: usize, stride: usize) {
-    let whole = n / LANES * LANES;
-    for i in (0..whole).step_by(LANES) {
-        // Block by block: four rows of a register each, turned.
-        for j in (i + LANES..whole).step_by(LANES) {
-            let rows: [Lane; LANES] = core::array::from_fn(|r| lanes(&p[(i + r) * stride + j..][..LANES])[0]);
-            for k in 0..LANES {
-                let turned: Lane = core::array::from_fn(|r| rows[r][k]);
-                p[(j + k) * stride + i..][..LANES].copy_from_slice(&turned);
-            }
+pub(crate) fn mirror(p: &mut [f64], stride: usize) {
+    by_width!(stride, |width| mirror_with(width, p));
+}
+
+/// Four rows of a register each, turned, at a time.
+#[inline(always)]
+fn mirror_with(width: impl Width, p: &mut [f64]) {
+    for r in 0..width.registers() {
+        let own = width.block_mut::<LANES>(p, r * LANES);
+        let r = inside::<1>(width, r);
+        let block: Block<LANES, 1> = core::array::from_fn(|l| [own[l][r]]);
+        let turned = transposed(&block);
+        for k in 0..LANES {
+            own[k][r] = core::array::from_fn(|l| if l < k { turned[k][0][l] } else { block[k][0][l] });
         }
-        for r in i..i + LANES {
-            for c in r + 1..i + LANES {
-                p[c * stride + r] = p[r * stride + c];
-            }
-        }
-    }
-    for j in whole..n {
-        for i in 0..j {
-            p[j * stride + i] = p[i * stride + j];
+        for c in r + 1..width.registers() {
+            let own = width.block_mut::<LANES>(p, r * LANES);
+            let block = core::array::from_fn(|l| [own[l][c]]);
+            put(&transposed(&block), width.block_mut::<LANES>(p, c * LANES), r);
         }
     }
 }
 
-/// The upper triangle of U M Uᵀ into `out`, for upper U and whole M of n rows of `stride`; `turned` receives Uᵀ and
-/// `scratch` some rows of U M.
+/// The upper triangle of U M Uᵀ into `out`, for upper U and M with rows of `stride`; `turned` receives Uᵀ and `scratch` some
+/// rows of U M.
 pub(crate) fn congruence(
     upper: &[f64],
     matrix: &[f64],
@@ -159,33 +197,44 @@ impl Kernel for Congruence<'_> {
 
     #[inline(always)]
     fn run(self) {
+        by_width!(self.stride, |width| self.run_with(width));
+    }
+}
+
+impl Congruence<'_> {
+    #[inline(always)]
+    fn run_with(self, width: impl Width) {
         let Self { upper, matrix, stride, turned, scratch, out } = self;
-        let n = matrix.len() / stride;
-        for (i, row) in upper.chunks_exact(stride).enumerate().take(n) {
-            for (k, x) in row.iter().enumerate().take(n) {
-                turned[k * stride + i] = *x;
-            }
-        }
-        let step = stride / LANES;
+        let (step, product) = (width.registers(), &mut scratch[..LANES * stride]);
+        turn_upper(width, upper, turned);
         // Rows i and further of U begin at column i, and columns k and further of Uᵀ at row k.
-        for i in (0..n).step_by(LANES) {
-            let rows = LANES.min(n - i);
-            let product = &mut scratch[..LANES * stride];
-            by_columns!(0, step, |c, W| product_block::<ROWS, W>(
-                (&upper[i * stride..], stride),
-                i..n,
-                matrix,
-                stride,
+        for r in 0..step {
+            let i = r * LANES;
+            let (left, inner) = (left_rows::<LANES>(&upper[i * stride..], stride).map(|row| &row[i..]), stride - i);
+            let right = (width, width.rows(&matrix[i * stride..], inner));
+            by_columns!(0, step, |c, W| put(
+                &product_block::<LANES, W, _>(left, right, inner, c),
+                width.block_mut(product, 0),
                 c
-            )
-            .put(product, stride, c));
-            let out = &mut out[i * stride..];
-            by_columns!(i / LANES, step, |c, W| {
-                let block = product_block::<ROWS, W>((product, stride), c * LANES..n, turned, stride, c);
-                for (row, sum) in out.chunks_exact_mut(stride).zip(&block).take(rows) {
-                    row[c * LANES..][..W * LANES].copy_from_slice(sum.as_flattened());
-                }
+            ));
+            by_columns!(r, step, |c, W| {
+                let (k, inner) = (c * LANES, stride - c * LANES);
+                let left = left_rows::<LANES>(product, stride).map(|row| &row[k..]);
+                let right = (width, width.rows(&turned[k * stride..], inner));
+                put(&product_block::<LANES, W, _>(left, right, inner, c), width.block_mut(out, i), c);
             });
+        }
+    }
+}
+
+/// Uᵀ of an upper triangular U, zero above the diagonal.
+#[inline(always)]
+fn turn_upper(width: impl Width, upper: &[f64], turned: &mut [f64]) {
+    let rows = width.rows(upper, width.registers() * LANES);
+    for r in 0..width.registers() {
+        for c in r..width.registers() {
+            let block = core::array::from_fn(|l| [width.row(rows, r * LANES + l)[c]]);
+            put(&transposed(&block), width.block_mut::<LANES>(turned, c * LANES), r);
         }
     }
 }

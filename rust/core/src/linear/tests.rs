@@ -13,10 +13,10 @@ fn matrix(rows: usize, columns: usize) -> impl Strategy<Value = Plain> {
     vec(vec(-2.0..2.0, columns), rows)
 }
 
-/// Rows of a multiple of [`LANES`], and their length.
+/// Rows of a multiple of [`LANES`], as many of them, and their length.
 fn padded(plain: &Plain, columns: usize) -> (Vec<f64>, usize) {
     let stride = columns.next_multiple_of(LANES);
-    let mut data = vec![0.0; plain.len() * stride];
+    let mut data = vec![0.0; plain.len().next_multiple_of(LANES) * stride];
     for (row, plain) in data.chunks_exact_mut(stride).zip(plain) {
         row[..columns].copy_from_slice(plain);
     }
@@ -74,7 +74,7 @@ proptest! {
         factor in -2.0..2.0,
     ) {
         let ((left, width), (right, stride)) = (padded(&a, rows), padded(&b, columns));
-        let mut out = vec![1.0; rows * stride];
+        let mut out = vec![1.0; rows.next_multiple_of(LANES) * stride];
         add_outer(factor, (&left, width), &right, stride, &mut out);
         let sums = gram(&a, &b, rows, columns);
         let plain = sums.iter().map(|row| row.iter().map(|x| 1.0 + factor * x).collect()).collect();
@@ -87,8 +87,8 @@ proptest! {
         factor in -2.0..2.0,
     ) {
         let (rows, stride) = padded(&a, n);
-        let mut out = vec![0.0; n * stride];
-        add_squares(factor, &rows, n, stride, &mut out);
+        let mut out = vec![0.0; stride * stride];
+        add_squares(factor, &rows, stride, &mut out);
         let plain = gram(&a, &a, n, n).iter().map(|row| row.iter().map(|x| factor * x).collect()).collect();
         agree(&out, stride, &plain, ALL)?;
     }
@@ -103,15 +103,15 @@ proptest! {
         let whole = definite(&m, m.len());
         let product = gram(&whole, &a, m.len(), n);
         let ((left, stride), (right, _)) = (padded(&a, n), padded(&product, n));
-        let mut out = vec![0.0; n * stride];
-        add_symmetric(&left, &right, n, stride, &mut out);
+        let mut out = vec![0.0; stride * stride];
+        add_symmetric(&left, &right, stride, &mut out);
         agree(&out, stride, &gram(&a, &product, n, n), ALL)?;
     }
 
     #[test]
     fn upper_triangle_is_copied((a, n) in (1_usize..14).prop_flat_map(|n| (matrix(n, n), Just(n)))) {
         let (mut out, stride) = padded(&a, n);
-        mirror(&mut out, n, stride);
+        mirror(&mut out, stride);
         let plain = (0..n).map(|i| (0..n).map(|j| a[i.min(j)][i.max(j)]).collect()).collect();
         agree(&out, stride, &plain, ALL)?;
     }
@@ -125,7 +125,7 @@ proptest! {
         let a = definite(&m, n);
         let (mut upper, stride) = padded(&a, n);
         upper_factor(&mut upper, n, stride);
-        let u: Plain = upper.chunks_exact(stride).map(|row| row[..n].to_vec()).collect();
+        let u: Plain = upper.chunks_exact(stride).take(n).map(|row| row[..n].to_vec()).collect();
         agree(&upper, stride, &vec![vec![0.0; n]; n], |i, j| j < i)?;
         let (squared, _) = padded(&gram(&u, &u, n, n), n);
         agree(&squared, stride, &a, ALL)?;
@@ -145,7 +145,7 @@ proptest! {
         let a = gram(&m, &m, n, n);
         let (mut upper, stride) = padded(&a, n);
         upper_factor(&mut upper, n, stride);
-        let u: Plain = upper.chunks_exact(stride).map(|row| row[..n].to_vec()).collect();
+        let u: Plain = upper.chunks_exact(stride).take(n).map(|row| row[..n].to_vec()).collect();
         let (squared, _) = padded(&gram(&u, &u, n, n), n);
         // A pivot that is lost leaves out the root of what rounding left.
         for (row, plain) in squared.chunks_exact(stride).zip(&a) {

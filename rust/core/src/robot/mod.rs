@@ -4,6 +4,7 @@ mod counterbalance;
 mod drive;
 mod gearing;
 mod rotor;
+mod tracker;
 mod tree;
 mod wrench;
 
@@ -16,6 +17,7 @@ pub use drive::{
 };
 pub use gearing::Gearing;
 pub use rotor::Rotor;
+pub use tracker::Tracker;
 pub use tree::{Body, BodySpec, Frame, JointKind, Tree};
 pub use wrench::{Acting, WRENCH, Wrench};
 
@@ -97,6 +99,8 @@ pub struct Robot {
     pub accelerometers: Vec<Sensor>,
     /// Angular velocity [rad/s].
     pub gyroscopes: Vec<Sensor>,
+    /// Positions of points of links, seen from beside the robot [m].
+    pub trackers: Vec<Tracker>,
     /// Tool centre point.
     pub tool: Option<Frame>,
     /// Motors whose rotors links carry, one a motor at most.
@@ -134,7 +138,8 @@ impl Robot {
                 sensor.check(&format!("{kind} {i}"))?;
             }
         }
-        Ok(Self { tree, drives, coupling, accelerometers, gyroscopes, tool, rotors: Vec::new(), gearing: None })
+        let (trackers, rotors) = (Vec::new(), Vec::new());
+        Ok(Self { tree, drives, coupling, accelerometers, gyroscopes, trackers, tool, rotors, gearing: None })
     }
 
     /// Number of joints.

@@ -14,7 +14,7 @@ use crate::robot::Robot;
 pub struct Known<'a> {
     /// The truth.
     pub truth: JointMotion<'a>,
-    /// Readings of all sensors, in the order of [`Kind::ALL`](crate::estimate::measurement::Kind::ALL).
+    /// Readings of all sensors, in the order of [`Kind::SENSORS`](crate::estimate::measurement::Kind::SENSORS).
     pub readings: &'a [f64],
     /// Motor torques until now (n) [N m].
     pub tau: &'a [f64],

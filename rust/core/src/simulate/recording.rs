@@ -9,7 +9,7 @@ use crate::robot::Robot;
 pub struct SimulatedRecording {
     /// Time [s].
     pub t: Vec<f64>,
-    /// Readings in the order of [`Kind::ALL`](crate::estimate::measurement::Kind::ALL).
+    /// Readings in the order of [`Kind::SENSORS`](crate::estimate::measurement::Kind::SENSORS).
     pub readings: Vec<f64>,
     /// Motor torques from this sample until the next (n) [N m].
     pub tau: Vec<f64>,

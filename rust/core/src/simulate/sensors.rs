@@ -100,7 +100,7 @@ impl Reader {
 /// All sensors of a robot.
 #[derive(Clone, Debug)]
 pub struct Suite {
-    /// All kinds on this robot, in the order of [`Kind::ALL`].
+    /// All kinds on this robot, in the order of [`Kind::SENSORS`].
     channels: Vec<Channel>,
     readers: Vec<Reader>,
     /// Of the noise, and channels that have any.
@@ -109,17 +109,17 @@ pub struct Suite {
     /// Standard normal numbers, and what would be read without faults (channels).
     normals: Vec<f64>,
     truth: Vec<f64>,
-    /// The last readings, of all kinds in the order of [`Kind::ALL`].
+    /// The last readings, of all kinds in the order of [`Kind::SENSORS`].
     pub readings: Vec<f64>,
 }
 
 impl Suite {
-    /// One model a channel, of all kinds in the order of [`Kind::ALL`], read every `period` [s].
+    /// One model a channel, of all kinds in the order of [`Kind::SENSORS`], read every `period` [s].
     ///
     /// # Errors
     /// A model out of range, or not as many as channels.
     pub fn new(robot: &Robot, models: &[SensorModel], period: f64, seed: u64) -> Result<Self, DesignError> {
-        let channels = Kind::all_channels(&Kind::ALL, robot);
+        let channels = Kind::all_channels(&Kind::SENSORS, robot);
         let expected = channels.len();
         expect_length("sensors", models.len(), expected)?;
         for model in models {

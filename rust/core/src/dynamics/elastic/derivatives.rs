@@ -30,6 +30,9 @@ impl<T: Scalar> ElasticDynamics<T> {
         for (row, of) in self.elements.iter_mut().zip(layout.elements(robot)) {
             *row = element_row(robot, layout, x, of).1;
         }
+        if layout.motor_acceleration.is_some() {
+            return self.differentiate_prescribed(robot, layout);
+        }
         let system = n * n;
         // All columns at once.
         linear::solve(&self.mass[..system], n, &mut self.ddq_by, d);
@@ -125,10 +128,13 @@ impl<T: Scalar> ElasticDynamics<T> {
             }
         };
         let one = T::constant(1.0);
-        if !drive.elastic {
+        if !drive.elastic && layout.motor_acceleration.is_none() {
             return subtract(&mut ddq_by[j * d..][..d], one);
         }
         subtract(&mut ddtheta_by[j * d..][..d], one);
+        if layout.motor_acceleration.is_some() {
+            return;
+        }
         for (i, s) in coupling.coupled(j) {
             subtract(&mut ddq_by[i * d..][..d], -(s / T::constant(drive.motor_inertia)));
         }
@@ -143,6 +149,10 @@ impl<T: Scalar> ElasticDynamics<T> {
         let mut slip = if shared { T::default() } else { drive.motor_friction(x[dtheta]).1 };
         let disturbance = layout.disturbance.map(|first| first + j);
         let Self { coupling, ddq_by, ddq_by_tau, ddtheta_by, ratio, felt, left, spring, .. } = self;
+        if !drive.elastic && layout.motor_acceleration.is_some() {
+            ddtheta_by[j * d + dtheta] -= slip;
+            return;
+        }
         if !drive.elastic {
             ddq_by[j * d + dtheta] -= slip;
             ddq_by_tau[j * n + j] = one;
@@ -162,7 +172,9 @@ impl<T: Scalar> ElasticDynamics<T> {
             bend += bend * loss.by_load;
         }
         motor[0].1 += bend;
-        for (i, s) in coupling.coupled(j) {
+        // What a motor feels does not reach links where its acceleration is a state.
+        let reach = if layout.motor_acceleration.is_some() { 0 } else { n };
+        for (i, s) in coupling.coupled(j).take(reach) {
             let share = s / T::constant(drive.motor_inertia);
             for (k, slope) in motor {
                 ddq_by[i * d + k] += share * slope;
@@ -189,7 +201,7 @@ impl<T: Scalar> ElasticDynamics<T> {
             let (k, felt) = (layout.deflections[j] + i, felt[j] * element.stiffness);
             ddq_by[j * d + k] = left[j] * element.stiffness;
             own[k] = -felt;
-            for (i, s) in coupling.coupled(j) {
+            for (i, s) in coupling.coupled(j).take(reach) {
                 ddq_by[i * d + k] += s / T::constant(drive.motor_inertia) * felt;
             }
         }
@@ -207,10 +219,14 @@ impl<T: Scalar> ElasticDynamics<T> {
         [self.by_q[at], self.by_dq[at]].map(|slope| -(slope * robot.rotors[k].ratio))
     }
 
-    /// ∂ẋ/∂τ_j into `rate` (dense), whose other entries stay; after [`differentiate`](Self::differentiate).
+    /// ∂ẋ/∂τ_j, or by the jerk of a motor that jerk moves, into `rate` (dense), whose other entries stay; after [`differentiate`](Self::differentiate).
     #[inline(always)]
     pub(crate) fn rate_by_torque_into(&self, robot: &Robot, layout: &ElasticLayout, j: usize, rate: &mut [T]) {
         let n = layout.joints;
+        if let Some(first) = layout.motor_acceleration {
+            rate[first + j] = T::constant(1.0);
+            return;
+        }
         for i in 0..n {
             rate[n + i] = self.ddq_by_tau[i * n + j];
         }
@@ -225,7 +241,8 @@ impl<T: Scalar> ElasticDynamics<T> {
     }
 
     /// Accelerations by further torques on links and motors and in transmissions, in place of them (n × `width` each),
-    /// after [`accelerate`](Self::accelerate); of a rigid joint what its transmission gives the link.
+    /// after [`accelerate`](Self::accelerate); of a rigid joint what its transmission gives the link. Where motors' accelerations
+    /// are states, what motors need more is in place of their accelerations.
     #[inline(always)]
     pub(crate) fn respond(
         &self,
@@ -241,14 +258,20 @@ impl<T: Scalar> ElasticDynamics<T> {
             if drive.elastic {
                 linear::add_scaled(&mut links[row(j)], self.left[j], &transmitted[row(j)]);
                 linear::add_scaled(&mut motors[row(j)], -self.felt[j], &transmitted[row(j)]);
+                if self.prescribed.is_some() {
+                    continue;
+                }
                 for (i, s) in self.coupling.coupled(j) {
                     let share = s / T::constant(drive.motor_inertia);
                     linear::add_scaled(&mut links[row(i)], -share, &motors[row(j)]);
                 }
-            } else {
+            } else if self.prescribed.is_none() {
                 linear::add_scaled(&mut links[row(j)], one, &motors[row(j)]);
                 transmitted[row(j)].copy_from_slice(&motors[row(j)]);
             }
+        }
+        if self.prescribed.is_some() {
+            return self.respond_prescribed(robot, [links, motors, transmitted], width);
         }
         linear::solve(&self.mass[..n * n], n, links, width);
         for (j, drive) in robot.drives.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! How deflections of friction elements change.
+//! How the deflections of friction elements change.
 
 use super::ElasticLayout;
 use crate::robot::{FrictionElement, Robot};

@@ -3,7 +3,7 @@
 use crate::robot::{FrictionElement, Robot};
 
 /// Where in the state each joint's numbers are: (q, q̇, θ, θ̇ of the elastic joints, deflections of friction elements,
-/// disturbance torques of motors, of links, varying wrenches from outside).
+/// disturbance torques or accelerations of motors, disturbance torques of links, varying wrenches from outside).
 #[derive(Clone, Debug)]
 pub struct ElasticLayout {
     /// Number of joints.
@@ -16,6 +16,9 @@ pub struct ElasticLayout {
     pub deflections: Vec<usize>,
     /// The first disturbance torque of a motor.
     pub disturbance: Option<usize>,
+    /// The first acceleration of a motor, where jerk moves motors and not torque: springs, links and friction do not reach
+    /// them then, and a rigid joint's link moves as its motor.
+    pub motor_acceleration: Option<usize>,
     /// The first disturbance torque of a link.
     pub link_disturbance: Option<usize>,
     /// The first number of a varying wrench.
@@ -53,11 +56,18 @@ impl ElasticLayout {
             dtheta,
             deflections,
             disturbance: disturbances.then_some(first),
+            motor_acceleration: None,
             link_disturbance: None,
             wrench: (wrenches > 0).then_some(wrench),
             forgetting: 0.0,
             dense: wrench + wrenches,
         }
+    }
+
+    /// That of `robot` with motors moved by jerk: the acceleration of each is a state, in place of a disturbance torque.
+    pub fn moved_by_jerk(robot: &Robot) -> Self {
+        let layout = Self::new(robot, true);
+        Self { motor_acceleration: layout.disturbance, disturbance: None, ..layout }
     }
 
     /// The same with a disturbance torque of each link, which forgets over `time` [s].

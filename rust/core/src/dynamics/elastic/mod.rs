@@ -6,6 +6,7 @@
 //! | S and the tree with rotors as bodies | `coupling` |
 //! | q̈ and θ̈ | [`ElasticDynamics::accelerate`] |
 //! | their derivatives by state and torque, by solving with the factors of the inertia | `derivatives` |
+//! | both where jerk moves motors, whatever it takes | `prescribed` |
 //!
 //! Simulator, elastic-joint filter and smoother, and arrays from Python all read it.
 
@@ -13,6 +14,7 @@ mod coupling;
 mod derivatives;
 mod elements;
 mod layout;
+mod prescribed;
 #[cfg(test)]
 mod tests;
 
@@ -26,6 +28,7 @@ use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
 use coupling::Coupling;
 use elements::element_row;
+use prescribed::Prescribed;
 
 /// Accelerations of links and motors, and what they depend on.
 ///
@@ -44,7 +47,8 @@ use elements::element_row;
 /// moves with its link: its row and column of S and its B join M. Motors that are [`Rotor`](crate::robot::Rotor)s on
 /// links are bodies of an extended tree, whence S(q) and its velocity terms in both rows. Derivatives: those of the
 /// left-hand side are of the inverse dynamics at q̈ and θ̈. Of joints that [share motors](crate::robot::Gearing) B is a full
-/// matrix, and S zero.
+/// matrix, and S zero. Where motors' accelerations are [states](ElasticLayout::motor_acceleration), the first row alone
+/// moves links, and the second says what torque a motor needs.
 ///
 /// ```
 /// use linkside_core::dynamics::{ElasticDynamics, ElasticLayout};
@@ -104,6 +108,8 @@ pub struct ElasticDynamics<T = f64> {
     drive: Vec<T>,
     /// How each friction element's rate depends on the state, after [`differentiate`](Self::differentiate).
     pub(crate) elements: Vec<ElementRow<T>>,
+    /// Where motors' accelerations are states.
+    prescribed: Option<Box<Prescribed<T>>>,
 }
 
 impl<T: Scalar> ElasticDynamics<T> {
@@ -139,10 +145,12 @@ impl<T: Scalar> ElasticDynamics<T> {
             left: vec![T::constant(1.0); n],
             drive: room(n),
             elements: layout.elements(robot).map(|(_, state, _)| ElementRow::at(state)).collect(),
+            prescribed: layout.motor_acceleration.map(|first| Box::new(Prescribed::new(first, n, d))),
         }
     }
 
     /// Accelerations at state `x` (dense) under motor torques `tau` (n) [N m]; NaN when the inertia is not positive definite.
+    /// Where motors' accelerations are states, `tau` is not looked at.
     pub fn accelerate(&mut self, robot: &Robot, layout: &ElasticLayout, x: &[T], tau: &[T]) {
         simd::phase(Accelerate { dynamics: self, robot, layout, x, tau });
     }
@@ -155,15 +163,40 @@ impl<T: Scalar> ElasticDynamics<T> {
         // Of one state under several torques, loads and inertia are found once.
         if !self.is_at(robot, layout, x) {
             self.gather_loads(robot, layout, x);
-            self.couple_inertia(robot);
+            if self.prescribed.is_some() {
+                self.prescribe_inertia(robot);
+            } else {
+                self.couple_inertia(robot);
+            }
             // L D Lᵀ: the reduced inertia is symmetric, and positive definite unless the coupling is larger than masses can
             // make it.
             linear::factorise_joints(&mut self.mass[..system], n);
             self.at.copy_from_slice(x);
         }
         self.gather_torques(robot, layout, x, tau);
-        self.couple_torques(robot);
+        if self.prescribed.is_some() {
+            self.prescribe(robot, x);
+        } else {
+            self.couple_torques(robot);
+        }
         linear::solve_joints(&self.mass[..system], &mut self.ddq);
+        if self.prescribed.is_some() {
+            self.take_prescribed(robot, x);
+        } else {
+            self.take_motors(robot);
+        }
+        if !linear::is_definite(&self.mass[..system], n) {
+            // Of lanes perhaps one alone is lost.
+            let pivots = self.mass[..system].iter().step_by(n + 1);
+            let lost =
+                pivots.fold(T::default(), |sum, pivot| sum + pivot.map(|p| if p > 0.0 { 0.0 } else { f64::NAN }));
+            self.ddq.iter_mut().chain(&mut self.ddtheta).for_each(|x| *x += lost);
+        }
+    }
+
+    /// θ̈ from the motors' rows, once q̈ is known.
+    #[inline(always)]
+    fn take_motors(&mut self, robot: &Robot) {
         for (j, drive) in robot.drives.iter().enumerate() {
             self.ddtheta[j] = if drive.elastic {
                 // The motor's row once q̈ is known: B θ̈ = τ − f − (1 + ε′) τ_e − (Sᵀ q̈)ⱼ.
@@ -175,13 +208,6 @@ impl<T: Scalar> ElasticDynamics<T> {
         }
         if let Some(gearing) = &robot.gearing {
             gearing.share(&mut self.ddtheta, |j| j);
-        }
-        if !linear::is_definite(&self.mass[..system], n) {
-            // Of lanes perhaps one alone is lost.
-            let pivots = self.mass[..system].iter().step_by(n + 1);
-            let lost =
-                pivots.fold(T::default(), |sum, pivot| sum + pivot.map(|p| if p > 0.0 { 0.0 } else { f64::NAN }));
-            self.ddq.iter_mut().chain(&mut self.ddtheta).for_each(|x| *x += lost);
         }
     }
 
@@ -231,7 +257,9 @@ impl<T: Scalar> ElasticDynamics<T> {
         for (j, drive) in robot.drives.iter().enumerate() {
             let speed = x[layout.dtheta[j]];
             let extra = layout.disturbance.map_or(T::default(), |first| x[first + j]);
-            self.drive[j] += tau[j] + extra;
+            if self.prescribed.is_none() {
+                self.drive[j] += tau[j] + extra;
+            }
             if robot.gearing.as_ref().is_none_or(|gearing| !gearing.has(j)) {
                 self.drive[j] -= drive.motor_friction(speed).0;
             }
@@ -241,6 +269,8 @@ impl<T: Scalar> ElasticDynamics<T> {
                 drive.spring_torque(gear.angle - q[j])
                     + (gear.ratio * speed - dq[j]) * drive.damping
                     + drive.hysteresis.force(&x[layout.deflections[j]..])
+            } else if self.prescribed.is_some() {
+                T::default()
             } else {
                 self.drive[j]
             };
@@ -340,7 +370,7 @@ impl<T: Scalar> ElasticDynamics<T> {
     #[inline(always)]
     pub fn joint_torque(&self, robot: &Robot, j: usize) -> T {
         let drive = &robot.drives[j];
-        if drive.elastic {
+        if drive.elastic || self.prescribed.is_some() {
             return self.spring[j];
         }
         self.drive[j] - self.ddq[j] * drive.motor_inertia - self.coupling.pull(j, &self.ddq)
@@ -350,6 +380,10 @@ impl<T: Scalar> ElasticDynamics<T> {
     #[inline(always)]
     pub(crate) fn inertia(&self, robot: &Robot, j: usize) -> T {
         let n = robot.len();
+        if let Some(prescribed) = &self.prescribed {
+            let behind = if robot.drives[j].elastic { robot.drives[j].motor_inertia } else { 0.0 };
+            return prescribed.mass[j * n + j] + -behind;
+        }
         let entry = |i: usize, k: usize| self.mass[i * n + k];
         let before = (0..j).fold(T::default(), |sum, k| sum + entry(j, k) * entry(j, k) * entry(k, k));
         let own = self.coupling.links(j).filter(|(i, _)| *i == j).fold(T::default(), |_, (_, s)| s + s);

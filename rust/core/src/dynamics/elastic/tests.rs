@@ -196,6 +196,43 @@ fn motors_that_share_joints_turn_by_their_own_inertia() {
     }
 }
 
+/// Motors that several joints share, and torques and wrenches from outside: what accelerations by jerk need is the torque that
+/// gives them, and its derivatives are those of differences.
+#[test]
+fn motors_of_given_acceleration_need_the_torque_that_gives_it() {
+    for robot in [geared(), pressed()] {
+        let (layout, tau) = (ElasticLayout::new(&robot, false).with_link_disturbances(0.7), [5.0, -3.0, 2.0, 1.0]);
+        let given = ElasticLayout::moved_by_jerk(&robot).with_link_disturbances(0.7);
+        let x: Vec<f64> = (0..layout.dense).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
+        let mut moved = ElasticDynamics::new(&robot, &layout);
+        moved.accelerate(&robot, &layout, &x, &tau);
+        let first = given.motor_acceleration.unwrap();
+        assert_eq!((given.dense, given.link_disturbance), (layout.dense + 4, layout.link_disturbance.map(|k| k + 4)));
+        let y = [&x[..first], &moved.ddtheta, &x[first..]].concat();
+        let mut dynamics = ElasticDynamics::new(&robot, &given);
+        dynamics.accelerate(&robot, &given, &y, &[]);
+        dynamics.differentiate(&robot, &given, &y);
+        let close = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-11 * (1.0 + b.abs()));
+        assert!(close(&dynamics.ddq, &moved.ddq) && close(dynamics.motor_torques(), &tau));
+        let mut probe = dynamics.clone();
+        for k in 0..given.dense {
+            let [below, above] = [-1e-6, 1e-6].map(|h| {
+                let mut at = y.clone();
+                at[k] += h;
+                probe.accelerate(&robot, &given, &at, &[]);
+                [probe.ddq.clone(), probe.motor_torques().to_vec()].concat()
+            });
+            for i in 0..4 {
+                let slope = |i: usize| (above[i] - below[i]) / 2e-6;
+                let ours = [dynamics.ddq_by[i * given.dense + k], dynamics.motor_torques_by()[i * given.dense + k]];
+                let theirs = [slope(i), slope(4 + i)];
+                let near = ours.iter().zip(theirs).all(|(a, b)| (a - b).abs() < 1e-6 * (1.0 + b.abs()));
+                assert!(near, "{i} {k}: {ours:?} {theirs:?}");
+            }
+        }
+    }
+}
+
 #[test]
 fn gearings_that_cannot_be_are_refused() {
     let refused = |joints: &[usize], matrix: &[f64]| {

@@ -7,71 +7,104 @@ use super::sensitivity::Sensitivity;
 use crate::linear;
 
 /// Generalised likelihood ratios of a step in each channel (A. S. Willsky and H. L. Jones, IEEE Trans. Automatic Control
-/// 21, 1976), for an onset that moves on from window to window.
+/// 21, 1976), for onsets that move on from window to window.
 ///
 /// The state takes a fault up, so that it soon shows in other channels than its own: its signature is carried along with
 /// the filter, s = H Σ⁻ + e_c with Σ as in the consider filter. Without a fault (Σ s r)²/Σ s² is χ² with one degree. Where
 /// innovations stayed correlated before, by a model that is not quite right, their sums vary by more, and that counts.
+///
+/// Windows that are on at the same time are columns side by side, so that what the filter does is done to all at once.
 #[derive(Clone, Debug)]
 pub(super) struct Bank {
-    /// Samples of a window.
-    length: u32,
-    /// Samples of the present window so far.
-    pub(super) age: u32,
-    /// Σ r² less its mean over the window, r being residuals that parameters and known faults leave.
-    pub(super) excess: f64,
-    /// Σ and s of a unit fault of each channel that began with the window.
-    pub(super) sensitivity: Sensitivity,
-    /// s of each reading over the variance of its noise.
+    windows: Vec<Window>,
+    /// Σ and s of a unit fault of each channel that began with each window.
+    sensitivity: Sensitivity,
+    /// s of each reading over the variance of its noise, in multiples of the filter's.
     weighted: Vec<f64>,
-    /// Σ s r and Σ s² of each channel.
+    /// Σ s r and Σ s² of each channel (windows × channels, padded).
     score: Vec<f64>,
-    /// Σ s² of each channel: one over the variance with which the window tells the size of its fault.
+    /// The latter: one over the variance with which the window tells the size of the channel's fault.
     information: Vec<f64>,
-    /// How many there are.
+    /// How many channels there are, and numbers between windows.
     channels: usize,
+    stride: usize,
     /// Σ s sₚ of each channel with each parameter: what an error of a parameter would look like.
     parameters: usize,
-    /// Those sums, channels × parameters (padded).
+    /// Those sums, windows × channels × parameters (padded).
     shared: Vec<f64>,
     /// Scratch: Cov[p] times a row of them.
     gain: Vec<f64>,
+}
+
+/// Samples in which a fault may have begun with the first.
+#[derive(Clone, Debug)]
+struct Window {
+    /// How many there are in a window, and in the present one so far.
+    length: u32,
+    age: u32,
+    /// Σ r² less its mean over the window, r being residuals that parameters and known faults leave.
+    excess: f64,
     /// Variance of the noise of each channel that lasted before the window, in multiples of the filter's; at least 1.
     noise: Vec<f64>,
 }
 
 impl Bank {
-    pub(super) fn new(model: &impl Model, parameters: usize, length: u32) -> Self {
-        let sensitivity = Sensitivity::new(model, model.channels());
-        let (stride, parameters) = (sensitivity.stride, parameters.next_multiple_of(linear::LANES));
+    /// Of windows of these lengths.
+    pub(super) fn new(model: &impl Model, parameters: usize, lengths: &[u32]) -> Self {
+        let (channels, windows) = (model.channels(), lengths.len());
+        let stride = channels.next_multiple_of(linear::LANES);
+        let sensitivity = Sensitivity::new(model, windows * stride);
+        let parameters = parameters.next_multiple_of(linear::LANES);
         Self {
-            length,
-            age: 0,
-            excess: 0.0,
+            windows: lengths
+                .iter()
+                .map(|&length| Window { length, age: 0, excess: 0.0, noise: vec![1.0; channels] })
+                .collect(),
             weighted: vec![0.0; sensitivity.signatures.len()],
             sensitivity,
-            score: vec![0.0; stride],
-            information: vec![0.0; stride],
-            channels: model.channels(),
+            score: vec![0.0; windows * stride],
+            information: vec![0.0; windows * stride],
+            channels,
+            stride,
             parameters,
-            shared: vec![0.0; stride * parameters],
+            shared: vec![0.0; windows * stride * parameters],
             gain: vec![0.0; parameters],
-            noise: vec![1.0; model.channels()],
         }
     }
 
-    /// A new window: a fault may begin at its first sample.
+    /// New windows: a fault may begin at their first sample.
     pub(super) fn restart(&mut self) {
-        (self.age, self.excess) = (0, 0.0);
-        self.sensitivity.columns.fill(0.0);
-        self.score.fill(0.0);
-        self.information.fill(0.0);
-        self.shared.fill(0.0);
+        (0..self.windows.len()).for_each(|w| self.restart_window(w));
     }
 
-    /// Whether the window is complete.
-    pub(super) fn is_over(&self) -> bool {
-        self.age == self.length
+    fn restart_window(&mut self, w: usize) {
+        (self.windows[w].age, self.windows[w].excess) = (0, 0.0);
+        let (own, p) = (w * self.stride..(w + 1) * self.stride, self.sensitivity.stride);
+        self.sensitivity.columns.chunks_exact_mut(p).for_each(|row| row[own.clone()].fill(0.0));
+        self.score[own.clone()].fill(0.0);
+        self.information[own.clone()].fill(0.0);
+        self.shared[own.start * self.parameters..own.end * self.parameters].fill(0.0);
+    }
+
+    /// Whether window `w` is complete.
+    pub(super) fn is_over(&self, w: usize) -> bool {
+        self.windows[w].age == self.windows[w].length
+    }
+
+    /// Samples of window `w` so far.
+    pub(super) fn age(&self, w: usize) -> u32 {
+        self.windows[w].age
+    }
+
+    /// Σ r² less its mean over window `w`.
+    pub(super) fn excess(&self, w: usize) -> f64 {
+        self.windows[w].excess
+    }
+
+    /// What a unit fault of `channel` has done to each state since window `w` began.
+    pub(super) fn effect(&self, w: usize, channel: usize) -> impl Iterator<Item = f64> {
+        let Sensitivity { stride, ref columns, .. } = self.sensitivity;
+        columns.chunks_exact(stride).map(move |row| row[w * self.stride + channel])
     }
 
     /// Takes a sample.
@@ -84,31 +117,37 @@ impl Bank {
         News { known, residuals, runs }: News<'_>,
         consider: Option<&Consider>,
     ) {
-        if self.is_over() {
-            self.restart();
-        }
-        if let (0, Some(consider)) = (self.age, consider) {
-            self.noise.iter_mut().enumerate().for_each(|(i, noise)| *noise = consider.peak(i));
-        }
-        self.age += 1;
-        let p = self.sensitivity.stride;
-        model.carry_noise_free(&mut self.sensitivity.columns, p, dt);
-        // A fault is in its own reading, and by way of the state in those of all others.
-        self.sensitivity.signatures.fill(0.0);
-        (0..self.channels).for_each(|c| self.sensitivity.signatures[c * p + c] = 1.0);
-        self.sensitivity.update(model, correction);
-        let rows = self.sensitivity.signatures.chunks_exact(p).zip(self.weighted.chunks_exact_mut(p));
-        for (i, ((signature, weighted), innovation)) in rows.zip(&correction.innovations).enumerate() {
-            // A coarse encoder's readings are one as long as they are the same: their error is that of its step.
-            let noise = self.noise[i] * runs[i];
-            let precision = 1.0 / (innovation.variance * noise);
-            for ((weighted, information), s) in weighted.iter_mut().zip(&mut self.information).zip(signature) {
-                *weighted = s * precision;
-                *information += *weighted * s;
+        for w in 0..self.windows.len() {
+            if self.is_over(w) {
+                self.restart_window(w);
             }
-            if innovation.variance.is_finite() {
-                linear::add_scaled(&mut self.score, innovation.value - known[i], weighted);
-                self.excess += residuals[i] * residuals[i] / noise - 1.0;
+            let Window { age, noise, .. } = &mut self.windows[w];
+            if let (0, Some(consider)) = (*age, consider) {
+                noise.iter_mut().enumerate().for_each(|(i, noise)| *noise = consider.peak(i));
+            }
+            *age += 1;
+        }
+        let Self { windows, sensitivity, weighted, score, information, channels, stride, .. } = self;
+        let (p, stride) = (sensitivity.stride, *stride);
+        model.carry_noise_free(&mut sensitivity.columns, p, dt);
+        // A fault is in its own reading, and by way of the state in those of all others.
+        sensitivity.signatures.fill(0.0);
+        for (c, row) in sensitivity.signatures.chunks_exact_mut(p).enumerate().take(*channels) {
+            (0..windows.len()).for_each(|w| row[w * stride + c] = 1.0);
+        }
+        sensitivity.update(model, correction);
+        let rows = sensitivity.signatures.chunks_exact(p).zip(weighted.chunks_exact_mut(p));
+        for (i, ((signature, weighted), innovation)) in rows.zip(&correction.innovations).enumerate() {
+            let parts = signature.chunks_exact(stride).zip(weighted.chunks_exact_mut(stride));
+            let sums = score.chunks_exact_mut(stride).zip(information.chunks_exact_mut(stride));
+            for ((window, (signature, weighted)), (score, information)) in windows.iter_mut().zip(parts).zip(sums) {
+                // A coarse encoder's readings are one as long as they are the same: their error is that of its step.
+                let noise = window.noise[i] * runs[i];
+                let news = innovation.value - known[i];
+                weigh(1.0 / noise, news, signature, weighted, (score, information));
+                if innovation.is_used() {
+                    window.excess += residuals[i] * residuals[i] / noise - 1.0;
+                }
             }
         }
         if let Some(consider) = consider {
@@ -117,24 +156,29 @@ impl Bank {
         }
     }
 
-    /// The channel whose fault explains most of those beyond `bound`, or that of `only` one: of what the parameters do not
-    /// explain, within what they may explain yet.
+    /// The channel whose fault explains most of those beyond `bound` in window `w`, or that of `only` one: of what the
+    /// parameters do not explain, within what they may explain yet.
     #[inline(always)]
     pub(super) fn worst(
         &mut self,
+        w: usize,
         consider: Option<&Consider>,
         bound: f64,
         only: Option<usize>,
     ) -> Option<StepEvidence> {
         let (mut worst, q): (Option<StepEvidence>, _) = (None, self.parameters);
         for c in (0..self.channels).filter(|&c| only.is_none_or(|only| only == c)) {
-            let shared = &self.shared[c * q..][..q];
-            let score = self.score[c] - consider.map_or(0.0, |consider| consider.explained(shared));
-            let information = self.information[c].max(f64::MIN_POSITIVE);
+            let at = w * self.stride + c;
+            let shared = &self.shared[at * q..][..q];
+            let score = self.score[at] - consider.map_or(0.0, |consider| consider.explained(shared));
+            let information = self.information[at].max(f64::MIN_POSITIVE);
             // An error of a parameter that looks like the fault makes the ratio smaller: computed only where it could
             // matter.
+            if score * score <= bound * information {
+                continue;
+            }
             let drop = score * score / information;
-            if drop <= bound || worst.is_some_and(|worst| drop < worst.drop) {
+            if worst.is_some_and(|worst| drop < worst.drop) {
                 continue;
             }
             let doubt = consider.map_or(0.0, |consider| consider.doubt(shared, &mut self.gain));
@@ -148,10 +192,27 @@ impl Bank {
     }
 }
 
+/// One reading's signatures over the variance of its noise, and these times the reading and times themselves into the sums.
+#[inline(always)]
+fn weigh(
+    precision: f64,
+    news: f64,
+    signature: &[f64],
+    weighted: &mut [f64],
+    (score, information): (&mut [f64], &mut [f64]),
+) {
+    let sums = score.iter_mut().zip(information);
+    for ((s, weighted), (score, information)) in signature.iter().zip(weighted).zip(sums) {
+        *weighted = s * precision;
+        *score += news * *weighted;
+        *information += *weighted * s;
+    }
+}
+
 /// What there is to know of each channel at a sample beside its innovation.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct News<'a> {
-    /// What known faults add to its innovation.
+    /// What known faults add to its innovation, in standard deviations.
     pub(super) known: &'a [f64],
     /// Its residual, less what parameters and known faults explain, in standard deviations.
     pub(super) residuals: &'a [f64],

@@ -179,29 +179,27 @@ impl Consider {
         let stride = self.sensitivity.stride;
         let learn = self.taken.is_multiple_of(THIN);
         for (i, innovation) in correction.innovations.iter().enumerate() {
-            if innovation.variance.is_infinite() {
+            if !innovation.is_used() {
                 self.residuals[i] = f64::NAN;
                 continue;
             }
-            let weight = 1.0 / innovation.variance.sqrt();
             let signature = &self.sensitivity.signatures[i * stride..][..stride];
-            // What the parameters' estimates leave of the innovation. For white residuals their sum over a block has
-            // the block's length for a variance; whatever lasts makes it larger, and must not be taken for news of the
-            // parameters.
-            let residual = (innovation.value - linear::dot(signature, &self.mean)) * weight;
+            // What the parameters' estimates leave of the innovation, in its standard deviations. For white residuals their
+            // sum over a block has the block's length for a variance; whatever lasts makes it larger, and must not be taken
+            // for news of the parameters.
+            let residual = innovation.value - linear::dot(signature, &self.mean);
             self.sums[i] += residual;
             if learn || residual * residual > SURPRISING * SURPRISING * self.variances[i] {
                 // Friedland's second stage (1969): the innovation is a reading of p by s, of the filter's variance and
                 // what lasts.
-                let noise = self.lasting[i].max(1.0) * innovation.variance;
                 for (g, row) in self.gain.iter_mut().zip(self.spread.data.chunks_exact(self.spread.stride)) {
                     *g = linear::dot(row, signature);
                 }
                 let known = linear::dot(&self.gain, signature);
-                self.variances[i] = 1.0 + (known + self.kept_doubt(signature)) * weight * weight;
-                let (value, variance) = (residual / weight, noise + known);
-                if learn && model.teaches(i) && value * value < STRANGE * STRANGE * variance {
-                    self.learn(value, variance);
+                self.variances[i] = 1.0 + known + self.kept_doubt(signature);
+                let variance = self.lasting[i].max(1.0) + known;
+                if learn && model.teaches(i) && residual * residual < STRANGE * STRANGE * variance {
+                    self.learn(residual, variance);
                 }
             }
             self.residuals[i] = residual / self.variances[i].sqrt();

@@ -8,9 +8,9 @@ use crate::linear;
 /// Σ⁻ and s at each sample of a stretch.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ConsiderHistory {
-    /// Σ⁻ (states × stride a sample).
+    /// Σ⁻ (states × stride a sample, padded).
     columns: Vec<f64>,
-    /// s (channels × stride a sample).
+    /// s (channels × stride a sample, padded).
     signatures: Vec<f64>,
     swings: Vec<f64>,
 }
@@ -36,7 +36,7 @@ pub(super) struct ConsiderBack {
     /// Numbers between rows: parameters, padded.
     stride: usize,
     joints: usize,
-    /// ∂λ/∂p, states × stride.
+    /// ∂λ/∂p (states × stride, padded).
     lambda: Vec<f64>,
     /// Σˢ of some states.
     columns: Vec<f64>,
@@ -52,7 +52,7 @@ pub(super) struct ConsiderBack {
 
 impl ConsiderBack {
     pub(super) fn new(consider: &Consider, states: usize) -> Self {
-        let room = || vec![0.0; states * consider.sensitivity.stride];
+        let room = || vec![0.0; consider.sensitivity.columns.len()];
         Self {
             stride: consider.sensitivity.stride,
             joints: consider.swings.len(),
@@ -78,7 +78,7 @@ impl ConsiderBack {
         self.moment.get_or_insert_with(|| consider.moment().clone());
     }
 
-    /// ∂λ/∂p from after sample `i`'s readings to before them: ← (1 − k h)ᵀ ∂λ/∂p − hᵀ s/S, the last reading first.
+    /// ∂λ/∂p from after sample `i`'s readings to before them: ← (1 − k h)ᵀ ∂λ/∂p − hᵀ s/√S, k being W/√S, the last reading first.
     #[inline(always)]
     pub(super) fn back(
         &mut self,
@@ -86,23 +86,24 @@ impl ConsiderBack {
         i: usize,
         innovations: &[Innovation],
         rows: &[f64],
-        gains: &[f64],
+        corrections: &[f64],
     ) {
         let (p, m) = (self.stride, innovations.len());
         let width = rows.len() / m;
-        // k ∂λ/∂p of all readings at once; each is then short of what the readings after it have taken.
-        linear::product(gains, width, &self.lambda, p, &mut self.pulls);
-        for a in (0..m).rev().filter(|&a| innovations[a].variance.is_finite()) {
+        // W ∂λ/∂p of all readings at once; each is then short of what the readings after it have taken.
+        linear::product(corrections, width, &self.lambda, p, &mut self.pulls);
+        for a in (0..m).rev().filter(|&a| innovations[a].is_used()) {
             let (before, after) = self.pulls.split_at_mut((a + 1) * p);
             let own = &mut before[a * p..];
             // In λ's recursion the innovation ν stands where s stands here: ∂ν/∂p = s as readings do not depend on p.
-            let signature = &history.signatures[(i * m + a) * p..][..p];
-            linear::add_scaled(own, 1.0 / innovations[a].variance, signature);
+            let signature = &history.signatures[(i * m.next_multiple_of(linear::LANES) + a) * p..][..p];
+            linear::add_scaled(own, 1.0, signature);
             for (later, row) in after.chunks_exact(p).zip(rows[(a + 1) * width..].chunks_exact(width)) {
-                linear::add_scaled(own, -linear::dot(row, &gains[a * width..][..width]), later);
+                linear::add_scaled(own, -linear::dot(row, &corrections[a * width..][..width]), later);
             }
+            own.iter_mut().for_each(|pull| *pull /= innovations[a].std);
         }
-        linear::add_outer(-1.0, (rows, width), &self.pulls, p, &mut self.lambda);
+        linear::add_outer(-1.0, (rows, width), &self.pulls[..m * p], p, &mut self.lambda);
     }
 
     /// The parameters' share of the smoothed covariance of the first `rows` states at sample `i`, `predicted` being

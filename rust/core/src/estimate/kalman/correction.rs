@@ -1,8 +1,8 @@
-//! The measurement update: all channels of a sample by one factor of [S, H P, e].
+//! The measurement update: all channels of a sample by one factor of [S, e].
 //!
 //! The likelihood has an update of its own, which changes the covariance after every reading: derivative numbers want few
 //! operations. This one touches the covariance once a sample, in padded rows that fill a processor's registers, and keeps
-//! each channel's gain, after those before it, for the smoother. Both are the same mathematics; a test holds them equal.
+//! each channel's row after those before it, for the smoother. Both are the same mathematics; a test holds them equal.
 
 use super::gaussian::{Gaussian, Innovation, Row, SHARP, Symmetric};
 use super::loss::{LEFT_OUT, SensorLosses};
@@ -17,29 +17,27 @@ const LONGEST: u32 = 8;
 
 /// Scratch and outcome of a measurement update.
 ///
-/// Everything of a channel is what the channels before it leave: L⁻¹ H P and L⁻¹ e with S = L D Lᵀ. That needs no inverse
-/// of S, and a channel that is missing or shut out is a row of zeros.
+/// Everything of a channel is what the channels before it leave, in its standard deviations: W = U⁻ᵀ H P and U⁻ᵀ e with
+/// S = Uᵀ U. That needs no inverse of S, and a channel that is missing or shut out is a row of zeros.
 #[derive(Clone, Debug)]
 pub(super) struct Correction {
     /// Where the channels are linearised.
     pub(super) reference: Vec<f64>,
-    /// H P, then rows g/√s, g being the row after the channels before it (channels × states, padded).
-    projections: Vec<f64>,
-    /// k = g/s of each channel (channels × states, padded).
-    pub(super) gains: Vec<f64>,
-    /// One channel's row of H, padded.
+    /// H P, and then W (channels × states, padded).
+    rows: Vec<f64>,
+    /// One channel's row of H, or a change of the state, padded.
     row: Vec<f64>,
-    /// Innovations before any channel is used.
-    raw: Vec<f64>,
+    /// Innovations before any channel is used; NaN of those that are not read.
+    pub(super) raw: Vec<f64>,
     /// Hᵀ (dense × channels, padded), and H P Hᵀ (channels × channels, padded).
     turned: Vec<f64>,
     shares: Vec<f64>,
-    /// [S, H P, e] and then D^(−1/2) L⁻¹ times that (channels × all of these, padded).
-    joint: Vec<f64>,
+    /// [S, e], and then U and U⁻ᵀ e (channels × channels and one more, padded).
+    factor: Vec<f64>,
     /// Each after the channels before it.
     pub(super) innovations: Vec<Innovation>,
-    /// Lᵀ, upper triangular with a diagonal of 1: innovations before any is used are L times `innovations`.
-    pub(super) factors: Vec<f64>,
+    /// The same in standard deviations, zero where not used (channels).
+    values: Vec<f64>,
     /// How much each channel counts: the variance of its noise is divided by it (channels).
     pub(super) weights: Vec<f64>,
     /// How many samples in a row each channel was left out by its weight (channels).
@@ -68,15 +66,14 @@ impl Correction {
         let own = m.next_multiple_of(linear::LANES);
         Self {
             reference: vec![0.0; model.dense()],
-            projections: vec![0.0; m * stride],
-            gains: vec![0.0; m * stride],
+            rows: vec![0.0; own * stride],
             row: vec![0.0; stride],
             raw: vec![0.0; m],
             turned: vec![0.0; model.dense() * own],
-            shares: vec![0.0; m * own],
-            joint: vec![0.0; m * joint_width(own, stride)],
+            shares: vec![0.0; own * own],
+            factor: vec![0.0; own * (own + linear::LANES)],
             innovations: vec![Innovation::NONE; m],
-            factors: vec![0.0; m * m],
+            values: vec![0.0; m],
             weights: vec![1.0; m],
             runs: vec![0; m],
             variances: vec![0.0; m],
@@ -90,8 +87,8 @@ impl Correction {
 
     /// Uses `readings`, all channels linearised at the reference.
     ///
-    /// P is touched once: it loses g gᵀ/s of every channel. Where a reading tells far more than is known, that difference
-    /// has no digits: then P is updated reading by reading, by Joseph's form.
+    /// P is touched once: it loses Wᵀ W. Where a reading tells far more than is known, that difference has no digits: then P
+    /// is updated reading by reading, by Joseph's form.
     #[inline(always)]
     pub(super) fn update(&mut self, model: &impl Model, belief: &mut Gaussian, readings: &[f64], gate: Option<f64>) {
         (self.status, self.nis, self.used, self.log_likelihood) = (0, 0.0, 0, 0.0);
@@ -110,8 +107,9 @@ impl Correction {
             }
         } else {
             self.add_residual(model);
-            while !self.use_all(belief.covariance.stride, gate) {}
-            belief.covariance.add_squares(-1.0, &self.projections);
+            while !self.use_all(gate) {}
+            linear::forward(&self.factor, self.width(), &mut self.rows, belief.covariance.stride);
+            belief.covariance.add_squares(-1.0, self.rows());
         }
         self.move_mean(belief);
         if self.used == 0 {
@@ -136,29 +134,46 @@ impl Correction {
         }
     }
 
-    /// H P, and the upper triangle of H P Hᵀ.
+    /// H P, and H P Hᵀ.
     #[inline(always)]
     fn project(&mut self, model: &impl Model, belief: &Gaussian) {
-        let Symmetric { stride, ref data, .. } = belief.covariance;
-        observe(model, data, stride, &mut self.projections);
-        let own = self.own();
+        let (m, own, stride) = (self.raw.len(), self.own(), belief.covariance.stride);
+        observe(model, &belief.covariance.data, stride, &mut self.rows[..m * stride]);
         for (i, row) in model.linearised().jacobian.chunks_exact(model.dense()).enumerate() {
             for (k, h) in row.iter().enumerate() {
                 self.turned[k * own + i] = *h;
             }
         }
-        linear::product(&self.projections, stride, &self.turned, own, &mut self.shares);
-        for (shares, projection) in self.shares.chunks_exact_mut(own).zip(self.projections.chunks_exact(stride)) {
+        linear::product(&self.rows[..m * stride], stride, &self.turned, own, &mut self.shares[..m * own]);
+        for (shares, projection) in self.shares.chunks_exact_mut(own).zip(self.rows.chunks_exact(stride)) {
             for (share, bias) in shares.iter_mut().zip(model.biases()) {
                 *share += bias.map_or(0.0, |b| projection[b]);
             }
         }
     }
 
+    /// W, one padded row for each channel.
+    #[inline(always)]
+    pub(super) fn rows(&self) -> &[f64] {
+        &self.rows[..self.raw.len() * self.row.len()]
+    }
+
+    /// U and U⁻ᵀ e, in rows of [`width`](Self::width) numbers.
+    #[inline(always)]
+    pub(super) fn factor(&self) -> &[f64] {
+        &self.factor
+    }
+
     /// Numbers between rows of what has a column for each channel.
     #[inline(always)]
     fn own(&self) -> usize {
         self.raw.len().next_multiple_of(linear::LANES)
+    }
+
+    /// The same of the [`factor`](Self::factor), which has one more.
+    #[inline(always)]
+    pub(super) fn width(&self) -> usize {
+        self.own() + linear::LANES
     }
 
     /// Whether some reading's noise is lost beside the variance of its prediction.
@@ -178,51 +193,32 @@ impl Correction {
         }
     }
 
-    /// Whether channel `i` is read and not shut out.
-    #[inline(always)]
-    fn is_open(&self, i: usize) -> bool {
-        !self.raw[i].is_nan() && !self.gated[i]
-    }
-
     /// All channels at once, by one factor; false if the gate has just rejected one, so that all must be repeated.
     #[inline(always)]
-    fn use_all(&mut self, stride: usize, gate: Option<f64>) -> bool {
-        let (m, own) = (self.raw.len(), self.own());
-        let width = joint_width(own, stride);
-        for i in 0..m {
-            let open = self.is_open(i);
-            self.joint[i * width..][..own].copy_from_slice(&self.shares[i * own..][..own]);
-            self.joint[i * width + i] += self.variances[i];
-            if !open {
-                (0..m).for_each(|j| self.joint[j.min(i) * width + j.max(i)] = 0.0);
-                self.joint[i * width + i] = 1.0;
-            }
-            let (projection, last) = self.joint[i * width + own..][..stride + 1].split_at_mut(stride);
-            if open {
-                projection.copy_from_slice(&self.projections[i * stride..][..stride]);
-                last[0] = self.raw[i];
-            } else {
-                projection.fill(0.0);
-                last[0] = 0.0;
+    fn use_all(&mut self, gate: Option<f64>) -> bool {
+        let (m, own, width, stride) = (self.raw.len(), self.own(), self.width(), self.row.len());
+        for (i, (row, shares)) in self.factor.chunks_exact_mut(width).zip(self.shares.chunks_exact(own)).enumerate() {
+            row[..own].copy_from_slice(shares);
+            if i < m {
+                row[i] += self.variances[i];
+                row[own] = self.raw[i];
             }
         }
-        linear::upper_factor(&mut self.joint, m, width);
-        let beyond = |row: &[f64]| gate.is_some_and(|gate| row[own + stride].abs() > gate);
-        if let Some(i) = self.joint.chunks_exact(width).position(beyond) {
+        for i in (0..m).filter(|&i| self.raw[i].is_nan() || self.gated[i]) {
+            (0..m).for_each(|j| self.factor[j.min(i) * width + j.max(i)] = 0.0);
+            (self.factor[i * width + i], self.factor[i * width + own]) = (1.0, 0.0);
+            self.rows[i * stride..][..stride].fill(0.0);
+        }
+        linear::upper_factor(&mut self.factor, m, width);
+        let beyond = |row: &[f64]| gate.is_some_and(|gate| row[own].abs() > gate);
+        if let Some(i) = self.factor.chunks_exact(width).position(beyond) {
             self.gated[i] = true;
             return false;
         }
-        for (i, row) in self.joint.chunks_exact(width).enumerate() {
-            let root = row[i];
-            for (factor, share) in self.factors[i * m..][i..m].iter_mut().zip(&row[i..m]) {
-                *factor = share / root;
-            }
-            self.projections[i * stride..][..stride].copy_from_slice(&row[own..][..stride]);
-            self.innovations[i] = if self.raw[i].is_nan() || self.gated[i] {
-                Innovation::NONE
-            } else {
-                Innovation { value: row[own + stride] * root, variance: root * root }
-            };
+        for (i, innovation) in self.innovations.iter_mut().enumerate() {
+            let row = &self.factor[i * width..][..width];
+            let open = !(self.raw[i].is_nan() || self.gated[i]);
+            *innovation = if open { Innovation { value: row[own], std: row[i] } } else { Innovation::NONE };
         }
         true
     }
@@ -230,31 +226,30 @@ impl Correction {
     /// Channel `i` by itself, after those before it: P ← (1 − k h) P (1 − k h)ᵀ + k r kᵀ.
     #[inline(always)]
     fn use_one(&mut self, model: &impl Model, belief: &mut Gaussian, i: usize, gate: Option<f64>) {
-        let (m, stride) = (self.raw.len(), belief.covariance.stride);
+        let (width, stride) = (self.width(), belief.covariance.stride);
         let row = row(model, i);
         let mut value = self.raw[i];
-        for j in 0..i {
-            let Innovation { value: earlier, variance } = self.innovations[j];
-            let share = row.dot(&self.projections[j * stride..][..stride]);
-            let factor = if self.is_open(i) { share / variance.sqrt() } else { 0.0 };
-            self.factors[j * m + i] = factor;
-            value -= factor * earlier;
+        for (j, earlier) in self.innovations.iter().enumerate().take(i) {
+            let share = row.dot(&self.rows[j * stride..][..stride]);
+            self.factor[j * width + i] = share;
+            value -= share * earlier.value;
         }
-        self.factors[i * m + i] = 1.0;
         self.project_anew(model, belief, i);
-        let projection = &mut self.projections[i * stride..][..stride];
+        let projection = &mut self.rows[i * stride..][..stride];
         let variance = row.dot(projection) + self.variances[i];
         self.gated[i] |= gate.is_some_and(|gate| value * value > gate * gate * variance);
         if value.is_nan() || self.gated[i] {
             projection.fill(0.0);
-            (0..i).for_each(|j| self.factors[j * m + i] = 0.0);
+            (0..i).for_each(|j| self.factor[j * width + i] = 0.0);
+            self.factor[i * width + i] = 1.0;
             self.innovations[i] = Innovation::NONE;
             return;
         }
         belief.covariance.condition(&self.row, projection, variance, self.variances[i]);
-        let scale = 1.0 / variance.sqrt();
-        projection.iter_mut().for_each(|g| *g *= scale);
-        self.innovations[i] = Innovation { value, variance };
+        let std = variance.sqrt();
+        projection.iter_mut().for_each(|g| *g /= std);
+        self.factor[i * width + i] = std;
+        self.innovations[i] = Innovation { value: value / std, std };
     }
 
     /// Channel `i`'s row of H P, by the covariance as it is now.
@@ -267,32 +262,30 @@ impl Correction {
         if let Some(b) = model.biases()[i] {
             own[b] = 1.0;
         }
-        for (x, column) in self.projections[i * stride..][..stride].iter_mut().zip(data.chunks_exact(stride)) {
+        for (x, column) in self.rows[i * stride..][..stride].iter_mut().zip(data.chunks_exact(stride)) {
             *x = linear::dot(column, own);
         }
     }
 
-    /// Moves the mean by all innovations.
+    /// Moves the mean by all innovations: x ← x + Wᵀ U⁻ᵀ e.
     #[inline(always)]
     fn move_mean(&mut self, belief: &mut Gaussian) {
-        let stride = belief.covariance.stride;
-        let rows = self.projections.chunks_exact(stride).zip(self.gains.chunks_exact_mut(stride));
-        for (i, ((projection, gain), &Innovation { value, variance })) in rows.zip(&self.innovations).enumerate() {
-            if variance.is_infinite() {
-                gain.fill(0.0);
+        let mut spread = LogProduct::ONE;
+        for (i, innovation) in self.innovations.iter().enumerate() {
+            self.values[i] = innovation.value;
+            if !innovation.is_used() {
                 self.status |= if self.raw[i].is_nan() { 0 } else { Status::GATED };
                 continue;
             }
-            let scale = 1.0 / variance.sqrt();
-            for (gain, g) in gain.iter_mut().zip(projection) {
-                *gain = scale * g;
-            }
-            linear::add_scaled(&mut belief.mean, value, gain);
-            let squared = value * value / variance;
-            self.nis += squared;
+            self.nis += innovation.value * innovation.value;
             self.used += 1;
-            self.log_likelihood -= 0.5 * (squared + log(core::f64::consts::TAU * variance));
+            spread.times(innovation.std);
         }
+        self.log_likelihood = -0.5 * (self.nis + f64::from(self.used) * LOG_TAU) - spread.log();
+        let stride = self.row.len();
+        let rows = &self.rows[..self.values.len() * stride];
+        linear::product(&self.values, self.values.len(), rows, stride, &mut self.row);
+        linear::add_scaled(&mut belief.mean, 1.0, &self.row);
     }
 
     /// How much each sensor counts, by the expected square of its errors; where nothing of the sample was used yet, by that of
@@ -366,9 +359,32 @@ pub(super) fn observe(model: &impl Model, x: &[f64], stride: usize, out: &mut [f
     }
 }
 
-/// Numbers in a row of [S, H P, e], for channels and states padded to `own` and `stride`.
-const fn joint_width(own: usize, stride: usize) -> usize {
-    own + stride + linear::LANES
+/// ln 2π.
+const LOG_TAU: f64 = 1.837_877_066_409_345_5;
+
+/// The logarithm of a product, taken once and not for each factor.
+struct LogProduct {
+    product: f64,
+    /// Logarithm of what was taken out of it, so that it stays a number.
+    taken: f64,
+}
+
+impl LogProduct {
+    const ONE: Self = Self { product: 1.0, taken: 0.0 };
+
+    #[inline(always)]
+    fn times(&mut self, factor: f64) {
+        self.product *= factor;
+        if !(1e-150..1e150).contains(&self.product) {
+            self.taken += log(self.product);
+            self.product = 1.0;
+        }
+    }
+
+    #[inline(always)]
+    fn log(self) -> f64 {
+        self.taken + log(self.product)
+    }
 }
 
 /// Channel `i`'s row of H.

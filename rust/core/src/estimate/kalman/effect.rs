@@ -7,7 +7,6 @@
 use super::correction::Correction;
 use super::gaussian::Innovation;
 use super::model::Model;
-use super::sensitivity::Sensitivity;
 use crate::linear;
 
 /// A fault below this many of its own standard deviations is over: the channel has recovered.
@@ -34,7 +33,7 @@ pub(super) struct Effect {
     /// x − x̂ by these before and after a sample's readings (states).
     pub(super) before: Vec<f64>,
     pub(super) error: Vec<f64>,
-    /// What it adds to each innovation, after the channels before it (channels).
+    /// What it adds to each innovation, after the channels before it, in standard deviations (channels).
     pub(super) signatures: Vec<f64>,
     /// By how much each channel reads too much, and the variance of that (channels).
     faults: Vec<f64>,
@@ -79,21 +78,20 @@ impl Effect {
         self.update(model, correction);
     }
 
-    /// From before the readings to after them: s = f + h (x − x̂), x − x̂ ← x − x̂ − k s, reading by reading.
+    /// From before the readings to after them: s = f + h (x − x̂), x − x̂ ← x − x̂ − k s, reading by reading; with W/√S for k.
     #[inline(always)]
     fn update(&mut self, model: &impl Model, correction: &Correction) {
-        let (d, width) = (model.dense(), correction.gains.len() / self.faults.len());
+        let (d, width) = (model.dense(), correction.rows().len() / self.faults.len());
         self.error.copy_from_slice(&self.before);
         for (i, innovation) in correction.innovations.iter().enumerate() {
             self.signatures[i] = 0.0;
-            if innovation.variance.is_infinite() {
+            if !innovation.is_used() {
                 continue;
             }
             let row = &model.linearised().jacobian[i * d..][..d];
             let bias = model.biases()[i].map_or(0.0, |b| self.error[b]);
-            let signature = self.faults[i] + linear::dot(row, &self.error[..d]) + bias;
-            let gain = &correction.gains[i * width..][..self.error.len()];
-            linear::add_scaled(&mut self.error, -signature, gain);
+            let signature = (self.faults[i] + linear::dot(row, &self.error[..d]) + bias) / innovation.std;
+            linear::add_scaled(&mut self.error, -signature, &correction.rows()[i * width..][..width]);
             self.signatures[i] = signature;
         }
     }
@@ -105,12 +103,12 @@ impl Effect {
         self.update(model, correction);
     }
 
-    /// A step that began earlier, by what one of size 1 in each channel has done since.
+    /// A step that began earlier, by what one of size 1 has done to each state since.
     #[inline(always)]
-    pub(super) fn join(&mut self, since: &Sensitivity, step: Step, variance: f64) {
+    pub(super) fn join(&mut self, since: impl Iterator<Item = f64>, step: Step, variance: f64) {
         self.add(step, variance);
-        for (error, column) in self.error.iter_mut().zip(since.columns.chunks_exact(since.stride)) {
-            *error += step.size * column[step.channel];
+        for (error, of_one) in self.error.iter_mut().zip(since) {
+            *error += step.size * of_one;
         }
     }
 
@@ -213,15 +211,15 @@ impl EffectBack {
         i: usize,
         innovations: &[Innovation],
         rows: &[f64],
-        gains: &[f64],
+        corrections: &[f64],
     ) {
         let (m, states) = (innovations.len(), self.lambda.len());
         let width = rows.len() / m;
         let driven = history.at(i, states, m);
-        for a in (0..m).rev().filter(|&a| innovations[a].variance.is_finite()) {
+        for a in (0..m).rev().filter(|&a| innovations[a].is_used()) {
             let signature = driven.map_or(0.0, |(_, signatures)| signatures[a]);
-            let pull = signature / innovations[a].variance + linear::dot(&gains[a * width..][..states], &self.lambda);
-            linear::add_scaled(&mut self.lambda, -pull, &rows[a * width..][..states]);
+            let pull = signature + linear::dot(&corrections[a * width..][..states], &self.lambda);
+            linear::add_scaled(&mut self.lambda, -pull / innovations[a].std, &rows[a * width..][..states]);
         }
     }
 

@@ -1,4 +1,4 @@
-//! The elastic-joint model's process: links and motors moved by motor torques.
+//! The elastic-joint model: links behind their springs, and motors moved by torques.
 //!
 //! Each joint has two equations (De Luca, Schröder and Thümmel 2007; Ulrich and Sasiadek 2011),
 //!
@@ -7,16 +7,15 @@
 //! with white accelerations w and, where they are asked for, disturbance torques e of motors and d of links that wander. Their
 //! accelerations and derivatives are those of [`ElasticDynamics`](crate::dynamics::ElasticDynamics); a step of time is
 //! `transition`, what sensors read is `elastic_measurement`, and what parameters do is `elastic_sensitivity`. A torque that
-//! is missing wanders from its last reading until the next, as a disturbance of its own.
+//! is missing wanders from its last reading until the next, as a disturbance of its own. Motors that jerk moves are
+//! `motor_jerk`.
 
-use super::disturbance::{LinkDisturbance, WrenchLaw, depend, hold, hold_wrenches};
-use super::drift::Biases;
+use super::disturbance::{LinkDisturbance, WrenchLaw};
 use super::elastic_measurement::ElasticMeasurement;
+use super::elastic_process::{CommonNoise, ElasticProcess, MotorInput};
 use super::elastic_sensitivity::ElasticSensitivity;
-use super::gaussian::{Gaussian, Symmetric};
-use super::model::{Paired, Process};
-use super::recording::{KalmanRecording, KalmanSample};
-use super::sigma_points::SigmaRule;
+use super::model::Paired;
+use super::motor_torques::MotorTorques;
 use super::tolerances::Tolerances;
 use super::transition::Transition;
 use crate::check::{check_deviations, check_readings, check_times, expect_length};
@@ -150,50 +149,26 @@ impl ElasticModel {
         links: Option<LinkDisturbance>,
         wrenches: WrenchLaw,
     ) -> Result<Self, DesignError> {
-        let channels = Kind::all_channels(&settings.kinds, &robot);
-        expect_length("biased", settings.biased.len(), channels.len())?;
-        let mut layout = ElasticLayout::new(&robot, settings.disturbances);
-        check(&noise, robot.len(), channels.len())?;
-        if let Some(links) = &links {
-            links.check(robot.len())?;
-            layout = layout.with_link_disturbances(links.time);
-        }
-        wrenches.check(&robot)?;
-        let mut states = layout.dense;
-        let mut number = |&biased: &bool| {
-            states += usize::from(biased);
-            biased.then(|| states - 1)
+        Kind::refuse_motor_torques(&settings.kinds, "none, as torques move the motors")?;
+        let channels = Kind::all_channels(&settings.kinds, &robot).len();
+        check(&noise, robot.len(), channels)?;
+        let layout = ElasticLayout::new(&robot, settings.disturbances);
+        let motors = MotorInput::Torques(Box::new(MotorTorques::new(&noise, settings.held)));
+        let ElasticNoise { torque, reading, bias_walk, bias_time, initial, initial_bias, .. } = noise.clone();
+        let parts = Parts {
+            sources: sources(&robot, &layout, &noise),
+            layout,
+            motors,
+            discretization: settings.discretization,
+            relaxed: settings.relaxed,
+            torque,
+            reading,
+            bias_walk,
+            bias_time,
+            initial,
+            initial_bias,
         };
-        let biases: Vec<_> = settings.biased.iter().map(&mut number).collect();
-        let measurement = [&noise.reading[..], &noise.torque];
-        let measurement =
-            ElasticMeasurement::new(Arc::clone(&robot), layout.clone(), channels, biases.clone(), measurement);
-        let mut sources = sources(&robot, &layout, &noise);
-        if let (Some(first), Some(links)) = (layout.link_disturbance, &links) {
-            sources.extend(links.walk.iter().enumerate().map(|(j, walk)| (first + j, *walk)));
-        }
-        if let Some(first) = layout.wrench {
-            sources.extend(wrenches.walk.iter().enumerate().map(|(k, walk)| (first + k, *walk)));
-        }
-        let n = robot.len();
-        let process = ElasticProcess {
-            transition: Transition::new(&robot, layout, settings.discretization, states, sources),
-            tau: vec![0.0; n],
-            age: vec![0.0; n],
-            before: vec![0.0; n],
-            after: vec![0.0; n],
-            outage: vec![(0.0, 0.0); n],
-            held: settings.held,
-            gone: if settings.relaxed { ElasticSettings::RELAXED } else { 1.0 },
-            rest: Rest::new(&robot),
-            robot,
-            biases,
-            states,
-            noise,
-            links: links.map_or_else(Vec::new, |links| links.initial),
-            wrenches: wrenches.initial,
-        };
-        Ok(Self::of(process, measurement))
+        parts.join(robot, &settings.kinds, &settings.biased, links, wrenches)
     }
 
     /// The model of a robot of which some numbers are known to a tolerance only.
@@ -205,271 +180,77 @@ impl ElasticModel {
     }
 }
 
-/// Links and motors between samples.
-#[derive(Clone, Debug)]
-pub struct ElasticProcess {
-    /// Links, drives and sensors.
-    robot: Arc<Robot>,
-    /// The state that is each channel's bias (channels).
-    biases: Vec<Option<usize>>,
-    /// Number of all states.
-    states: usize,
-    /// Densities, walks and initial uncertainties.
-    noise: ElasticNoise,
-    /// What the links' disturbance torques may be at the first sample (n); empty where there are none.
-    links: Vec<f64>,
-    /// The same of numbers of varying wrenches.
-    wrenches: Vec<f64>,
-    /// The step of time with its scratch.
-    transition: Transition,
-    /// The latest torques that were read.
-    tau: Vec<f64>,
-    /// How long ago that was (n) [s].
-    age: Vec<f64>,
-    /// Torques at the beginning and at the end of a step.
-    before: Vec<f64>,
-    after: Vec<f64>,
-    /// Mean and variance of each disturbance before its torque's readings were missing.
-    outage: Vec<(f64, f64)>,
-    held: bool,
-    /// Part of their way that friction elements may have gone at the first sample.
-    gone: f64,
-    /// Finds where links hang at a first sample.
-    rest: Rest,
+/// What a model is put together of, whatever moves its motors.
+pub(super) struct Parts {
+    pub(super) layout: ElasticLayout,
+    pub(super) motors: MotorInput,
+    /// States that white noise drives, and its densities.
+    pub(super) sources: Vec<(usize, f64)>,
+    pub(super) discretization: Discretization,
+    pub(super) relaxed: bool,
+    pub(super) torque: Vec<f64>,
+    pub(super) reading: Vec<f64>,
+    pub(super) bias_walk: Vec<f64>,
+    pub(super) bias_time: Vec<f64>,
+    pub(super) initial: Vec<f64>,
+    pub(super) initial_bias: Vec<f64>,
 }
 
-impl ElasticProcess {
-    /// How biases wander over a step.
-    fn drift(&self) -> Biases<'_> {
-        Biases { states: &self.biases, walk: &self.noise.bias_walk, time: &self.noise.bias_time }
-    }
-
-    /// Readies the step of `dt` to motor torques `read`, NaN where missing.
+impl Parts {
+    /// The model with channels of these kinds, of which some have a bias, and with what acts on links from outside.
     ///
-    /// A torque that nobody reads is held, and the true one wanders from it: with the motor's disturbance, until the reading is
-    /// back and the disturbance is again what it was before. Without disturbances the wandering is noise of the torque that
-    /// is constant over each step, of a variance that gives velocity the right one.
-    #[inline(always)]
-    fn expect_torques(&mut self, belief: &Gaussian, read: &[f64], dt: f64) {
-        let Self { noise, age, transition, outage, .. } = self;
-        transition.replaced.clear();
-        for (j, age) in age.iter_mut().enumerate() {
-            let gone = read[j].is_nan();
-            let wander = if gone || *age > 0.0 { noise.torque_walk[j] } else { 0.0 };
-            transition.torque[j] = noise.torque[j] * noise.torque[j];
-            if let Some(first) = transition.layout.disturbance {
-                let (state, walk) = (first + j, noise.disturbance_walk[j]);
-                // The disturbance carries the outage: it is a state, so that what it grew to is estimated while the
-                // torque is gone.
-                transition.noise.set_density(state, (walk * walk + wander * wander).sqrt());
-                if gone && *age == 0.0 {
-                    outage[j] = (belief.mean[state], belief.covariance.at(state, state));
-                } else if !gone && *age > 0.0 && noise.torque_walk[j] > 0.0 {
-                    transition.replaced.push((state, outage[j].1 + walk * walk * (*age + dt)));
-                }
-            } else {
-                // A walk of density w has, integrated over the age a, the variance w² a³/3: what is added over this
-                // step, spread over it as a constant torque of that effect on velocity.
-                let grown = (*age + dt) * (*age + dt) * (*age + dt) - *age * *age * *age;
-                transition.torque[j] += wander * wander * grown / (3.0 * dt * dt);
-            }
-            *age = if gone { *age + dt } else { 0.0 };
+    /// # Errors
+    /// Biases, disturbance torques or wrenches that do not fit the robot.
+    pub(super) fn join(
+        self,
+        robot: Arc<Robot>,
+        kinds: &[Kind],
+        biased: &[bool],
+        links: Option<LinkDisturbance>,
+        wrenches: WrenchLaw,
+    ) -> Result<ElasticModel, DesignError> {
+        let Self { mut layout, mut sources, motors, .. } = self;
+        let channels = Kind::all_channels(kinds, &robot);
+        expect_length("biased", biased.len(), channels.len())?;
+        if let Some(links) = &links {
+            links.check(robot.len())?;
+            layout = layout.with_link_disturbances(links.time);
         }
-    }
-
-    /// The torques between the sample before and one of which `read` is read.
-    #[inline(always)]
-    fn take_torques(&mut self, read: &[f64]) {
-        for (j, read) in read.iter().enumerate() {
-            let back = self.transition.layout.disturbance.is_some_and(|first| self.is_replaced(first + j));
-            self.before[j] = self.tau[j];
-            // At the end of an outage it is the disturbance that has what the held torque lacks.
-            self.after[j] = if back || read.is_nan() { self.tau[j] } else { *read };
-            if !read.is_nan() {
-                self.tau[j] = *read;
-            }
-        }
-    }
-
-    /// A sampled torque may have changed at any time between two samples: its mean is off by as much as a uniform time has it.
-    #[inline(always)]
-    fn doubt_between_samples(&mut self) {
-        if !self.held {
-            for (variance, (before, after)) in
-                self.transition.torque.iter_mut().zip(self.before.iter().zip(&self.after))
-            {
-                *variance += (after - before) * (after - before) / 12.0;
-            }
-        }
-    }
-
-    /// Whether a disturbance is again what it was before its torque's outage.
-    #[inline(always)]
-    fn is_replaced(&self, state: usize) -> bool {
-        self.transition.replaced.iter().any(|(replaced, _)| *replaced == state)
-    }
-
-    /// Links and motors at rest at these positions, everything independent.
-    fn begin(&self, theta: &[f64], belief: &mut Gaussian) {
-        let (n, layout, q) = (self.robot.len(), &self.transition.layout, self.rest.q());
-        let (position, rest) = self.noise.initial.split_at(n);
-        let (velocity, disturbance) = rest.split_at(n);
-        belief.clear();
-        let mut set = |state: usize, mean: f64, std: f64| {
-            belief.mean[state] = mean;
-            belief.covariance.put(state, state, std * std);
+        wrenches.check(&robot)?;
+        let mut states = layout.dense;
+        let mut number = |&biased: &bool| {
+            states += usize::from(biased);
+            biased.then(|| states - 1)
         };
-        for j in 0..n {
-            for (k, x, s) in [(layout.theta[j], theta[j], position[j]), (layout.dtheta[j], 0.0, velocity[j])] {
-                set(k, x, if self.robot.drives[j].is_passive() { FIXED * s } else { s });
-            }
-            set(j, q[j], position[j]);
-            set(n + j, 0.0, velocity[j]);
-            if let Some(first) = layout.disturbance {
-                set(first + j, 0.0, disturbance[j]);
-            }
-        }
-        // A friction element may be anywhere between its limits, or near the middle if that is said.
-        for (_, k, element) in layout.elements(&self.robot) {
-            set(k, 0.0, self.gone * element.reach() / 3.0_f64.sqrt());
-        }
-        for (bias, s) in self.biases.iter().zip(&self.noise.initial_bias) {
-            if let Some(b) = *bias {
-                set(b, 0.0, *s);
-            }
-        }
-        if let Some(first) = layout.link_disturbance {
-            self.links.iter().enumerate().for_each(|(j, s)| set(first + j, 0.0, *s));
+        let biases: Vec<_> = biased.iter().map(&mut number).collect();
+        let noise = [&self.reading[..], &self.torque];
+        let measurement = ElasticMeasurement::new(Arc::clone(&robot), layout.clone(), channels, biases.clone(), noise);
+        if let (Some(first), Some(links)) = (layout.link_disturbance, &links) {
+            sources.extend(links.walk.iter().enumerate().map(|(j, walk)| (first + j, *walk)));
         }
         if let Some(first) = layout.wrench {
-            self.wrenches.iter().enumerate().for_each(|(k, s)| set(first + k, 0.0, *s));
+            sources.extend(wrenches.walk.iter().enumerate().map(|(k, walk)| (first + k, *walk)));
         }
-        for (j, k, element) in layout.elements(&self.robot) {
-            // What it holds the spring need not: the link is nearer to its motor.
-            let drive = &self.robot.drives[j];
-            let compliance = drive.compliance(drive.torsion_between(theta[j], belief.mean[j]));
-            depend(&mut belief.covariance, j, k, element.stiffness * compliance);
-        }
-        if let Some(first) = layout.link_disturbance {
-            hold(&self.robot, theta, first, belief);
-        }
-        if let Some(first) = layout.wrench {
-            hold_wrenches(&self.robot, theta, first, belief);
-        }
+        let process = ElasticProcess {
+            transition: Transition::new(&robot, layout, self.discretization, states, sources),
+            motors,
+            common: CommonNoise {
+                bias_walk: self.bias_walk,
+                bias_time: self.bias_time,
+                initial_bias: self.initial_bias,
+                initial: self.initial,
+                links: links.map_or_else(Vec::new, |links| links.initial),
+                wrenches: wrenches.initial,
+            },
+            gone: if self.relaxed { ElasticSettings::RELAXED } else { 1.0 },
+            rest: Rest::new(&robot),
+            robot,
+            biases,
+            states,
+        };
+        Ok(ElasticModel::of(process, measurement))
     }
 }
-
-impl Process for ElasticProcess {
-    fn robot(&self) -> &Robot {
-        &self.robot
-    }
-
-    #[inline(always)]
-    fn states(&self) -> usize {
-        self.states
-    }
-
-    fn widen(&mut self, states: usize) {
-        self.transition.widen(states);
-    }
-
-    fn set_points(&mut self, rule: Option<SigmaRule>) {
-        self.transition.set_points(rule);
-    }
-
-    #[inline(always)]
-    fn wrench(&self) -> Option<usize> {
-        self.transition.layout.wrench
-    }
-
-    #[inline(always)]
-    fn link_disturbance(&self) -> Option<usize> {
-        self.transition.layout.link_disturbance
-    }
-
-    fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError> {
-        recording.expect(self.biases.len(), self.robot.len(), &[("tau", recording.inputs.tau)])
-    }
-
-    fn start(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) -> Result<(), DesignError> {
-        let theta = &sample.readings[..self.robot.len()];
-        if let Some(joint) = theta.iter().position(|x| x.is_nan()) {
-            return Err(DesignError::NoStart { joint });
-        }
-        // At rest θ is known by its reading and q hangs behind it, by the torsion that gravity asks for.
-        self.rest.find(&self.robot, theta)?;
-        self.begin(theta, belief);
-        self.resume(sample, belief);
-        Ok(())
-    }
-
-    fn resume(&mut self, sample: &KalmanSample<'_>, belief: &Gaussian) {
-        self.tau.copy_from_slice(sample.inputs.tau);
-        self.age.fill(0.0);
-        self.transition.start(&self.robot, &belief.mean, &self.tau);
-    }
-
-    #[inline(always)]
-    fn predict(&mut self, sample: &KalmanSample<'_>, belief: &mut Gaussian) {
-        self.expect_torques(belief, sample.inputs.tau, sample.dt);
-        self.take_torques(sample.inputs.tau);
-        self.doubt_between_samples();
-        // A held torque is in the log at the end of the step in which it acted.
-        let before = if self.held { &self.after } else { &self.before };
-        self.transition.advance(&self.robot, belief, (before, &self.after), sample.dt);
-        let first = self.transition.layout.disturbance.unwrap_or(0);
-        for &(state, _) in &self.transition.replaced {
-            belief.mean[state] = self.outage[state - first].0;
-        }
-        self.drift().predict(belief, sample.dt);
-    }
-
-    #[inline(always)]
-    fn carry(&mut self, columns: &mut [f64], stride: usize, dt: f64) {
-        self.transition.carry(columns, stride);
-        self.drift().carry(columns, stride, dt);
-    }
-
-    #[inline(always)]
-    fn drive(&mut self, columns: &mut [f64], stride: usize) {
-        self.transition.drive(columns, stride);
-    }
-
-    #[inline(always)]
-    fn carry_back(&mut self, memory: &[f64], columns: &mut [f64], stride: usize, dt: f64) {
-        self.drift().carry(columns, stride, dt);
-        self.transition.carry_back(memory, columns, stride);
-    }
-
-    fn memory(&self) -> usize {
-        2 * self.transition.layout.dense.pow(2)
-    }
-
-    /// The transition to this sample with its noise.
-    #[inline(always)]
-    fn remember(&self, memory: &mut Vec<f64>) {
-        self.transition.remember(memory);
-    }
-
-    #[inline(always)]
-    fn noise_rows(&mut self, memory: &[f64], dt: f64, rows: &mut [f64], stride: usize) {
-        let rest = self.drift().noise_rows(rows, stride, dt);
-        self.transition.noise_rows(memory, rest, stride);
-    }
-
-    fn bridged(&self) -> bool {
-        self.age.iter().any(|&age| age > 0.0)
-    }
-
-    #[inline(always)]
-    fn retreat(&mut self, memory: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric) {
-        self.drift().retreat(lambda, big, dt);
-        self.transition.retreat(memory, lambda, big);
-    }
-}
-
-/// Where nothing drives a joint, the fixed end of its spring is known so much better than a motor at the start.
-const FIXED: f64 = 1e-6;
 
 /// # Errors
 /// Noise of `n` joints and `m` channels with a length, or a value, that it must not have.

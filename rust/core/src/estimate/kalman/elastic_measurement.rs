@@ -134,7 +134,9 @@ impl Measurement for ElasticMeasurement {
     }
 
     fn check(&self, recording: &KalmanRecording<'_>) -> Result<(), DesignError> {
-        recording.expect(self.channels.len(), self.robot.len(), &[("tau", recording.inputs.tau)])
+        let tau = ("tau", recording.inputs.tau);
+        let needed = if self.layout.motor_acceleration.is_some() { &[][..] } else { &[tau][..] };
+        recording.expect(self.channels.len(), self.robot.len(), needed)
     }
 
     #[inline(always)]

@@ -24,7 +24,7 @@ impl Row<'_> {
     }
 }
 
-/// Symmetric matrix, stored whole, rows padded with zeros so that loops over them have no remainder.
+/// Symmetric matrix, stored whole, padded with zeros in both directions so that loops over it have no remainder.
 #[derive(Clone, Debug)]
 pub struct Symmetric {
     /// Rows and columns.
@@ -39,7 +39,7 @@ impl Symmetric {
     /// n × n zeros.
     pub fn zeros(n: usize) -> Self {
         let stride = n.next_multiple_of(linear::LANES);
-        Self { n, stride, data: vec![0.0; n * stride] }
+        Self { n, stride, data: vec![0.0; stride * stride] }
     }
 
     /// Row `i`, with its padding.
@@ -69,18 +69,18 @@ impl Symmetric {
     /// Copies the upper triangle onto the lower.
     #[inline(always)]
     pub(crate) fn mirror(&mut self) {
-        linear::mirror(&mut self.data, self.n, self.stride);
+        linear::mirror(&mut self.data, self.stride);
     }
 
     /// `self += factor · Σᵢ aᵢ aᵢᵀ`, one padded row of `a` for each i.
     #[inline(always)]
     pub(crate) fn add_squares(&mut self, factor: f64, a: &[f64]) {
-        linear::add_squares(factor, a, self.n, self.stride, &mut self.data);
+        linear::add_squares(factor, a, self.stride, &mut self.data);
     }
 
     /// The matrix with its rows padded to a common length.
     pub fn padded(&self) -> &[f64] {
-        &self.data
+        &self.data[..self.n * self.stride]
     }
 
     /// `self ← (1 − k hᵀ) self (1 − k hᵀ)ᵀ + r k kᵀ` with the gain k = self h/s, s = hᵀ self h + r, for padded `row` h, where
@@ -108,7 +108,7 @@ impl Symmetric {
 
     /// The matrix without its padding, row-major.
     pub fn dense(&self) -> impl Iterator<Item = f64> + '_ {
-        self.data.chunks_exact(self.stride).flat_map(|row| row[..self.n].iter().copied())
+        self.padded().chunks_exact(self.stride).flat_map(|row| row[..self.n].iter().copied())
     }
 }
 
@@ -128,18 +128,24 @@ pub struct Gaussian {
     pub covariance: Symmetric,
 }
 
-/// What one scalar measurement did.
+/// What one scalar measurement did, after those before it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Innovation {
-    /// y less its prediction.
+    /// y less its prediction, in standard deviations.
     pub(crate) value: f64,
-    /// Its variance; infinite when the reading was not used.
-    pub(crate) variance: f64,
+    /// The standard deviation; infinite when the reading was not used.
+    pub(crate) std: f64,
 }
 
 impl Innovation {
     /// Of a reading that was not used.
-    pub(crate) const NONE: Self = Self { value: 0.0, variance: f64::INFINITY };
+    pub(crate) const NONE: Self = Self { value: 0.0, std: f64::INFINITY };
+
+    /// Whether the reading was used.
+    #[inline(always)]
+    pub(crate) fn is_used(&self) -> bool {
+        self.std < f64::INFINITY
+    }
 }
 
 impl Gaussian {

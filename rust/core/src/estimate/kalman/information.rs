@@ -89,7 +89,7 @@ impl Information {
                 matrix.condition(g, own, variance, 1.0);
             }
         } else {
-            linear::forward(gram, stride, &mut projections[..n * stride], stride);
+            linear::forward(gram, stride, projections, stride);
             matrix.add_squares(-1.0, &projections[..n * stride]);
         }
         noise.fill(0.0);
@@ -113,11 +113,12 @@ impl Information {
         for (own, row) in solved.chunks_exact_mut(width).zip(root.chunks_exact(stride)) {
             own.copy_from_slice(&row[..width]);
         }
-        linear::forward(gram, stride, &mut solved[..n * width], width);
-        let gramian = &mut product[..rows * width];
+        let solved = &mut solved[..stride * width];
+        linear::forward(gram, stride, solved, width);
+        let gramian = &mut product[..width * width];
         gramian.fill(0.0);
-        linear::add_squares(1.0, &solved[..n * width], rows, width, gramian);
-        for (out, row) in out.chunks_exact_mut(stride).zip(gramian.chunks_exact(width)) {
+        linear::add_squares(1.0, solved, width, gramian);
+        for (out, row) in out.chunks_exact_mut(stride).zip(gramian.chunks_exact(width)).take(rows) {
             out[..rows].copy_from_slice(&row[..rows]);
         }
     }

@@ -72,31 +72,34 @@ impl Isolation {
     pub(super) fn load(&mut self, correction: &Correction, consider: Option<&Consider>, known: &[f64]) -> [Squares; 2] {
         let [mut all, mut white] = [Squares::default(); 2];
         for (i, innovation) in correction.innovations.iter().enumerate() {
-            if innovation.variance.is_infinite() {
+            if !innovation.is_used() {
                 self.residuals[i] = f64::NAN;
                 continue;
             }
             let (residual, factor) = match consider {
                 Some(c) => (c.residuals[i], c.factor(i)),
-                None => (innovation.value / innovation.variance.sqrt(), 1.0),
+                None => (innovation.value, 1.0),
             };
-            self.std[i] = (innovation.variance * factor).sqrt();
-            self.residuals[i] = residual - known[i] / self.std[i];
+            let wider = factor.sqrt();
+            self.std[i] = innovation.std * wider;
+            self.residuals[i] = residual - known[i] / wider;
             all.add(residual * residual, 1.0);
             white.add(residual * residual, 1.0 / factor);
         }
         [all, white]
     }
 
-    /// Largest t = [Λν]ᵢ/√Λᵢᵢ: each channel against the prediction and all others, with ν = L e, Cov e diagonal.
+    /// Largest t = [Λν]ᵢ/√Λᵢᵢ: each channel against the prediction and all others, with ν = L e, Cov e diagonal and L of
+    /// S = L D Lᵀ.
     #[inline(always)]
     pub(super) fn worst(&mut self, correction: &Correction, only: Option<usize>) -> Alarm {
-        let (m, factors) = (self.residuals.len(), &correction.factors);
-        // Λ ν = L⁻ᵀ D⁻¹ e by back substitution: the factors that the sequential update left are those of S = L D Lᵀ.
+        let (m, width, upper) = (self.residuals.len(), correction.width(), correction.factor());
+        let lower = |k: usize, i: usize| upper[i * width + k] / upper[i * width + i];
+        // Λ ν = L⁻ᵀ D⁻¹ e by back substitution, with the factor that the update left.
         for i in (0..m).rev() {
             self.pull[i] = if self.residuals[i].is_finite() { self.residuals[i] / self.std[i] } else { 0.0 };
             for k in (i + 1..m).filter(|&k| self.residuals[k].is_finite()) {
-                self.pull[i] -= factors[i * m + k] * self.pull[k];
+                self.pull[i] -= lower(k, i) * self.pull[k];
             }
         }
         let mut worst = Alarm { channel: 0, size: 0.0, deviations: 0.0, age: 0, variance: 0.0, bank: None };
@@ -106,7 +109,7 @@ impl Isolation {
             for k in (c..m).filter(|&k| self.residuals[k].is_finite()) {
                 self.solution[k] = if k == c { 1.0 } else { 0.0 };
                 for j in (c..k).filter(|&j| self.residuals[j].is_finite()) {
-                    self.solution[k] -= factors[j * m + k] * self.solution[j];
+                    self.solution[k] -= lower(k, j) * self.solution[j];
                 }
                 precision += (self.solution[k] / self.std[k]).powi(2);
             }

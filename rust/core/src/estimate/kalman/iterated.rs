@@ -31,7 +31,7 @@ const HALVINGS: i32 = 12;
 /// A step that lowers the sum by less is the last. Near a minimum the sum falls by half the step's square, in standard deviations
 /// of whatever it changes: by this, 0.0014 of them. Reweighting converges slowly, and what is left may be some times as much.
 const SMALL: f64 = 1e-6;
-/// A row that one step more would still move by so many standard deviations of a link is not to be believed.
+/// A row that another step would move by more than this many standard deviations of a link has not converged.
 const MOVING: f64 = 0.2;
 
 /// Smoother that is linearised at its own estimate, whatever the start, with robust losses.
@@ -52,7 +52,7 @@ impl<M: Phases> IteratedSmoother<M> {
         Self { filter }
     }
 
-    /// Smooths a recording: the estimate at each sample by all samples. Rows that have not converged are not to be believed,
+    /// Smooths a recording: the estimate at each sample by all samples. Rows that have not converged must not be used,
     /// and say so by their status.
     ///
     /// # Errors

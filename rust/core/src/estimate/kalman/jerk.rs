@@ -75,6 +75,7 @@ impl JerkModel {
     /// # Errors
     /// Lengths that differ.
     pub fn new(robot: Arc<Robot>, kinds: &[Kind], biased: &[bool]) -> Result<Self, DesignError> {
+        Kind::refuse_motor_torques(kinds, "none, as the model has no motors")?;
         let channels = Kind::all_channels(kinds, &robot);
         expect_length("biased", biased.len(), channels.len())?;
         let mut states = 3 * robot.len();

@@ -131,7 +131,8 @@ impl SensorLosses {
 fn same(a: Channel, b: Channel) -> bool {
     match (a, b) {
         (Channel::Acceleration { sensor: a, .. }, Channel::Acceleration { sensor: b, .. })
-        | (Channel::Rate { sensor: a, .. }, Channel::Rate { sensor: b, .. }) => a == b,
+        | (Channel::Rate { sensor: a, .. }, Channel::Rate { sensor: b, .. })
+        | (Channel::Position { sensor: a, .. }, Channel::Position { sensor: b, .. }) => a == b,
         _ => false,
     }
 }

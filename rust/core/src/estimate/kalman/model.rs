@@ -179,7 +179,7 @@ pub trait Measurement: Clone + Send + Sync {
 /// to move, which is a guess.
 #[inline(always)]
 pub(super) fn teaches(channel: Channel) -> bool {
-    !matches!(channel, Channel::Motor(_) | Channel::MotorVelocity(_))
+    !matches!(channel, Channel::Motor(_) | Channel::MotorVelocity(_) | Channel::Position { .. })
 }
 
 /// What an estimate says of links and motors.

@@ -15,6 +15,7 @@ use super::isolation::{Isolation, Squares};
 use super::model::Model;
 use super::recording::KalmanSample;
 use super::signal::{Fault, Signal, Turned};
+use super::window_sum::WindowSum;
 use crate::estimate::Status;
 use crate::estimate::measurement::Channel;
 
@@ -24,11 +25,10 @@ const DEVIATIONS: f64 = 6.5;
 const BOUND: f64 = DEVIATIONS * DEVIATIONS;
 /// Windows over which the normalised innovation squared is summed, in samples.
 const WINDOWS: [usize; 2] = [8, 64];
-/// Windows of the steps' signatures, in samples: two that follow each other all the time, and one that begins when a sample
-/// contradicts what was predicted.
-const BANKS: [u32; 3] = [32, 256, 64];
-/// Which that is.
-const ONSET: usize = 2;
+/// Windows of the steps' signatures that follow each other all the time, in samples.
+const STEADY: [u32; 2] = [32, 256];
+/// One that begins when a sample contradicts what was predicted.
+const ONSET: u32 = 64;
 /// Samples of it after which a channel may be named: lasting faults then differ from short ones and from a wrong model.
 const LASTS: u32 = 4;
 /// A fault below this many standard deviations of a reading cannot be distinguished from a wrong model or an encoder's steps.
@@ -63,15 +63,16 @@ pub(super) struct Monitor {
     runs: Vec<f64>,
     /// How far motors have turned meanwhile, by the velocities that the filter is given (n).
     turned: Vec<Turned>,
-    /// Signatures of steps.
-    banks: [Bank; 3],
-    /// Whether the window that begins with a contradiction is on.
-    onset: bool,
+    /// Signatures of steps in the windows that are on all the time.
+    steady: Bank,
+    /// The same since a contradiction, and whether that window is on.
+    onset: Bank,
+    begun: bool,
     /// Σ r² less its mean over the longest window, and since readings contradict the model without a name.
     recent: f64,
     wrong: f64,
-    /// Normalised innovations squared of the last samples, in a ring: of what is noise, and of all, shocks cut off.
-    ring: Vec<(Squares, Squares)>,
+    /// Normalised innovations squared of the last samples: of what is noise, and of all, shocks cut off.
+    sums: [WindowSum; 2],
     /// One sample's residuals.
     isolation: Isolation,
     /// Samples since the start.
@@ -91,11 +92,12 @@ impl Monitor {
             turns: model.channel_kinds().iter().map(|c| matches!(c, Channel::Motor(_) | Channel::Link(_))).collect(),
             runs: vec![1.0; m],
             turned: vec![Turned::default(); model.robot().len()],
-            onset: false,
+            begun: false,
             recent: 0.0,
             wrong: 0.0,
-            banks: BANKS.map(|length| Bank::new(model, model.tolerances().len(), length)),
-            ring: vec![Default::default(); WINDOWS[1]],
+            steady: Bank::new(model, model.tolerances().len(), &STEADY),
+            onset: Bank::new(model, model.tolerances().len(), &[ONSET]),
+            sums: WINDOWS.map(WindowSum::new),
             isolation: Isolation::new(m),
             taken: 0,
             effect: Effect::new(model),
@@ -113,10 +115,11 @@ impl Monitor {
     pub(super) fn reset(&mut self) {
         self.signals.fill(Signal::NEW);
         self.turned.fill(Turned::default());
-        self.banks.iter_mut().for_each(Bank::restart);
-        self.ring.fill(Default::default());
+        self.steady.restart();
+        self.onset.restart();
+        self.sums.iter_mut().for_each(WindowSum::clear);
         self.effect.reset();
-        (self.onset, self.wrong) = (false, 0.0);
+        (self.begun, self.wrong) = (false, 0.0);
         (self.taken, self.script) = (0, None);
         self.findings.reset();
     }
@@ -145,9 +148,11 @@ impl Monitor {
         let stuck = self.look(model, sample, correction);
         // 2. A step in some channel since a window began, by its signature in all of them.
         let jump = self.jump(correction);
-        for bank in &mut self.banks[..if self.onset { 3 } else { ONSET }] {
-            let (known, residuals, runs) = (&self.effect.signatures[..], &self.isolation.residuals[..], &self.runs[..]);
-            bank.update(model, sample.dt, correction, News { known, residuals, runs }, consider.as_deref());
+        let (known, residuals, runs) = (&self.effect.signatures[..], &self.isolation.residuals[..], &self.runs[..]);
+        let news = News { known, residuals, runs };
+        self.steady.update(model, sample.dt, correction, news, consider.as_deref());
+        if self.begun {
+            self.onset.update(model, sample.dt, correction, news, consider.as_deref());
         }
         // 3. All channels together, over one sample and over windows; then the one to name.
         let beyond = self.windows(all, white).max(jump.map_or(0.0, |jump| jump.deviations * jump.deviations));
@@ -196,7 +201,9 @@ impl Monitor {
     fn look(&mut self, model: &impl Model, sample: &KalmanSample<'_>, correction: &Correction) -> Option<(usize, u32)> {
         let mut stuck = None;
         for (i, reading) in sample.readings.iter().enumerate().filter(|(_, r)| !r.is_nan()) {
-            let predicted = reading - self.whole_innovation(correction, i);
+            // Of what is shut out there is nothing to compare with.
+            let used = correction.innovations[i].is_used();
+            let predicted = if used { reading - correction.raw[i] } else { *reading };
             self.signals[i].take(*reading, predicted);
             if self.turns[i] {
                 let run = self.signals[i].run;
@@ -227,11 +234,13 @@ impl Monitor {
         let now = self.taken - 1;
         let step = Step { channel, since: now.saturating_sub(u64::from(age)), found: now, size };
         match bank {
-            Some(bank) => self.effect.join(&self.banks[bank].sensitivity, step, variance),
+            Some(w) if w < STEADY.len() => self.effect.join(self.steady.effect(w, channel), step, variance),
+            Some(_) => self.effect.join(self.onset.effect(0, channel), step, variance),
             None => self.effect.begin(model, correction, step, variance),
         }
-        self.banks.iter_mut().for_each(Bank::restart);
-        self.onset = false;
+        self.steady.restart();
+        self.onset.restart();
+        self.begun = false;
     }
 
     /// Whether some link is `beyond` by its number, the filter's own variance of it, and that with what parameters add.
@@ -253,44 +262,28 @@ impl Monitor {
         })
     }
 
-    /// Channel `i`'s reading less its prediction before any channel was used.
-    #[inline(always)]
-    fn whole_innovation(&self, correction: &Correction, i: usize) -> f64 {
-        let m = self.signals.len();
-        let earlier = (0..i).filter(|&j| correction.innovations[j].variance.is_finite());
-        let shared: f64 = earlier.map(|j| correction.factors[j * m + i] * correction.innovations[j].value).sum();
-        correction.innovations[i].value + shared
-    }
-
     /// By how much a sample's sum, or a window's, is beyond its mean where it is beyond its bound, of what a filter remembers
     /// of it, the most of all; else 0. Infinite where readings are so far off for long that parameters must be as well.
     #[inline(always)]
     fn windows(&mut self, all: Squares, white: Squares) -> f64 {
-        let size = self.ring.len();
-        let at = ((self.taken - 1) % size as u64) as usize;
-        self.ring[at] = (white, Squares { sum: all.sum.min(SHOCK * all.count), ..all });
-        let now = if all.sum > bound(all.count, 1.0) { all.excess() } else { 0.0 };
-        WINDOWS.iter().fold(now, |most, &length| {
-            let (wrapped, last) = (length.saturating_sub(at + 1), &self.ring[(at + 1).saturating_sub(length)..=at]);
-            let [mut noise, mut whole] = [Squares::default(); 2];
-            for (white, all) in last.iter().chain(&self.ring[size - wrapped..]) {
-                noise.join(white);
-                whole.join(all);
-            }
+        let mut most = beyond(all, 1.0);
+        let cut = Squares { sum: all.sum.min(SHOCK * all.count), ..all };
+        for (sums, length) in self.sums.iter_mut().zip(WINDOWS) {
+            let [noise, whole] = sums.take([white, cut]);
             self.recent = noise.excess();
-            if length == size && whole.sum > LASTING * whole.count && self.taken >= size as u64 {
+            if length == WINDOWS[1] && whole.sum > LASTING * whole.count && self.taken >= length as u64 {
                 return f64::INFINITY;
             }
-            let beyond = noise.sum > bound(noise.count, CORRELATED);
-            if beyond { f64::max(most, self.recent * remembered(length)) } else { most }
-        })
+            most = most.max(beyond(noise, CORRELATED) * remembered(length));
+        }
+        most
     }
 
     /// A channel that contradicts all others at this sample; a window begins with it, unless one is on.
     #[inline(always)]
     fn jump(&mut self, correction: &Correction) -> Option<Alarm> {
-        if self.banks[ONSET].is_over() {
-            self.onset = false;
+        if self.onset.is_over(0) {
+            self.begun = false;
         }
         let news = self.isolation.squares();
         // Below that no single channel can be beyond its own bound.
@@ -298,9 +291,9 @@ impl Monitor {
         if alarm.deviations <= DEVIATIONS || alarm.deviations.powi(2) <= MOST_OF * news {
             return None;
         }
-        if !self.onset {
-            self.onset = true;
-            self.banks[ONSET].restart();
+        if !self.begun {
+            self.begun = true;
+            self.onset.restart();
         }
         Some(alarm)
     }
@@ -325,20 +318,22 @@ impl Monitor {
         {
             return Judgement::Channel(jump);
         }
-        if self.onset && self.banks[ONSET].age < LASTS && only.is_none() {
+        if self.begun && self.onset.age(0) < LASTS && only.is_none() {
             return Judgement::Good;
         }
         let (mut verdict, mut most) = (Judgement::Good, 0.0);
-        for (index, bank) in self.banks.iter_mut().enumerate().take(if self.onset { 3 } else { ONSET }) {
-            let Some(StepEvidence { channel, ratio, drop, size, variance }) = bank.worst(consider, BOUND, only) else {
+        for index in 0..STEADY.len() + usize::from(self.begun) {
+            let (bank, w) = if index < STEADY.len() { (&mut self.steady, index) } else { (&mut self.onset, 0) };
+            let Some(StepEvidence { channel, ratio, drop, size, variance }) = bank.worst(w, consider, BOUND, only)
+            else {
                 continue;
             };
-            let age = bank.age - 1;
-            let explains = drop > NEARLY_ALL * bank.excess.max(wrong(u64::from(age)))
+            let age = bank.age(w) - 1;
+            let explains = drop > NEARLY_ALL * bank.excess(w).max(wrong(u64::from(age)))
                 && size * size > SMALL * SMALL * model.variance(channel);
             if only.is_none() && !explains {
                 if let Judgement::Good = verdict {
-                    let squares = drop * remembered(bank.age as usize);
+                    let squares = drop * remembered(bank.age(w) as usize);
                     verdict = Judgement::Contradicted { fault: Fault::Correlated, squares };
                 }
             } else if drop > most {
@@ -348,6 +343,14 @@ impl Monitor {
         }
         verdict
     }
+}
+
+/// By how much a sum is beyond its mean where it is beyond its bound, else 0.
+#[inline(always)]
+fn beyond(squares: Squares, correlated: f64) -> f64 {
+    // A bound is more than its mean: that of most samples need not be known.
+    let Squares { sum, count } = squares;
+    if sum > count && sum > bound(count, correlated) { squares.excess() } else { 0.0 }
 }
 
 /// Share of a window of this many samples that a filter remembers.

@@ -19,7 +19,7 @@ use crate::linear;
 pub(super) struct Belief {
     /// Numbers between rows of `columns`: parameters, padded, and then the mean's, padded.
     width: usize,
-    /// Σ and then x (states × width).
+    /// Σ and then x (states × width, padded).
     columns: Vec<f64>,
     /// P.
     pub(super) covariance: Symmetric,
@@ -28,7 +28,8 @@ pub(super) struct Belief {
 impl Belief {
     pub(super) fn new(states: usize, parameters: usize) -> Self {
         let width = parameters + linear::LANES;
-        Self { width, columns: vec![0.0; states * width], covariance: Symmetric::zeros(states) }
+        let covariance = Symmetric::zeros(states);
+        Self { width, columns: vec![0.0; covariance.stride * width], covariance }
     }
 
     /// Takes over what a filter knows.
@@ -61,7 +62,7 @@ impl Belief {
 /// See the module.
 #[derive(Clone, Debug)]
 pub(super) struct Regression {
-    /// Gᵀ (states × stride).
+    /// Gᵀ (states × states, padded).
     gain: Vec<f64>,
     /// r, with its sensitivities as [`Belief`] has them.
     reference: Vec<f64>,
@@ -72,7 +73,7 @@ pub(super) struct Regression {
 /// Room to compute in.
 #[derive(Clone, Debug)]
 pub(super) struct RegressionRoom {
-    /// states × stride each.
+    /// states × states each, padded.
     root: Vec<f64>,
     rest: Vec<f64>,
     noise: Vec<f64>,
@@ -120,13 +121,8 @@ impl Regression {
         self.gain.copy_from_slice(&before.covariance.data);
         model.carry_noise_free(&mut self.gain, stride, dt);
         root.copy_from_slice(&predicted.covariance.data);
+        // What is known of a state, or follows from those before it, says nothing more: its row is zero, here and below.
         linear::upper_factor(root, n, stride);
-        for i in 0..n {
-            // What is known of a state, or follows from those before it, says nothing more.
-            if root[i * stride + i] == 0.0 {
-                root[i * stride + i] = f64::INFINITY;
-            }
-        }
         linear::forward(root, stride, &mut self.gain, stride);
         linear::backward(root, stride, &mut self.gain, stride);
         // D = (1 − G F) P (1 − G F)ᵀ + G Q Gᵀ, which is P − G F P without a difference.
@@ -142,7 +138,7 @@ impl Regression {
             }
         }
         model.carry_back_process(memory, rest, stride, dt);
-        for (i, row) in rest.chunks_exact_mut(stride).enumerate() {
+        for (i, row) in rest.chunks_exact_mut(stride).enumerate().take(n) {
             row.iter_mut().for_each(|x| *x = -*x);
             row[i] += 1.0;
         }
@@ -150,13 +146,13 @@ impl Regression {
         let spread = &mut self.own.covariance;
         spread.data.fill(0.0);
         linear::product(&before.covariance.data, stride, rest, stride, root);
-        linear::add_symmetric(rest, root, n, stride, &mut spread.data);
+        linear::add_symmetric(rest, root, stride, &mut spread.data);
         spread.add_squares(1.0, driven);
     }
 
     /// What `later` says of the earlier state.
     pub(super) fn apply(&self, later: &Belief, scratch: &mut RegressionRoom, earlier: &mut Belief) {
-        let Symmetric { n, stride, .. } = later.covariance;
+        let stride = later.covariance.stride;
         let RegressionRoom { root: product, moved, .. } = scratch;
         earlier.copy_from(&self.own);
         // m + G (z − r), for the mean and its sensitivities alike.
@@ -166,7 +162,7 @@ impl Regression {
         linear::add_outer(1.0, (&self.gain, stride), moved, later.width, &mut earlier.columns);
         // D + G P Gᵀ.
         linear::product(&later.covariance.data, stride, &self.gain, stride, product);
-        linear::add_symmetric(&self.gain, product, n, stride, &mut earlier.covariance.data);
+        linear::add_symmetric(&self.gain, product, stride, &mut earlier.covariance.data);
     }
 
     /// The regression over this step and `then` the one after it.

@@ -12,9 +12,10 @@ use crate::linear;
 pub(super) struct Sensitivity {
     /// Numbers between rows: errors, padded.
     pub(super) stride: usize,
-    /// Σ (states × stride).
+    /// Σ (states × stride, padded).
     pub(super) columns: Vec<f64>,
-    /// N before an update; after it s = L⁻¹ (H Σ⁻ + N), of each channel after those before it (channels × stride).
+    /// N before an update; after it s = U⁻ᵀ (H Σ⁻ + N), of each channel after those before it, in its standard deviations
+    /// (channels × stride, padded).
     pub(super) signatures: Vec<f64>,
     /// H Σ⁻.
     products: Vec<f64>,
@@ -26,8 +27,8 @@ impl Sensitivity {
         let stride = errors.next_multiple_of(linear::LANES);
         Self {
             stride,
-            columns: vec![0.0; model.states() * stride],
-            signatures: vec![0.0; model.channels() * stride],
+            columns: vec![0.0; model.states().next_multiple_of(linear::LANES) * stride],
+            signatures: vec![0.0; model.channels().next_multiple_of(linear::LANES) * stride],
             products: vec![0.0; model.channels() * stride],
         }
     }
@@ -40,13 +41,14 @@ impl Sensitivity {
         observe(model, columns, p, products);
         let rows = signatures.chunks_exact_mut(p).zip(products.chunks_exact(p));
         for ((own, product), innovation) in rows.zip(&correction.innovations) {
-            if innovation.variance.is_infinite() {
-                own.fill(0.0);
-            } else {
+            if innovation.is_used() {
                 linear::add_scaled(own, 1.0, product);
+            } else {
+                own.fill(0.0);
             }
         }
-        linear::forward(&correction.factors, m, signatures, p);
-        linear::add_outer(-1.0, (&correction.gains, correction.gains.len() / m), signatures, p, columns);
+        linear::forward(correction.factor(), correction.width(), signatures, p);
+        let (rows, width) = (correction.rows(), correction.rows().len() / m);
+        linear::add_outer(-1.0, (rows, width), &signatures[..m * p], p, columns);
     }
 }

@@ -68,12 +68,12 @@ pub(super) struct SigmaPoints {
 impl SigmaPoints {
     pub(super) fn new(rule: SigmaRule, inputs: usize, outputs: usize) -> Self {
         let (stride, residual) = (inputs.next_multiple_of(linear::LANES), Symmetric::zeros(outputs));
-        let values = || vec![0.0; inputs * residual.stride];
+        let values = || vec![0.0; stride * residual.stride];
         Self {
             rule,
             inputs,
             stride,
-            directions: vec![0.0; inputs * stride],
+            directions: vec![0.0; stride * stride],
             point: vec![0.0; inputs],
             odd: values(),
             even: values(),
@@ -93,9 +93,8 @@ impl SigmaPoints {
     ) {
         let (d, m, width) = (self.inputs, self.mean.len(), self.residual.stride);
         let reach = (d as f64).sqrt();
-        for (row, from) in
-            self.directions.chunks_exact_mut(self.stride).zip(covariance.data.chunks_exact(covariance.stride))
-        {
+        let rows = self.directions.chunks_exact_mut(self.stride).zip(covariance.data.chunks_exact(covariance.stride));
+        for (row, from) in rows.take(d) {
             row[..d].copy_from_slice(&from[..d]);
         }
         // What is known, or follows from the states before it, has no direction of its own.
@@ -118,7 +117,7 @@ impl SigmaPoints {
             }
         }
         self.residual.data.fill(0.0);
-        for even in self.even.chunks_exact_mut(width) {
+        for even in self.even.chunks_exact_mut(width).take(d) {
             even.iter_mut().zip(&self.mean).for_each(|(even, mean)| *even -= mean);
         }
         self.residual.add_squares(1.0 / d as f64, &self.even);
@@ -135,19 +134,14 @@ impl SigmaPoints {
     #[inline(always)]
     pub(super) fn correct(&mut self, slopes: &mut [f64], width: usize) {
         let (d, own) = (self.inputs, self.residual.stride);
-        for (odd, u) in self.odd.chunks_exact_mut(own).zip(self.directions.chunks_exact(self.stride)) {
+        for (odd, u) in self.odd.chunks_exact_mut(own).zip(self.directions.chunks_exact(self.stride)).take(d) {
             for (odd, row) in odd.iter_mut().zip(slopes.chunks_exact(width)) {
                 *odd -= linear::dot(&row[..d], u);
             }
         }
-        for i in 0..d {
-            if self.directions[i * self.stride + i] == 0.0 {
-                self.directions[i * self.stride + i] = f64::INFINITY;
-            }
-        }
         // (A − H) Uᵀ is `odd` turned, for U of rows uᵢ.
         linear::backward(&self.directions, self.stride, &mut self.odd, own);
-        for (k, more) in self.odd.chunks_exact(own).enumerate() {
+        for (k, more) in self.odd.chunks_exact(own).enumerate().take(d) {
             for (row, more) in slopes.chunks_exact_mut(width).zip(more) {
                 row[k] += more;
             }

@@ -72,11 +72,11 @@ impl Turned {
 
 /// One channel's readings so far.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Signal {
+pub(crate) struct Signal {
     /// The last reading; NaN before the first.
     last: f64,
     /// How often the last reading has come in a row, and how far its prediction has moved meanwhile.
-    pub(super) run: u32,
+    pub(crate) run: u32,
     /// Prediction when this run began, and how far it has moved since.
     from: f64,
     moved: f64,
@@ -96,7 +96,7 @@ pub(super) struct Signal {
 
 impl Signal {
     /// Before the first reading.
-    pub(super) const NEW: Self = Self {
+    pub(crate) const NEW: Self = Self {
         last: f64::NAN,
         run: 0,
         from: 0.0,
@@ -113,7 +113,7 @@ impl Signal {
 
     /// Takes a reading and its prediction. Equal to the last bit is the same reading: noise would not do that.
     #[inline(always)]
-    pub(super) fn take(&mut self, reading: f64, predicted: f64) {
+    pub(crate) fn take(&mut self, reading: f64, predicted: f64) {
         if reading == self.last {
             self.run += 1;
         } else {
@@ -143,7 +143,7 @@ impl Signal {
 
     /// Whether readings of this noise stay where they are while the prediction moves on, or while they used to scatter.
     #[inline(always)]
-    pub(super) fn is_stuck(&self, variance: f64) -> bool {
+    pub(crate) fn is_stuck(&self, variance: f64) -> bool {
         let scatter = 0.5 * self.scatter;
         let noisy = self.changes >= KNOWN
             && scatter > QUIET * QUIET * variance

@@ -38,8 +38,8 @@ pub(super) struct History {
     covariances: Vec<f64>,
     /// H, channels × dense a sample.
     jacobians: Vec<f64>,
-    /// Gains of each reading, channels × stride a sample.
-    gains: Vec<f64>,
+    /// W of each reading, channels × stride a sample.
+    corrections: Vec<f64>,
     /// Value and variance of each reading's innovation, after the readings before it.
     innovations: Vec<Innovation>,
     /// Variance of each reading's own noise.
@@ -63,7 +63,7 @@ impl History {
             means: room(count, states)?,
             covariances: room(count, states * stride)?,
             jacobians: room(count, m * d)?,
-            gains: room(count, m * stride)?,
+            corrections: room(count, m * stride)?,
             innovations: room(count, m)?,
             variances: room(count, m)?,
             memories: room(count, model.memory())?,
@@ -85,11 +85,11 @@ impl History {
         &self.memories[i * size..][..size]
     }
 
-    /// Gains at sample `i`, one padded row a channel.
+    /// W at sample `i`, one padded row a channel: its gain is that over its innovation's standard deviation.
     #[inline(always)]
-    fn gains(&self, i: usize) -> &[f64] {
-        let size = self.gains.len() / self.dt.len();
-        &self.gains[i * size..][..size]
+    fn corrections(&self, i: usize) -> &[f64] {
+        let size = self.corrections.len() / self.dt.len();
+        &self.corrections[i * size..][..size]
     }
 
     /// Keeps x⁻ and P⁻, after a sample's time update.
@@ -102,13 +102,13 @@ impl History {
         self.covariances.extend_from_slice(&belief.covariance.data[..self.states * self.stride]);
     }
 
-    /// Keeps rows of H, gains and innovations, after a sample's measurement update.
+    /// Keeps rows of H, of W and innovations, after a sample's measurement update.
     pub(super) fn push_update(&mut self, model: &impl Model, correction: &Correction, consider: Option<&Consider>) {
         if let Some(consider) = consider {
             self.consider.push_update(consider);
         }
         self.jacobians.extend_from_slice(model.linearised().jacobian);
-        self.gains.extend_from_slice(&correction.gains);
+        self.corrections.extend_from_slice(correction.rows());
         self.innovations.extend_from_slice(&correction.innovations);
         self.variances.extend_from_slice(&correction.variances);
         model.remember(&mut self.memories);
@@ -310,7 +310,7 @@ impl<M: Phases> Smoother<M> {
         let count = recording.dt.len();
         filter.model.check(&recording)?;
         let mut history = History::with_capacity(count, &filter.model, self.lambda.len())?;
-        // Forwards once more, now keeping P⁻, gains and innovations of every sample…
+        // Forwards once more, now keeping P⁻, W and innovations of every sample…
         let mut out = filter.run_with(recording, keep, Some(&mut history))?;
         if let (Some(back), Some(consider)) = (&mut self.consider, &filter.consider) {
             // The parameters' estimates by all readings are those after the last; only from there is the way back
@@ -349,28 +349,28 @@ impl<M: Phases> Smoother<M> {
     fn back(&mut self, history: &History, i: usize) {
         let m = self.load_rows(history, i);
         self.pull(history, i);
-        let gains = history.gains(i);
+        let corrections = history.corrections(i);
         self.information.learn(&self.whitened);
         if let Some(consider) = &mut self.consider {
-            consider.back(&history.consider, i, &history.innovations[i * m..][..m], &self.rows, gains);
+            consider.back(&history.consider, i, &history.innovations[i * m..][..m], &self.rows, corrections);
         }
         if self.effect.is_active() {
-            self.effect.back(&history.effect, i, &history.innovations[i * m..][..m], &self.rows, gains);
+            self.effect.back(&history.effect, i, &history.innovations[i * m..][..m], &self.rows, corrections);
         }
     }
 
     /// What [`back`](Self::back) does to λ, with the rows of H that were loaded.
     #[inline(always)]
     pub(super) fn pull(&mut self, history: &History, i: usize) {
-        let (stride, gains) = (self.lambda.len(), history.gains(i));
+        let (stride, corrections) = (self.lambda.len(), history.corrections(i));
         let m = self.rows.len() / stride;
         // Readings in the order opposite to that in which the filter used them, as each gain belongs to the P of its
         // turn.
         for a in (0..m).rev() {
-            let Innovation { value, variance } = history.innovations[i * m + a];
-            if variance.is_finite() {
-                let pull = linear::dot(&gains[a * stride..][..stride], &self.lambda) + value / variance;
-                linear::add_scaled(&mut self.lambda, -pull, &self.rows[a * stride..][..stride]);
+            let Innovation { value, std } = history.innovations[i * m + a];
+            if std.is_finite() {
+                let pull = linear::dot(&corrections[a * stride..][..stride], &self.lambda) + value;
+                linear::add_scaled(&mut self.lambda, -pull / std, &self.rows[a * stride..][..stride]);
             }
         }
     }
@@ -391,7 +391,7 @@ impl<M: Phases> Smoother<M> {
             row.fill(0.0);
             let at = i * m + c;
             // A gated or missing reading said nothing: a row of zeros leaves λ and Λ alone.
-            if history.innovations[at].variance.is_finite() {
+            if history.innovations[at].is_used() {
                 row[..d].copy_from_slice(&history.jacobians[at * d..][..d]);
                 if let Some(b) = model.biases()[c] {
                     row[b] = 1.0;

@@ -3,12 +3,24 @@
 use super::gaussian::Symmetric;
 use crate::linear;
 
-/// Gauss and Legendre's nodes and weights on (0, 1): exact for the seventh power, the link's own from a motor's noise.
-const NODES: [(f64, f64); 4] = [
+/// Nodes on (0, 1), each with its weight.
+pub(super) type Nodes = &'static [(f64, f64)];
+
+/// Gauss and Legendre's: exact for the seventh power, the link's own from a motor's white torque.
+pub(super) const FOUR: Nodes = &[
     (0.069_431_844_202_973_71, 0.173_927_422_568_726_93),
     (0.330_009_478_207_571_87, 0.326_072_577_431_273_07),
     (0.669_990_521_792_428_1, 0.326_072_577_431_273_07),
     (0.930_568_155_797_026_3, 0.173_927_422_568_726_93),
+];
+
+/// The same for the ninth power, the link's own from a motor's white jerk.
+pub(super) const FIVE: Nodes = &[
+    (0.046_910_077_030_668_004, 0.118_463_442_528_094_54),
+    (0.230_765_344_947_158_45, 0.239_314_335_249_683_23),
+    (0.5, 0.284_444_444_444_444_44),
+    (0.769_234_655_052_841_6, 0.239_314_335_249_683_23),
+    (0.953_089_922_969_332, 0.118_463_442_528_094_54),
 ];
 
 /// Q = ∫ e^(As) L Lᵀ e^(As)ᵀ ds over a step, and Ψ = ∫ e^(As) ds b for inputs b that are constant over it.
@@ -19,6 +31,8 @@ const NODES: [(f64, f64); 4] = [
 pub(super) struct StepNoise {
     /// States that noise drives, and its density.
     sources: Vec<(usize, f64)>,
+    /// Where in a substep the quadrature looks at it.
+    nodes: Nodes,
     /// Q.
     covariance: Symmetric,
     /// One row for each node and source, of the quadrature's factor.
@@ -33,15 +47,16 @@ pub(super) struct StepNoise {
 
 impl StepNoise {
     /// For `dense` states that noise drives at `sources` with these densities, and this many `inputs`.
-    pub(super) fn new(dense: usize, sources: Vec<(usize, f64)>, inputs: usize) -> Self {
+    pub(super) fn new(dense: usize, sources: Vec<(usize, f64)>, nodes: Nodes, inputs: usize) -> Self {
         let covariance = Symmetric::zeros(dense);
         let stride = covariance.stride;
         Self {
-            rows: vec![0.0; NODES.len() * sources.len() * stride],
+            rows: vec![0.0; nodes.len() * sources.len() * stride],
             integral: vec![0.0; dense * stride],
             inputs: vec![0.0; inputs * stride],
             before: vec![0.0; stride],
             sources,
+            nodes,
             covariance,
         }
     }
@@ -77,9 +92,9 @@ impl StepNoise {
         // ∫₀¹ sᵏ ds = 1/(k + 1).
         linear::add_scaled(&mut self.integral, 1.0 / (k + 1) as f64, term);
         // e^(A x h) = Σ xᵏ (A h)ᵏ/k! at each node x: the exponential's own terms serve all nodes.
-        let powers = NODES.map(|(x, _)| x.powi(k as i32));
-        for (c, (state, density)) in self.sources.iter().enumerate() {
-            for (node, power) in powers.iter().enumerate() {
+        for (node, (x, _)) in self.nodes.iter().enumerate() {
+            let power = x.powi(k as i32);
+            for (c, (state, density)) in self.sources.iter().enumerate() {
                 let row = &mut self.rows[(node * self.sources.len() + c) * stride..][..d];
                 for (i, out) in row.iter_mut().enumerate() {
                     *out += density * power * term[i * stride + state];
@@ -93,7 +108,7 @@ impl StepNoise {
     pub(super) fn substep(&mut self, h: f64, mut rate: impl FnMut(usize, &mut [f64])) {
         let (d, stride, sources) = (self.covariance.n, self.covariance.stride, self.sources.len());
         for (at, row) in self.rows.chunks_exact_mut(stride).enumerate() {
-            let root = (h * NODES[at / sources].1).sqrt();
+            let root = (h * self.nodes[at / sources].1).sqrt();
             row.iter_mut().for_each(|x| *x *= root);
         }
         self.covariance.data.fill(0.0);

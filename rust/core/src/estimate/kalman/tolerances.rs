@@ -61,6 +61,11 @@ impl Tolerances {
         Ok(Self { each, correlations })
     }
 
+    /// Two columns and the correlation of their numbers, pair by pair.
+    pub(crate) fn correlations(&self) -> impl Iterator<Item = (usize, usize, f64)> + '_ {
+        self.correlations.iter().copied()
+    }
+
     /// Covariances of those that are correlated, as [counted](Tolerance::counted): two columns and a value each.
     pub(super) fn covariances(&self) -> impl Iterator<Item = (usize, usize, f64)> + '_ {
         let counted = |i: usize| self.each[i].counted();

@@ -1,6 +1,7 @@
 //! A step of time of the elastic-joint model: the mean by Runge and Kutta, the covariance by a matrix exponential.
 //!
-//! A step from t to t + h, torques τ changing linearly in it, with x = (q, q̇, θ, θ̇, disturbances) and ẋ = a(x, τ):
+//! A step from t to t + h, torques τ changing linearly in it, with x = (q, q̇, θ, θ̇, disturbances) and ẋ = a(x, τ). Where jerk moves
+//! motors, θ̈ are states as well and τ is their jerk.
 //!
 //! | part | how |
 //! | --- | --- |
@@ -18,7 +19,7 @@ use super::elastic::Discretization;
 use super::elastic_sensitivity::ElasticSensitivity;
 use super::gaussian::{Gaussian, Symmetric};
 use super::sigma_points::{SigmaPoints, SigmaRule};
-use super::step_noise::StepNoise;
+use super::step_noise::{self, StepNoise};
 use crate::dynamics::{ElasticDynamics, ElasticLayout, ElementRow};
 use crate::linear;
 use crate::robot::Robot;
@@ -58,6 +59,8 @@ pub(super) struct Transition {
     term: Vec<f64>,
     /// Scratch of products, as large as Φ.
     product: Vec<f64>,
+    /// The root of Q.
+    root: Vec<f64>,
     /// The dense rows of a covariance.
     wide: Vec<f64>,
     /// The four slopes of Runge and Kutta.
@@ -75,7 +78,8 @@ pub(super) struct Transition {
     points: Option<Box<SigmaPoints>>,
 }
 
-/// Motor torques (n) at the beginning and at the end of a step; in between they change linearly.
+/// Motor torques, or jerks of motors that jerk moves (n), at the beginning and at the end of a step; in between they change
+/// linearly.
 pub(super) type Torques<'a> = (&'a [f64], &'a [f64]);
 
 impl Transition {
@@ -90,10 +94,11 @@ impl Transition {
         let d = layout.dense;
         let stride = d.next_multiple_of(linear::LANES);
         let matrix = || vec![0.0; d * stride];
+        let nodes = if layout.motor_acceleration.is_some() { step_noise::FIVE } else { step_noise::FOUR };
         Self {
             dynamics: ElasticDynamics::new(robot, &layout),
             discretization,
-            noise: StepNoise::new(d, sources, robot.len()),
+            noise: StepNoise::new(d, sources, nodes, robot.len()),
             torque: vec![0.0; robot.len()],
             replaced: Vec::with_capacity(robot.len()),
             fastest: 0.0,
@@ -101,6 +106,7 @@ impl Transition {
             phi: matrix(),
             term: matrix(),
             product: matrix(),
+            root: vec![0.0; stride * stride],
             wide: vec![0.0; d * states.next_multiple_of(linear::LANES)],
             slopes: core::array::from_fn(|_| vec![0.0; d]),
             start: vec![0.0; d],
@@ -283,6 +289,9 @@ impl Transition {
             let Self { layout, dynamics, probe, tau, slopes, .. } = self;
             dynamics.accelerate(robot, layout, probe, tau);
             dynamics.rate_into(robot, layout, probe, &mut slopes[stage]);
+            if let Some(first) = layout.motor_acceleration {
+                slopes[stage][first..][..tau.len()].copy_from_slice(tau);
+            }
         }
         for (stage, weight) in [1.0, 2.0, 2.0, 1.0].into_iter().enumerate() {
             linear::add_scaled(x, weight * h / 6.0, &self.slopes[stage]);
@@ -363,12 +372,12 @@ impl Transition {
     #[inline(always)]
     pub(super) fn noise_rows(&mut self, memory: &[f64], rows: &mut [f64], width: usize) {
         let (d, stride) = (self.layout.dense, self.stride);
-        for (row, values) in self.term.chunks_exact_mut(stride).zip(memory[d * d..].chunks_exact(d)) {
+        for (row, values) in self.root.chunks_exact_mut(stride).zip(memory[d * d..].chunks_exact(d)) {
             row[..d].copy_from_slice(values);
         }
         // Q of a step may be singular, where a state has no noise of its own: such a row is zero.
-        linear::upper_factor(&mut self.term, d, stride);
-        for (out, row) in rows.chunks_exact_mut(width).zip(self.term.chunks_exact(stride)) {
+        linear::upper_factor(&mut self.root, d, stride);
+        for (out, row) in rows.chunks_exact_mut(width).zip(self.root.chunks_exact(stride)).take(d) {
             out[..d].copy_from_slice(&row[..d]);
         }
     }
@@ -391,9 +400,12 @@ impl Transition {
     /// was linearised.
     #[inline(always)]
     pub(super) fn drive(&self, columns: &mut [f64], stride: usize) {
-        let Self { layout: ElasticLayout { joints: n, theta, dense, .. }, sensitivity, noise, .. } = self;
+        let Self {
+            layout: ElasticLayout { joints: n, theta, dense, motor_acceleration, .. }, sensitivity, noise, ..
+        } = self;
         let (links, motors) = (sensitivity.links.chunks_exact(stride), sensitivity.motors.chunks_exact(stride));
-        let elastic = motors.enumerate().map(|(j, motor)| (motor, theta[j] >= 2 * n));
+        // Motors that jerk moves feel none of it.
+        let elastic = motors.enumerate().map(|(j, motor)| (motor, theta[j] >= 2 * n && motor_acceleration.is_none()));
         for ((by, there), response) in links.map(|link| (link, true)).chain(elastic).zip(noise.responses(*n)) {
             for (column, r) in columns.chunks_exact_mut(stride).zip(&response[..*dense]).filter(|_| there) {
                 linear::add_scaled(column, *r, by);

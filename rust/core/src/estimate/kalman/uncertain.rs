@@ -103,7 +103,7 @@ impl Tolerance {
     ///
     /// Of a logarithm p, effects go with eᵖ (a damper's torque, a weight) or with e⁻ᵖ (a spring's torsion), which at three
     /// tolerances on the far side is (e³ˢ − 1)/3s times what its slope says: 1.37 times for 20 %.
-    pub(super) fn counted(self) -> f64 {
+    pub(crate) fn counted(self) -> f64 {
         if self.parameter.is_logarithm() { (Scalar::exp((3.0 * self.std).min(MOST)) - 1.0) / 3.0 } else { self.std }
     }
 }
@@ -234,7 +234,7 @@ impl<T: Scalar> LinkMotion<T> {
 
 /// Hands over each joint that carries `link`, and the torque that it holds on account of this link's inertia.
 #[inline(always)]
-pub(super) fn shares_of_link<T: Scalar>(
+pub(crate) fn shares_of_link<T: Scalar>(
     kinematics: &Kinematics<T>,
     tree: &Tree,
     link: usize,
@@ -264,7 +264,7 @@ pub(super) fn of_sensor<T: Scalar>(
     let sensor = &robot.accelerometers[s];
     let own = |c: &Channel| matches!(c, Channel::Acceleration { sensor, .. } if *sensor == s);
     let Some(first) = channels.iter().position(own) else { return };
-    let (reading, carry) = seen(kinematics, sensor);
+    let (reading, carry) = kinematics.seen(sensor);
     let change = match parameter {
         U::Rotation(..) => reading.cross(&unit(about)),
         U::Translation(..) => carry(&unit(about)),
@@ -277,22 +277,6 @@ pub(super) fn of_sensor<T: Scalar>(
     for (r, &axis) in sensor.axes.iter().enumerate() {
         put(first + r, change.0[axis]);
     }
-}
-
-/// An accelerometer's reading, and what a displacement in its own axes adds: ω̇ × r + ω × (ω × r).
-#[inline(always)]
-fn seen<'a, T: Scalar>(
-    kinematics: &'a Kinematics<T>,
-    sensor: &'a crate::robot::Sensor,
-) -> (Vec3<T>, impl Fn(&Vec3<T>) -> Vec3<T> + 'a) {
-    let placed = kinematics.place(&sensor.frame);
-    let body = &kinematics.bodies[placed.body];
-    let (rate, turning) = (
-        placed.axes.apply_transposed(&body.velocity.angular),
-        placed.axes.apply_transposed(&body.acceleration.angular),
-    );
-    let carry = move |r: &Vec3<T>| turning.cross(r) + rate.cross(&rate.cross(r));
-    (kinematics.specific_force_at(&placed), carry)
 }
 
 /// The unit vector along an axis.

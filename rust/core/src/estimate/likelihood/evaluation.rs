@@ -255,6 +255,11 @@ impl<T: Scalar> Sensing<T> for Calibrated<'_, T> {
     fn angular_rate(&self, robot: &Robot, index: usize, row: usize, wanted: &mut impl Wanted<T>) {
         self.motion.angular_rate(robot, index, row, wanted);
     }
+
+    #[inline(always)]
+    fn tracked_position(&self, robot: &Robot, index: usize, row: usize, wanted: &mut impl Wanted<T>) {
+        self.motion.tracked_position(robot, index, row, wanted);
+    }
 }
 
 impl<T: Scalar> Loading<T> for Calibrated<'_, T> {

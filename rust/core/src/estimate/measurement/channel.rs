@@ -3,6 +3,8 @@
 use super::motion::Sensing;
 use super::view::View;
 use super::wanted::Wanted;
+use crate::check::expect;
+use crate::error::DesignError;
 use crate::robot::Robot;
 use crate::scalar::Scalar;
 
@@ -27,6 +29,13 @@ pub enum Channel {
         /// Which axis.
         axis: usize,
     },
+    /// One axis of a tracker [m].
+    Position {
+        /// Which tracker.
+        sensor: usize,
+        /// Which of its axes.
+        axis: usize,
+    },
     /// Link position of a joint [rad].
     Link(usize),
     /// Torque that the transmission gives a link [N m].
@@ -35,6 +44,8 @@ pub enum Channel {
     LinkVelocity(usize),
     /// A number of a wrench from outside, counted over all that vary [N, N m].
     Wrench(usize),
+    /// Torque of a joint's motor [N m], of a model that torques do not move.
+    MotorTorque(usize),
 }
 
 /// What a sensor measures: all channels of a kind come together, joint by joint or axis by axis.
@@ -64,11 +75,15 @@ pub enum Kind {
     LinkVelocity,
     /// Forces and moments from outside, six numbers a sensor [N, N m].
     Wrench,
+    /// Positions of points of links, one number a recorded axis of the trackers [m].
+    Position,
+    /// τ (n) [N m]; where torques move a model they are inputs and no readings.
+    MotorTorque,
 }
 
 impl Kind {
     /// All, in the order in which their channels stand.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 10] = [
         Self::Motor,
         Self::Acceleration,
         Self::MotorVelocity,
@@ -77,7 +92,29 @@ impl Kind {
         Self::Torque,
         Self::LinkVelocity,
         Self::Wrench,
+        Self::Position,
+        Self::MotorTorque,
     ];
+
+    /// Those of sensors, without what moves a robot.
+    pub const SENSORS: [Self; 9] = [
+        Self::Motor,
+        Self::Acceleration,
+        Self::MotorVelocity,
+        Self::Rate,
+        Self::Link,
+        Self::Torque,
+        Self::LinkVelocity,
+        Self::Wrench,
+        Self::Position,
+    ];
+
+    /// # Errors
+    /// Motor torques among `kinds`, for the reason that is `expected` of a model that does not read them.
+    pub(crate) fn refuse_motor_torques(kinds: &[Self], expected: &'static str) -> Result<(), DesignError> {
+        let read = kinds.iter().filter(|kind| **kind == Self::MotorTorque).count();
+        expect(read == 0, "kinds of channels that read motor torques", read as f64, expected)
+    }
 
     /// As a log's columns begin.
     pub fn name(self) -> &'static str {
@@ -90,6 +127,8 @@ impl Kind {
             Self::Torque => "torque",
             Self::LinkVelocity => "dq",
             Self::Wrench => "wrench",
+            Self::Position => "position",
+            Self::MotorTorque => "tau",
         }
     }
 
@@ -107,10 +146,14 @@ impl Kind {
             Self::Link => joints(Channel::Link),
             Self::Torque => joints(Channel::Torque),
             Self::LinkVelocity => joints(Channel::LinkVelocity),
+            Self::MotorTorque => joints(Channel::MotorTorque),
             Self::Acceleration => axes(robot.accelerometers.iter().map(|s| &s.axes), |sensor, axis| {
                 Channel::Acceleration { sensor, axis }
             }),
             Self::Wrench => robot.wrench_channels().map(Channel::Wrench).collect(),
+            Self::Position => {
+                axes(robot.trackers.iter().map(|t| &t.target.axes), |sensor, axis| Channel::Position { sensor, axis })
+            }
             Self::Rate => axes(robot.gyroscopes.iter().map(|s| &s.axes), |sensor, axis| Channel::Rate { sensor, axis }),
         }
     }
@@ -140,6 +183,7 @@ pub(crate) fn read<T: Scalar>(
         Channel::Motor(j) => view.motor(robot, j, row, wanted),
         Channel::MotorVelocity(j) => view.motor_velocity(robot, j, row, wanted),
         Channel::Torque(j) => view.joint_torque(robot, j, row, wanted),
+        Channel::MotorTorque(j) => view.motor_torque(j, row, wanted),
         // A link encoder reads q itself, a tachometer q̇: one entry of the row, whatever the model.
         Channel::Link(j) => {
             wanted.value(row, view.link(robot, j)[0]);
@@ -158,6 +202,10 @@ pub(crate) fn read<T: Scalar>(
         Channel::Rate { sensor, .. } => {
             view.links().angular_rate(robot, sensor, row, wanted);
             return robot.gyroscopes[sensor].axes.len();
+        }
+        Channel::Position { sensor, .. } => {
+            view.links().tracked_position(robot, sensor, row, wanted);
+            return robot.trackers[sensor].target.axes.len();
         }
     }
     1

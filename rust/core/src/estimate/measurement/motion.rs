@@ -20,6 +20,9 @@ pub(crate) trait Sensing<T: Scalar> {
 
     /// Angular rate of gyroscope `index`.
     fn angular_rate(&self, robot: &Robot, index: usize, row: usize, wanted: &mut impl Wanted<T>);
+
+    /// Position of what tracker `index` sees, in its axes.
+    fn tracked_position(&self, robot: &Robot, index: usize, row: usize, wanted: &mut impl Wanted<T>);
 }
 
 /// The torques τ = M q̈ + C q̇ + g that the links need.
@@ -58,6 +61,18 @@ impl<T: Scalar> Sensing<T> for Kinematics<T> {
         self.angular_rate_derivatives(&robot.tree, &sensor.frame, |joint, by| {
             for (r, &axis) in sensor.axes.iter().enumerate() {
                 wanted.add(row + r, joint, by.map(|column| column.0[axis]));
+            }
+        });
+    }
+
+    #[inline(always)]
+    fn tracked_position(&self, robot: &Robot, index: usize, row: usize, wanted: &mut impl Wanted<T>) {
+        let tracker = &robot.trackers[index];
+        record(&tracker.target, &tracker.see(&self.position(&tracker.target.frame)), row, wanted);
+        self.position_jacobian(&robot.tree, &tracker.target.frame, |joint, by| {
+            let by = tracker.turn(&by);
+            for (r, &axis) in tracker.target.axes.iter().enumerate() {
+                wanted.add(row + r, joint, [by.0[axis], T::default()]);
             }
         });
     }
@@ -164,6 +179,11 @@ impl<T: Scalar> Sensing<T> for LinkMotion<T> {
     fn angular_rate(&self, robot: &Robot, index: usize, row: usize, wanted: &mut impl Wanted<T>) {
         Sensing::angular_rate(&self.kinematics, robot, index, row, wanted);
     }
+
+    #[inline(always)]
+    fn tracked_position(&self, robot: &Robot, index: usize, row: usize, wanted: &mut impl Wanted<T>) {
+        Sensing::tracked_position(&self.kinematics, robot, index, row, wanted);
+    }
 }
 
 /// Motion and loads without derivatives, by half the work.
@@ -265,6 +285,13 @@ impl<T: Scalar> Sensing<T> for PlainMotion<T> {
     fn angular_rate(&self, robot: &Robot, index: usize, row: usize, wanted: &mut impl Wanted<T>) {
         let sensor = &robot.gyroscopes[index];
         record_of_body(sensor, &self.motion.angular_rate_of_body(&sensor.frame), row, wanted);
+    }
+
+    #[inline(always)]
+    fn tracked_position(&self, robot: &Robot, index: usize, row: usize, wanted: &mut impl Wanted<T>) {
+        let tracker = &robot.trackers[index];
+        let point = self.motion.position(&robot.tree, &tracker.target.frame);
+        record(&tracker.target, &tracker.see(&point), row, wanted);
     }
 }
 

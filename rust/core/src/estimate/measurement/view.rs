@@ -25,6 +25,12 @@ pub(crate) trait View<T: Scalar> {
     /// What the transmission of joint `j` gives its link.
     fn joint_torque(&self, robot: &Robot, j: usize, row: usize, wanted: &mut impl Wanted<T>);
 
+    /// Torque of motor `j`; none of a model that does not read it.
+    #[inline(always)]
+    fn motor_torque(&self, _j: usize, row: usize, wanted: &mut impl Wanted<T>) {
+        wanted.value(row, T::constant(f64::NAN));
+    }
+
     /// A number of the varying wrenches from outside.
     fn wrench(&self, number: usize, row: usize, wanted: &mut impl Wanted<T>);
 }
@@ -243,6 +249,13 @@ impl View<f64> for Elastic<'_> {
         self.entry(self.layout.wrench.unwrap_or(0) + number, row, wanted);
     }
 
+    #[inline(always)]
+    fn motor_torque(&self, j: usize, row: usize, wanted: &mut impl Wanted<f64>) {
+        wanted.value(row, self.dynamics.motor_torques().get(j).copied().unwrap_or(f64::NAN));
+        let by = self.dynamics.motor_torques_by().chunks_exact(self.layout.dense).nth(j);
+        by.into_iter().flatten().enumerate().for_each(|(k, &by)| wanted.entry(row, k, by));
+    }
+
     /// τ_e, or behind a rigid drive what the motor has left for its link.
     #[inline(always)]
     fn joint_torque(&self, robot: &Robot, j: usize, row: usize, wanted: &mut impl Wanted<f64>) {
@@ -256,6 +269,10 @@ impl View<f64> for Elastic<'_> {
             for (i, element) in drive.hysteresis.elements.iter().enumerate() {
                 wanted.entry(row, layout.deflections[j] + i, element.stiffness);
             }
+            return;
+        }
+        if let Some(by) = self.dynamics.rigid_torque_by(j) {
+            by.iter().enumerate().for_each(|(k, &by)| wanted.entry(row, k, by));
             return;
         }
         wanted.add(row, j, [0.0, -drive.motor_friction(x[n + j]).1]);

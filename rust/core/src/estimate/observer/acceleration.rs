@@ -63,6 +63,8 @@ pub struct AccelerationMap {
     square: Vec<f64>,
     /// What the prior lacks of q̈ (unknowns).
     solution: Vec<f64>,
+    /// Whether the last solution was damped.
+    damped: bool,
 }
 
 impl AccelerationMap {
@@ -87,6 +89,7 @@ impl AccelerationMap {
             above: vec![0.0; unknowns],
             square: vec![0.0; unknowns * unknowns],
             solution: vec![0.0; unknowns],
+            damped: false,
             weights,
         }
     }
@@ -139,11 +142,48 @@ impl AccelerationMap {
     #[inline(always)]
     fn invert(&mut self) -> Observability {
         self.triangularise();
-        if self.invert_triangle() {
+        self.damped = !self.invert_triangle();
+        if !self.damped {
             self.back_substitute();
             Observability::Full
         } else {
-            self.damped()
+            self.solve_damped()
+        }
+    }
+
+    /// Which unknown the acceleration of a joint is; none of a rigid one.
+    #[inline(always)]
+    pub(super) fn column(&self, joint: usize) -> Option<usize> {
+        self.columns[joint]
+    }
+
+    /// C of the last solution, which is C Tᵀ of the whitened reading (unknowns²), and into `open` the variance of each unknown
+    /// that damping left open.
+    ///
+    /// C = R⁻¹R⁻ᵀ, or of singular vectors v with σ < ε the sum of v vᵀ/ε². The prior's variance of such a combination is
+    /// (ε² − σ²)⁻¹, of which (1 − σ²/ε²)² stays.
+    #[inline(always)]
+    pub(super) fn covariance_into(&self, out: &mut [f64], open: &mut [f64]) {
+        let (m, stride, square) = (self.unknowns, self.stride, &self.square);
+        open.fill(0.0);
+        if !self.damped {
+            for i in 0..m {
+                for j in i..m {
+                    // Upper triangular: row i begins with its diagonal.
+                    let sum = dot(&square[i * m + j..][..m - j], &square[j * m + j..][..m - j]);
+                    (out[i * m + j], out[j * m + i]) = (sum, sum);
+                }
+            }
+            return;
+        }
+        out.fill(0.0);
+        let least = self.threshold * self.threshold;
+        for (column, vector) in self.map.chunks_exact(stride).zip(square.chunks_exact(m)) {
+            let squared = dot(column, column);
+            for (i, x) in vector.iter().enumerate() {
+                add_scaled(&mut out[i * m..][..m], x / squared.max(least), vector);
+                open[i] += x * x * (least - squared).max(0.0) / (least * least);
+            }
         }
     }
 
@@ -233,7 +273,7 @@ impl AccelerationMap {
 
     /// Singular value by singular value: one-sided Jacobi rotations turn the triangle's columns orthogonal.
     #[cold]
-    fn damped(&mut self) -> Observability {
+    fn solve_damped(&mut self) -> Observability {
         let (m, stride) = (self.unknowns, self.stride);
         self.square.fill(0.0);
         for c in 0..m {

@@ -1,5 +1,6 @@
 //! How a motor position corrects its joint, and whether the two go together.
 
+use super::joint_error::Used;
 use super::late::{JointCovariance, READING, VaryingGain};
 use super::sampled::{JointState, ORDER, Sampled};
 use super::settings::Start;
@@ -8,9 +9,12 @@ use super::settings::Start;
 pub const LONGEST: f64 = 0.05;
 
 /// Time over which innovations are judged [s].
-const WINDOW: f64 = 0.05;
+pub(super) const WINDOW: f64 = 0.05;
 /// An innovation that noise alone does not make, in multiples of what a position reading may be off by.
 const NOISE: f64 = 5.0;
+
+/// Standard deviations of what is not known exactly within which innovations are no contradiction.
+const REACH: f64 = 3.0;
 
 /// A jump of the encoder is one from so many times on what innovations change by at most from one sample to the next.
 const JUMP: f64 = 3.0;
@@ -36,6 +40,10 @@ pub(super) struct JointCorrection {
     share: f64,
     square: f64,
     limit: f64,
+    /// What the variance of an innovation is to be [rad²]; and where that is known, the means of these variances and of innovations.
+    surprise: Option<f64>,
+    allowed: f64,
+    mean: f64,
     /// By how much the encoder reads too much since it jumped, what that has done to the joint's state, and whether that lasts.
     slip: f64,
     error: JointState,
@@ -62,6 +70,9 @@ impl JointCorrection {
             share: (period / WINDOW).min(1.0),
             square: 0.0,
             limit: (NOISE * READING).powi(2) + most.powi(2),
+            surprise: None,
+            allowed: 0.0,
+            mean: 0.0,
             slip: 0.0,
             error: JointState::default(),
             slipped: false,
@@ -75,6 +86,7 @@ impl JointCorrection {
     /// At the first sample, whose position is taken as it is.
     pub(super) fn begin(&mut self, start: Start) {
         (self.since, self.square) = (0, 0.0);
+        (self.allowed, self.mean) = (0.0, 0.0);
         (self.slip, self.error, self.slipped) = (0.0, JointState::default(), false);
         (self.last, self.scatter) = (f64::NAN, 0.0);
         self.begun = (start == Start::Auto).then_some((0, 0));
@@ -86,9 +98,21 @@ impl JointCorrection {
         self.since >= self.gains.len()
     }
 
-    /// Takes an innovation into a predicted state; NaN where there is no position.
+    /// What the variance of the next innovation is to be [rad²].
     #[inline(always)]
-    pub(super) fn apply(&mut self, joint: &Sampled, x: &mut JointState, innovation: f64) {
+    pub(super) fn expect(&mut self, surprise: f64) {
+        self.surprise = Some(surprise);
+    }
+
+    /// Mean square of the innovations, and the mean of what was expected of it [rad²].
+    #[inline(always)]
+    pub(super) fn means(&self) -> [f64; 2] {
+        [self.square, self.allowed]
+    }
+
+    /// Takes an innovation into a predicted state; NaN where there is no position. Says how.
+    #[inline(always)]
+    pub(super) fn apply(&mut self, joint: &Sampled, x: &mut JointState, innovation: f64) -> Used {
         if self.begun.is_some() {
             return self.apply_at_start(joint, x, innovation);
         }
@@ -97,17 +121,28 @@ impl JointCorrection {
             self.error = joint.transition().map(|row| row.iter().zip(&self.error).map(|(a, b)| a * b).sum());
         }
         if innovation.is_nan() {
-            return;
+            return Used::Nothing;
         }
-        let gain = if self.since == 1 { *joint.gain() } else { *self.gain_after_gap(joint) };
+        let (gain, used) = if self.since == 1 {
+            (*joint.gain(), Used::Poles)
+        } else {
+            let gain = *self.gain_after_gap(joint);
+            (gain, Used::Gain(gain))
+        };
         for (x, gain) in x.iter_mut().zip(&gain) {
             *x += gain * innovation;
         }
         self.follow_slip(&gain, innovation);
         // An error of acceleration grows with the square of the time that it has.
-        let grown = self.last / (self.since * self.since) as f64;
-        self.square += (self.share * self.since as f64).min(1.0) * (grown * grown - self.square);
+        let (time, share) = ((self.since * self.since) as f64, (self.share * self.since as f64).min(1.0));
+        let grown = self.last / time;
+        self.square += share * (grown * grown - self.square);
+        if let Some(surprise) = self.surprise {
+            self.mean += share * (grown - self.mean);
+            self.allowed += share * (surprise / (time * time) - self.allowed);
+        }
         self.since = 0;
+        used
     }
 
     /// What a jump of the encoder does, the observer following it: that is off for as long as the encoder is, though
@@ -146,9 +181,10 @@ impl JointCorrection {
 
     /// As [`apply`](Self::apply), by the gains of a start.
     #[cold]
-    fn apply_at_start(&mut self, joint: &Sampled, x: &mut JointState, innovation: f64) {
+    fn apply_at_start(&mut self, joint: &Sampled, x: &mut JointState, innovation: f64) -> Used {
         let (samples, readings) = self.begun.unwrap_or_default();
         let reads = !innovation.is_nan();
+        let mut used = Used::Nothing;
         // The first innovation is zero, and the spread that of after it.
         if samples > 0 {
             let gain = self.late.start(joint.transition(), &mut self.spread, reads);
@@ -156,15 +192,27 @@ impl JointCorrection {
                 for (x, gain) in x.iter_mut().zip(gain) {
                     *x += gain * innovation;
                 }
+                used = Used::Gain(gain);
             }
         }
         let (samples, readings) = (samples + 1, readings + u32::from(reads));
         self.since = if reads { 0 } else { self.since + 1 };
         self.begun = (!self.late.is_settled(samples, readings)).then_some((samples, readings));
+        used
+    }
+
+    /// Covariance of the joint's state at a first sample whose velocity is not known.
+    pub(super) fn first_covariance(&self) -> JointCovariance {
+        self.late.first_covariance()
     }
 
     /// Whether innovations have been larger than any of a model that is about right, or what a jump did to the link still is.
+    ///
+    /// Where it is known what the model may be off by, they may be larger by that; and as noise has no mean, a mean shows more
+    /// than a mean square.
     pub(super) fn is_contradicted(&self) -> bool {
-        self.square > self.limit || (self.slipped && self.error[self.link].abs() > self.jump)
+        let allowed = REACH * REACH * self.allowed;
+        let leans = self.surprise.is_some() && self.mean * self.mean > READING * READING + allowed;
+        leans || self.square > self.limit + allowed || (self.slipped && self.error[self.link].abs() > self.jump)
     }
 }

@@ -9,6 +9,7 @@
 //! [`READING`].
 
 use super::gains::JointModel;
+use super::matrix::{JointMatrix, identity, multiply};
 use super::sampled::{JointState, ORDER};
 use crate::robot::Drive;
 
@@ -34,7 +35,6 @@ pub(super) struct VaryingGain {
     model: JointModel,
     /// K/B, by which q moves θ̈.
     reach: f64,
-    /// Of the observer's error [rad/s].
     /// The observer's fastest pole [rad/s], one over the unit of time.
     speed: f64,
     /// T [s].
@@ -42,7 +42,7 @@ pub(super) struct VaryingGain {
 }
 
 /// Covariance of a joint's state.
-pub(super) type JointCovariance = [JointState; ORDER];
+pub(super) type JointCovariance = JointMatrix;
 
 impl VaryingGain {
     pub(super) fn new(model: JointModel, drive: &Drive, speed: f64, period: f64) -> Self {
@@ -150,6 +150,13 @@ impl VaryingGain {
         spread
     }
 
+    /// The same in the joint's own units.
+    pub(super) fn first_covariance(&self) -> JointCovariance {
+        let (spread, scale) = (self.first(), self.scale(self.speed));
+        let unit = |i: usize| if scale[i] > 0.0 { READING / scale[i] } else { 0.0 };
+        core::array::from_fn(|i| core::array::from_fn(|j| spread[i][j] * unit(i) * unit(j)))
+    }
+
     /// One sample further into a start: the gain for its position, if there is one.
     pub(super) fn start(
         &self,
@@ -179,14 +186,4 @@ fn correct(spread: &mut JointCovariance, noise: f64) -> JointState {
 /// A gain in the joint's own units.
 fn unscaled(gain: &JointState, scale: &JointState) -> JointState {
     core::array::from_fn(|i| if scale[i] > 0.0 { gain[i] / scale[i] } else { 0.0 })
-}
-
-/// The unit matrix.
-fn identity() -> [JointState; ORDER] {
-    core::array::from_fn(|i| core::array::from_fn(|j| f64::from(u8::from(i == j))))
-}
-
-/// A B.
-fn multiply(a: &[JointState; ORDER], b: &[JointState; ORDER]) -> [JointState; ORDER] {
-    core::array::from_fn(|i| core::array::from_fn(|j| (0..ORDER).map(|k| a[i][k] * b[k][j]).sum()))
 }

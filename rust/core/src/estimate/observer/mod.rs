@@ -7,18 +7,29 @@
 //! the links do not come into it.
 
 mod acceleration;
+mod bound;
 mod correction;
+mod deviations;
+mod excess;
 mod gains;
+mod joint_error;
+mod last_torque;
 mod late;
+mod link_load;
+mod matrix;
 mod poles;
 mod recording;
+mod repeats;
 mod rest;
 mod run;
 mod sampled;
+mod sensor_errors;
 mod settings;
 mod step;
+mod uncertainty;
 
 pub use acceleration::{AccelerationMap, Observability};
+pub use bound::UltimateBound;
 pub use correction::LONGEST;
 pub use gains::{JointModel, closed_form_gains};
 pub use poles::{Complex, Poles};
@@ -28,3 +39,4 @@ pub use rest::link_position_at_rest;
 pub use sampled::Sampled;
 pub use settings::{AccelerationSource, Form, ObserverSettings, Start};
 pub use step::AccelerationObserver;
+pub use uncertainty::Uncertainty;

@@ -42,6 +42,10 @@ pub struct ObserverOutput {
     pub dtheta: Vec<f64>,
     /// Tool centre point (3); empty when the robot has none.
     pub tool: Vec<f64>,
+    /// Standard deviations of link positions (n); empty where they are not wanted, as the next.
+    pub q_std: Vec<f64>,
+    /// Those of the tool centre point (3).
+    pub tool_std: Vec<f64>,
     /// See [`Status`](crate::estimate::Status).
     pub status: Vec<u8>,
 }
@@ -49,8 +53,9 @@ pub struct ObserverOutput {
 impl ObserverOutput {
     /// # Errors
     /// [`DesignError::Memory`].
-    pub(super) fn with_capacity(count: usize, n: usize, tool: bool) -> Result<Self, DesignError> {
+    pub(super) fn with_capacity(count: usize, n: usize, tool: bool, std: bool) -> Result<Self, DesignError> {
         let joints = || room(count, n);
+        let deviations = if std { count } else { 0 };
         Ok(Self {
             q: joints()?,
             dq: joints()?,
@@ -58,6 +63,8 @@ impl ObserverOutput {
             theta: joints()?,
             dtheta: joints()?,
             tool: room(if tool { count } else { 0 }, 3)?,
+            q_std: room(deviations, n)?,
+            tool_std: room(if tool { deviations } else { 0 }, 3)?,
             status: room(count, 1)?,
         })
     }

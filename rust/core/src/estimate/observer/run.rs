@@ -18,7 +18,7 @@ impl AccelerationObserver {
         for (what, given, width) in [("theta", theta, n), ("tau", tau, n), ("acceleration", acceleration, m)] {
             expect_length(what, given.len(), count * width)?;
         }
-        let mut out = ObserverOutput::with_capacity(count, n, self.has_tool())?;
+        let mut out = ObserverOutput::with_capacity(count, n, self.has_tool(), !self.q_std().is_empty())?;
         let watch = Watch::current();
         for i in 0..count {
             if watch.stops() {
@@ -60,6 +60,10 @@ impl AccelerationObserver {
         }
         if self.has_tool() {
             out.tool.extend_from_slice(&self.tool());
+        }
+        out.q_std.extend_from_slice(self.q_std());
+        if self.has_tool() && !self.q_std().is_empty() {
+            out.tool_std.extend_from_slice(&self.tool_std());
         }
         out.status.push(self.status());
     }

@@ -88,6 +88,11 @@ impl Sampled {
         &self.gain
     }
 
+    /// What a torque and an acceleration held over a period add to the state.
+    pub(super) fn held(&self) -> &[JointState; 2] {
+        &self.held
+    }
+
     /// From one sample to the next.
     #[inline(always)]
     pub(super) fn transition(&self) -> &[JointState; ORDER] {

@@ -11,6 +11,7 @@
 
 use super::acceleration::{AccelerationMap, Observability};
 use super::correction::{JointCorrection, LONGEST};
+use super::deviations::{ObserverDeviations, ObserverView, link_of};
 use super::gains::JointModel;
 use super::late::VaryingGain;
 use super::poles::Poles;
@@ -18,6 +19,7 @@ use super::recording::ObserverSample;
 use super::rest::Rest;
 use super::sampled::{JointState, Sampled};
 use super::settings::{AccelerationSource, Form, ObserverSettings, Start, check};
+use super::uncertainty::Uncertainty;
 use crate::check::{expect_length, refuse_infinite};
 use crate::dynamics::Kinematics;
 use crate::error::{DesignError, RunError};
@@ -89,11 +91,18 @@ pub struct AccelerationObserver {
     ddq: Vec<f64>,
     /// Position of the tool centre point [m].
     tool: [f64; 3],
+    /// How far off all this may be, where that is wanted.
+    deviations: Option<ObserverDeviations>,
+    /// The torque on each motor's row, and mean squares of innovations, for these (n).
+    loaded: Vec<f64>,
+    innovations: Vec<[f64; 2]>,
     /// Flags of the last sample, see [`Status`].
     status: u8,
     /// Samples taken, for messages.
     taken: usize,
     started: bool,
+    /// The fastest pole [rad/s].
+    fastest: f64,
 }
 
 /// |λ|h may not exceed this: beyond, a sampled error no longer decays the way its pole says.
@@ -117,6 +126,7 @@ impl AccelerationObserver {
             })
             .collect();
         let (mut joints, mut corrections) = (Vec::with_capacity(n), Vec::with_capacity(n));
+        let mut fastest: f64 = 0.0;
         for (joint, model) in models.iter().enumerate() {
             let poles = Poles::new(joint, &settings.poles[joint], model.order())?;
             let (speed, limit) = (poles.fastest(), FASTEST / settings.period);
@@ -127,8 +137,8 @@ impl AccelerationObserver {
             let late = VaryingGain::new(*model, &robot.drives[joint], speed, settings.period);
             let most = sampled.innovation(model.order(), settings.worst_acceleration_std);
             let bounds = [most, most * (speed * settings.period).min(1.0)];
-            let link = usize::from(*model != JointModel::Rigid);
-            corrections.push(JointCorrection::new(late, settings.period, bounds, link));
+            corrections.push(JointCorrection::new(late, settings.period, bounds, link_of(*model)));
+            fastest = fastest.max(speed);
             joints.push(sampled);
         }
         Ok(Self {
@@ -144,15 +154,32 @@ impl AccelerationObserver {
             dq: vec![0.0; n],
             ddq: vec![0.0; n],
             tool: [f64::NAN; 3],
+            deviations: None,
+            loaded: vec![0.0; n],
+            innovations: vec![[0.0; 2]; n],
             status: 0,
             taken: 0,
             started: false,
+            fastest,
             robot,
             settings,
             models,
             joints,
             corrections,
         })
+    }
+
+    /// With standard deviations by what is not known exactly; estimates stay the same to the last bit.
+    ///
+    /// # Errors
+    /// Wrong lengths, numbers out of range.
+    pub fn with_uncertainty(mut self, uncertainty: &Uncertainty) -> Result<Self, DesignError> {
+        uncertainty.check(&self.robot)?;
+        let pace = [self.fastest, self.settings.period];
+        let source = self.settings.source;
+        self.deviations =
+            Some(ObserverDeviations::new(&self.robot, &self.models, &self.joints, pace, source, uncertainty));
+        Ok(self)
     }
 
     /// Resets the observer: the next sample starts from the beginning.
@@ -174,6 +201,9 @@ impl AccelerationObserver {
             *state = joint_state(*model, theta[j], q[j], [dtheta[j], dq[j]]);
         }
         self.begin(Start::Rest);
+        if let Some(deviations) = &mut self.deviations {
+            deviations.begin_known();
+        }
         Ok(())
     }
 
@@ -222,7 +252,7 @@ impl AccelerationObserver {
 
     /// Whether links still have positions, velocities and accelerations.
     pub(super) fn is_finite(&self) -> bool {
-        [&self.q, &self.dq, &self.ddq].into_iter().flatten().all(|x| x.is_finite())
+        [&self.q[..], &self.dq, &self.ddq, self.q_std()].into_iter().flatten().all(|x| x.is_finite())
     }
 
     /// [`step`](Self::step) with a sample that has been checked.
@@ -234,6 +264,7 @@ impl AccelerationObserver {
     #[inline(always)]
     fn take_here(&mut self, sample: ObserverSample<'_>) -> Result<(), DesignError> {
         self.status = 0;
+        let first = !self.started;
         if self.started {
             // 1. The model over the last period, torque and accelerations held at their last values.
             self.predict();
@@ -247,12 +278,35 @@ impl AccelerationObserver {
             self.read_accelerations(sample.acceleration);
         }
         // 4. The innovation θ − θ̂ moves all states of its joint.
-        self.correct(sample.theta);
+        self.correct(sample.theta, first);
         // 5. The torque from now on; what the linear model lacks is taken off at the corrected state.
         self.hold_torque(sample.tau);
         self.report();
+        // 6. How far off that may be.
+        self.deviate(sample, first);
         self.taken += 1;
         Ok(())
+    }
+
+    /// Standard deviations, where they are wanted.
+    #[inline(always)]
+    fn deviate(&mut self, sample: ObserverSample<'_>, first: bool) {
+        if self.deviations.is_none() {
+            return;
+        }
+        for j in 0..self.joints.len() {
+            self.loaded[j] = self.torque[j] - self.coupling_torque(j, &self.measured);
+            self.innovations[j] = self.corrections[j].means();
+        }
+        let Self { deviations, robot, models, map, state, q, dq, ddq, measured, loaded, innovations, .. } = self;
+        let links = [&q[..], &dq[..], &ddq[..]];
+        let look = ObserverView { robot, models, map, state, links, measured, torque: loaded, innovations };
+        if let Some(deviations) = deviations {
+            simd::phase(Deviate { deviations, look: &look, sample, first });
+            if deviations.is_stuck() {
+                self.status |= Status::CONTRADICTED | Status::FAULTY;
+            }
+        }
     }
 
     /// A first sample: at rest, with gains that let the next samples say otherwise where [`Start`] is to be found out.
@@ -265,6 +319,13 @@ impl AccelerationObserver {
             *state = joint_state(*model, theta[j], q[j], [0.0; 2]);
         }
         self.begin(self.settings.start);
+        if let Some(deviations) = &mut self.deviations {
+            let (corrections, start) = (&self.corrections, self.settings.start);
+            deviations.begin_hanging(&self.robot, &self.state, |j| match start {
+                Start::Auto => corrections[j].first_covariance(),
+                Start::Rest => Default::default(),
+            });
+        }
         Ok(())
     }
 
@@ -347,9 +408,9 @@ impl AccelerationObserver {
         }
     }
 
-    /// Uses the motor positions.
+    /// Uses the motor positions; those of a `first` sample have made the state.
     #[inline(always)]
-    fn correct(&mut self, theta: &[f64]) {
+    fn correct(&mut self, theta: &[f64], first: bool) {
         for j in 0..self.joints.len() {
             self.state[j] = self.predicted[j];
             // NaN where θ is missing; the correction then remembers the gap, and the next gain is that of a longer one.
@@ -357,7 +418,13 @@ impl AccelerationObserver {
             if innovation.is_nan() {
                 self.status |= Status::BRIDGED;
             }
-            self.corrections[j].apply(&self.joints[j], &mut self.state[j], innovation);
+            if let Some(deviations) = &self.deviations {
+                self.corrections[j].expect(deviations.surprise(j));
+            }
+            let used = self.corrections[j].apply(&self.joints[j], &mut self.state[j], innovation);
+            if let Some(deviations) = self.deviations.as_mut().filter(|_| !first) {
+                deviations.take(j, &self.joints[j], &used);
+            }
             if self.corrections[j].is_contradicted() {
                 self.status |= Status::CONTRADICTED;
             }
@@ -454,6 +521,16 @@ impl AccelerationObserver {
         }
     }
 
+    /// Standard deviations of link positions (n) [rad]; empty where they are not wanted.
+    pub fn q_std(&self) -> &[f64] {
+        self.deviations.as_ref().map_or(&[], |deviations| &deviations.q_std)
+    }
+
+    /// Those of the tool centre point [m], NaN where there are none.
+    pub fn tool_std(&self) -> [f64; 3] {
+        self.deviations.as_ref().map_or([f64::NAN; 3], |deviations| deviations.tool_std)
+    }
+
     /// Tool centre point, NaN without one.
     pub fn tool(&self) -> [f64; 3] {
         self.tool
@@ -492,6 +569,23 @@ impl Kernel for ObserverStep<'_, '_> {
     #[inline(always)]
     fn run(self) -> Self::Output {
         self.observer.take_here(self.sample)
+    }
+}
+
+/// Standard deviations after a step, likewise.
+struct Deviate<'a, 'b> {
+    deviations: &'a mut ObserverDeviations,
+    look: &'a ObserverView<'b>,
+    sample: ObserverSample<'b>,
+    first: bool,
+}
+
+impl Kernel for Deviate<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.deviations.look(self.look, self.sample, self.first);
     }
 }
 

@@ -69,12 +69,14 @@ impl<'a> Sensors<'a> {
             prediction[c] = match channel {
                 Channel::Acceleration { sensor, axis } => self.specific_force(links, sensor, axis, row),
                 Channel::Rate { sensor, axis } => self.angular_rate(links, sensor, axis, row),
+                Channel::Position { sensor, axis } => self.tracked_position(links, sensor, axis, row),
                 Channel::Link(j) => along(links, j, row),
                 Channel::LinkVelocity(j) => along(links, links.motors.theta.len() + j, row),
                 Channel::Torque(j) => self.torque(links, j, row),
                 Channel::Motor(j) => links.motors.theta[j],
                 Channel::MotorVelocity(j) => links.motors.dtheta[j],
-                Channel::Wrench(_) => f64::NAN, // robots with such sensors are not calibrated
+                // Robots with such sensors are not calibrated, and their motors' torques are no part of the response.
+                Channel::Wrench(_) | Channel::MotorTorque(_) => f64::NAN,
             };
         }
     }
@@ -116,6 +118,17 @@ impl<'a> Sensors<'a> {
             chain(links, joint, [by_q.0[axis], by_dq.0[axis], 0.0], row);
         });
         motion.kinematics.angular_rate(frame).0[axis]
+    }
+
+    /// One axis of a tracker, which is taken to be where the robot says.
+    fn tracked_position(&self, links: &Links<'_>, s: usize, axis: usize, row: &mut [f64]) -> f64 {
+        let Links { equation: Equation { robot, motion, .. }, .. } = links;
+        let (kinematics, tracker) = (&motion.kinematics, &robot.trackers[s]);
+        let frame = &tracker.target.frame;
+        kinematics.position_jacobian(&robot.tree, frame, |joint, by| {
+            chain(links, joint, [tracker.turn(&by).0[axis], 0.0, 0.0], row);
+        });
+        tracker.see(&kinematics.position(frame)).0[axis]
     }
 
     /// What the transmission gives the link; of a joint without a spring, what the link needs.

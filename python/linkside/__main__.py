@@ -1,0 +1,5 @@
+"""``python -m linkside``."""
+
+from linkside.cli import main
+
+main()

@@ -1,5 +1,0 @@
-"""``python -m linkside.cli``."""
-
-from . import main
-
-main()
