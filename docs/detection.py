@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 import linkside
-from linkside import ExtendedKalmanFilter, Log, Robot
+from linkside import AccelerationObserver, Estimate, ExtendedKalmanFilter, Log, NumericalError, Robot
 from linkside.recording.estimate import Status
 
 Array = npt.NDArray[np.float64]
@@ -30,7 +30,7 @@ LIMIT = 0.05
 def main() -> None:
     """Print the tables asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("tables", nargs="*", default=["flags", "faults"])
+    parser.add_argument("tables", nargs="*", default=["flags", "faults", "observer"])
     parser.add_argument("--samples", type=int, default=1_000_000, help="without a fault")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
@@ -38,6 +38,8 @@ def main() -> None:
         flags(options.samples, options.seed)
     if "faults" in options.tables:
         faults()
+    if "observer" in options.tables:
+        observer_faults()
 
 
 def chain(rng: np.random.Generator, joints: int, *, resolution: float, noise_std: float) -> Robot:
@@ -177,7 +179,7 @@ def spoiled(log: Log, signal: str, channel: int, fault: str, row: int) -> Log:
     """A log with a fault in one channel from a row on."""
     values = getattr(log, signal).copy()
     x = values[:, channel]
-    bias = 1e-3 if signal == "theta" else 1.0
+    bias = {"theta": 1e-3, "acceleration": 1.0, "tau": 0.1 * float(np.abs(x).max())}[signal]
     after = {
         "wrap": x[row:] - 2 * np.pi,
         "bias": x[row:] + bias,
@@ -185,6 +187,7 @@ def spoiled(log: Log, signal: str, channel: int, fault: str, row: int) -> Log:
         "flipped": -x[row:],
         "gain": 1.2 * x[row:],
         "dead": np.zeros(len(x) - row),
+        "drift": x[row:] + 3 * bias * np.linspace(0, 1, len(x) - row),
     }
     values[row:, channel] = after[fault]
     return replace(log, **{signal: values})
@@ -211,6 +214,26 @@ def faults() -> None:
             print(
                 f"{name:12} {how:7} tolerances, {fault:8} {counts}, slowest {slowest} ms", *late, sep="; ", flush=True
             )
+
+
+def observer_faults() -> None:
+    """Every fault in every channel of arm2_square, for the observer: rows off, and off and good without and with `std`."""
+    robot = Robot.load(DATA / "arm2_square/robot.yaml")
+    log, truth = Log.read(DATA / "arm2_square/log.parquet", robot), Estimate.read(DATA / "arm2_square/truth.parquet")
+    row = len(log) // 3
+    print("| channel | fault | rows off | off and good before | now |")
+    for signal, channel in [*channels(log), *(("tau", c) for c in range(robot.n))]:
+        for fault in (*FAULTS[1:], "drift"):
+            bad = spoiled(log, signal, channel, fault, row)
+            try:
+                now, before = (AccelerationObserver(robot, std=std).run(bad) for std in (True, False))
+            except NumericalError:
+                print(f"| {log.columns(signal)[channel]} | {fault} | refused | | |")
+                continue
+            off = (np.abs(now.q - truth.q) > LEAST * now.q_std).any(axis=1)
+            silent = [(off & (e.status & (Status.CONTRADICTED | Status.FAULTY) == 0)).mean() for e in (before, now)]
+            shares = " | ".join(f"{100 * x:.0f} %" for x in (off.mean(), *silent))
+            print(f"| {log.columns(signal)[channel]} | {fault} | {shares} |", flush=True)
 
 
 def channels(log: Log) -> list[tuple[str, int]]:

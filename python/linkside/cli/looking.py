@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from pathlib import Path
 from typing import Any
 
 import click
 
-from linkside.errors import LogError, RecordingWarning
+from linkside.errors import EstimatorError, LogError, RecordingWarning
 from linkside.files.writing import check_writable
 from linkside.fleet.task import naming
 from linkside.recording.checks import verdicts
@@ -67,11 +68,7 @@ def check(
         found = module.check(loaded, Log.stream(log, loaded) if log is not None and sound else None)
     show(check_tables(found))
     if bound and log is not None and refused is None:
-        from linkside import kalman
-
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RecordingWarning)
-            show(kalman.bound(loaded, Log.read(log, loaded)).tables())
+        _show_bounds(loaded, log)
     if figure is not None:
         with naming(robot):
             drawn = found.figure(None if over is None else over.split(","), at)
@@ -83,6 +80,19 @@ def check(
         click.echo(f"report: {report}")
     if refused is not None:
         raise LogError(f"{log}: {refused}")
+
+
+def _show_bounds(robot: Robot, path: str) -> None:
+    """How good filters can get along a log, and how far off the observer, where the robot is one for it."""
+    from linkside import kalman
+    from linkside.observers import AccelerationObserver
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecordingWarning)
+        log = Log.read(path, robot)
+        show(kalman.bound(robot, log).tables())
+    with contextlib.suppress(EstimatorError):
+        show(AccelerationObserver(robot, std=False).bound(period=log.period).tables())
 
 
 @main.command(epilog=example("linkside compare truth.parquet estimate.parquet --segments rests"))

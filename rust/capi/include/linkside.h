@@ -132,9 +132,9 @@ enum LinksideResult linkside_step(struct LinksideEstimator *estimator, const str
 // `estimator` is one, or null.
 enum LinksideResult linkside_reset(struct LinksideEstimator *estimator);
 
-// A part of the estimate by name: `t`, `q`, `dq`, `ddq`, `theta`, `dtheta`, `tool_position`; of filters also `q_std`, `tool_std`,
-// `disturbance`, `disturbance_std`, `wrench`, `wrench_std`, `nis`, `log_likelihood`, `used`, `state`; of velocity observers
-// `level`.
+// A part of the estimate by name: `t`, `q`, `dq`, `ddq`, `theta`, `dtheta`, `tool_position`; of filters and of the
+// acceleration-driven observer also `q_std`, `tool_std`; of filters `disturbance`, `disturbance_std`, `wrench`, `wrench_std`,
+// `nis`, `log_likelihood`, `used`, `state`; of velocity observers `level`.
 //
 // Null of a name that the estimator does not have. The pointer, and `*length`, stay valid until `linkside_free`: ask once,
 // before the loop. NaN before there is an estimate.
