@@ -9,7 +9,7 @@ RUSTDOC := RUSTDOCFLAGS="-D warnings -A rustdoc::broken-intra-doc-links" cargo d
 
 PREFIX ?= /usr/local
 
-.PHONY: demo checked test guards lint bench latency header install-c docs figures lock licences clean
+.PHONY: demo checked test guards lint fuzz soak mutants coverage bench latency header install-c docs figures lock licences clean
 
 demo: $(VENV) ## build, install, run the main job on the recording inside the package
 	$(PIP) .
@@ -35,6 +35,28 @@ lint: checked
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+
+SECONDS ?= 3600
+fuzz: checked ## every target for SECONDS, two at a time
+	$(PIP) atheris
+	fuzz/build.sh
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python fuzz/all.py --seconds $(SECONDS)
+
+SAMPLES ?= 1e7
+soak: checked ## every filter for SAMPLES samples of a moving arm, against the truth
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/python/soak.py --samples $(SAMPLES)
+
+MUTANTS ?= --file 'rust/core/src/estimate/**' --file 'rust/core/src/dynamics/**'
+mutants: ## changes of the core that no test notices; MUTANTS='--shard 1/100' takes a part of them
+	cargo install --locked cargo-mutants
+	RUSTFLAGS="--cfg one_level" cargo mutants --package linkside-core --output target $(MUTANTS)
+
+LLVM ?= 22
+coverage: checked ## lines and branches that tests run; needs llvm-profdata and llvm-cov of the version that rustc has
+	tests/coverage.sh $(LLVM)
+	$(PIP) coverage
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m coverage run --branch --source linkside -m pytest
+	$(BIN)/python -m coverage report --skip-covered --sort cover
 
 bench: $(VENV) ## beside what one would use instead
 	$(PIP) ".[test,bench]"

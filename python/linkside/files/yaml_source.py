@@ -105,12 +105,14 @@ class Source:
         except ValidationError as error:
             first, *others = sorted(error.errors(include_url=False), key=lambda e: self._line(e["loc"]))
             more = f" (and {len(others)} more)" if others else ""
-            raise ConfigError(self._explain(first) + more) from None
+            raise ConfigError(self._explain(first, model) + more) from None
 
-    def _explain(self, error: ErrorDetails) -> str:
+    def _explain(self, error: ErrorDetails, model: type[BaseModel]) -> str:
         keys, kind, context = error["loc"], error["type"], error.get("ctx", {})
         if kind == "missing":
             return f"{self.where(*keys[:-1])}missing key '{keys[-1]}'"
+        if kind == "extra_forbidden":  # of files with one level of keys; robot.yaml's sections refuse their own
+            return f"{self.where(*keys)}unknown key; {suggest(str(keys[-1]), model.model_fields)}"
         if kind == "refused":
             return f"{self.where(*keys, *context['at'])}{context['message']}"
         expected = EXPECTED[kind].format(**context) if kind in EXPECTED else error["msg"]

@@ -61,12 +61,12 @@ def write_scene(
     check_writable(out, SUFFIXES)
     found = Looks() if urdf is None else looks(robot, urdf)
     parts = excerpts(robot, log, estimate, positive("rate", rate))
-    with spill_folder(Path(os.path.realpath(out)).parent) as folder:
+    with writing(out), spill_folder(Path(os.path.realpath(out)).parent) as folder:
         whole = folder / f"scene{out.suffix.lower()}"
         if whole.suffix == ".rrd":
             rerun_recording.write(robot, found, parts, whole)
         else:
             mcap_recording.write(robot, parts, whole)
-        with whole.open("rb") as source, writing(out), replacing(out) as file:
+        with whole.open("rb") as source, replacing(out) as file:
             shutil.copyfileobj(source, file, 1 << 20)
     return found

@@ -30,15 +30,21 @@ def write(robot: Robot, looks: Looks, excerpts: Iterable[Excerpt], path: Path) -
     """Write a recording; a failure leaves an incomplete ``path``."""
     try:
         import rerun as rr
+        from rerun.chunk import RrdReader
     except ImportError:
         raise EstimatorError(f"{path}: rerun-sdk is needed to write this: pip install 'linkside[rerun]'") from None
     recording = rr.RecordingStream("linkside", recording_id=robot.tree.name or "robot", send_properties=False)
-    recording.save(path)
     try:
-        _Scene(rr, recording, robot, looks).write(excerpts)
-    finally:
-        recording.flush()
-        recording.disconnect()
+        recording.save(path)
+        try:
+            _Scene(rr, recording, robot, looks).write(excerpts)
+        finally:
+            recording.flush()
+            recording.disconnect()
+        for _ in RrdReader(path).stream():  # a write that fails in Rerun's own thread is not reported, and shows here
+            pass
+    except RuntimeError as error:  # of Rerun
+        raise OSError(str(error)) from error
 
 
 class _Scene:

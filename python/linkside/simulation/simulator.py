@@ -92,7 +92,7 @@ class Simulation:
     _table: dict[str, FloatArray]
 
     def write(self, folder: str | PathLike[str], *, suffix: Literal[".parquet", ".csv"] = ".parquet") -> None:
-        """Write ``log`` and ``truth``, as `Log.read` and ``linkside compare`` read them; both whole or neither.
+        """Write ``log`` and ``truth``, as `Log.read` and ``linkside compare`` read them; each whole or not at all.
 
         Raises
         ------

@@ -2,6 +2,16 @@
 
 use crate::error::{DesignError, RobotError};
 
+/// Beyond this nothing is an estimate, in whatever unit; below it nothing overflows that is computed from estimates,
+/// such as the velocity of a motor from products of three of the link's.
+pub(crate) const LARGEST: f64 = 1e100;
+
+/// Whether all of them can be parts of an estimate: numbers, none of them extreme.
+#[inline(always)]
+pub(crate) fn are_sound<'a>(values: impl IntoIterator<Item = &'a f64>) -> bool {
+    values.into_iter().all(|x| x.abs() <= LARGEST)
+}
+
 /// # Errors
 /// Another number of entries than `expected`.
 pub(crate) fn expect_length(what: &'static str, found: usize, expected: usize) -> Result<(), DesignError> {
@@ -49,7 +59,8 @@ pub(crate) fn refuse_infinite(what: &'static str, values: &[f64]) -> Result<(), 
 /// Another number of standard deviations than `expected`, or one that is negative or not finite.
 pub(crate) fn check_deviations(what: &'static str, values: &[f64], expected: usize) -> Result<(), DesignError> {
     expect_length(what, values.len(), expected)?;
-    expect_each(what, values, |v| v.is_finite() && v >= 0.0, "a standard deviation of at least 0")
+    expect_each(what, values, |v| v.is_finite() && v >= 0.0, "a standard deviation of at least 0")?;
+    expect_each(what, values, |v| v <= LARGEST, "at most 1e100")
 }
 
 /// # Errors

@@ -2,8 +2,8 @@
 
 use crate::error::EstimatorError;
 use numpy::{
-    PyArray1, PyArray2, PyArrayDyn, PyArrayMethods, PyReadonlyArray, PyReadonlyArray1, PyReadonlyArray2,
-    PyUntypedArrayMethods, ndarray::Dimension,
+    PyArray1, PyArray2, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyReadonlyArray, PyReadonlyArray1,
+    PyReadonlyArray2, PyUntypedArray, PyUntypedArrayMethods, ndarray::Dimension,
 };
 use pyo3::prelude::*;
 
@@ -99,8 +99,9 @@ impl<'py> FromPyObject<'_, 'py> for Signal<'py> {
             let strided = array.as_slice().is_err().then(|| array.as_array().to_vec());
             return Ok(strided.map_or(Self::Array(array), Self::Values));
         }
-        if let Ok(values) = given.extract() {
-            return Ok(Self::Values(values));
+        let complex = given.cast::<PyUntypedArray>().is_ok_and(|array| array.dtype().kind() == b'c');
+        if !complex && let Ok(values) = given.extract() {
+            return Ok(Self::Values(values)); // of complex numbers NumPy would give the real parts, with a warning
         }
         let shape = PyModule::import(given.py(), "numpy")?.call_method1("shape", (given,));
         Ok(Self::Unfit(match shape {

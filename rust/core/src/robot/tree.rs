@@ -6,6 +6,7 @@ use crate::check::expect_of;
 use crate::error::RobotError;
 use crate::scalar::Scalar;
 use crate::spatial::{FixedRotation, Inertia, Mat3, Sym3, Vec3};
+use nalgebra::Matrix3;
 
 /// How a joint moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -95,7 +96,8 @@ impl Tree {
     /// Compiles `specs`, in topological order, under the acceleration of free fall `gravity` [m/s²] in the base frame.
     ///
     /// # Errors
-    /// A body before its parent, a joint that moves no body or two, an axis that is not of unit length, a negative mass.
+    /// A body before its parent, a joint that moves no body or two, an axis that is not of unit length, a negative mass, an
+    /// inertia with a negative principal moment.
     pub fn new(gravity: Vec3<f64>, specs: &[BodySpec]) -> Result<Self, RobotError> {
         if specs.is_empty() {
             return Err(RobotError::NoBodies);
@@ -233,6 +235,9 @@ fn compile(body: usize, spec: &BodySpec, carrier: &Mat3<f64>) -> Result<Body, Ro
         let sum: f64 = vector.0.iter().sum();
         expect_of(sum.is_finite(), what, owner, sum, "finite numbers")?;
     }
+    let [least, most] = moments_between(&spec.inertia);
+    let roundoff = 1e-6 * most.abs() + 1e-12; // a rod's, singular in truth, in a file of six digits
+    expect_of(least >= -roundoff, "inertia", owner, least, "principal moments of at least 0")?;
     // Where the axis is in the carrier's frame counts; how the joint's frame is turned about it goes into what the body carries.
     let turned = carrier.mul_constant(&spec.rotation);
     let rotation = FixedRotation::z_to(&turned.apply(&spec.axis));
@@ -247,6 +252,14 @@ fn compile(body: usize, spec: &BodySpec, carrier: &Mat3<f64>) -> Result<Body, Ro
         inertia: moments(spec, &align),
         align,
     })
+}
+
+/// The least and the greatest principal moment.
+fn moments_between(inertia: &Mat3<f64>) -> [f64; 2] {
+    let columns = inertia.0.map(|column| column.0);
+    let symmetric = Matrix3::from_fn(|i, j| 0.5 * (columns[j][i] + columns[i][j]));
+    let moments = symmetric.symmetric_eigenvalues();
+    [moments.min(), moments.max()]
 }
 
 /// Moments of mass about the joint frame's origin, in our axes.

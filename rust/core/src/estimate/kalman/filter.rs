@@ -13,7 +13,7 @@ use super::path::StatePath;
 use super::phases::{Judge, Linearise, Phases, Predict, Regress, Update, WeighReadings};
 use super::recording::KalmanSample;
 use super::sigma_points::SigmaRule;
-use crate::check::{expect, expect_length};
+use crate::check::{LARGEST, are_sound, expect, expect_length};
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
 use crate::linear;
@@ -352,8 +352,9 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         self.advance(&sample)?;
         predicted(&self.model, &self.belief);
         self.correct(&sample);
+        let finite = self.is_finite(&sample);
         let sample = self.taken;
-        if !self.is_finite() {
+        if !finite {
             self.reset();
             return Err(RunError::NotFinite { sample });
         }
@@ -361,10 +362,15 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
         Ok(())
     }
 
-    /// Whether the sample left an estimate. The covariance is not looked at: what spoils it spoils the next mean.
+    /// Whether the sample left an estimate, of motors too, which are reported with their velocities as read. Of the covariance
+    /// the variances are looked at: what spoils the rest spoils the next mean.
     #[inline(always)]
-    pub(super) fn is_finite(&self) -> bool {
-        self.correction.log_likelihood.is_finite() && self.belief.mean.iter().all(|x| x.is_finite())
+    pub(super) fn is_finite(&self, sample: &KalmanSample<'_>) -> bool {
+        let Gaussian { mean, covariance } = &self.belief;
+        let variances = covariance.data.iter().step_by(covariance.stride + 1).take(mean.len());
+        self.correction.log_likelihood.is_finite()
+            && are_sound(mean.iter().chain(variances))
+            && sample.inputs.dtheta.iter().all(|x| x.is_nan() || x.abs() <= LARGEST)
     }
 
     /// The row of an estimate that belongs to the last sample, written into the first of `out`.

@@ -150,7 +150,7 @@ impl<M: Phases> FixedLagSmoother<M> {
             self.step_back(sample.dt);
         }
         self.filter.correct(&sample);
-        if !self.filter.is_finite() {
+        if !self.filter.is_finite(&sample) {
             let sample = self.filter.taken;
             self.reset();
             return Err(RunError::NotFinite { sample });

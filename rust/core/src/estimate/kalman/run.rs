@@ -100,7 +100,7 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
                 }
             }
             // 3. A likelihood or a mean that is not finite will not become so again: say where, and stop.
-            if !self.is_finite() {
+            if !self.is_finite(&sample) {
                 return Err(RunError::NotFinite { sample: self.taken });
             }
             self.taken += 1;

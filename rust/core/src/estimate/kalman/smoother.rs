@@ -264,6 +264,7 @@ impl<M: Phases> Smoother<M> {
 
     /// The stretches of a recording, and the filter as it is before each.
     pub(super) fn starts(&self, recording: KalmanRecording<'_>) -> Result<Vec<Stretch<M>>, RunError> {
+        self.filter.model.check(&recording)?;
         let (count, stretch) = (recording.dt.len(), self.stretch());
         let mut filter = self.filter.clone();
         let mut starts = Vec::with_capacity(count / stretch + 1);

@@ -1,6 +1,7 @@
 //! How well a robot's numbers are known, one by one and together.
 
 use super::uncertain::Tolerance;
+use crate::check::{LARGEST, expect};
 use crate::error::DesignError;
 use crate::linear;
 use core::ops::Deref;
@@ -33,6 +34,7 @@ impl Tolerances {
     /// A pair that is not of two of `each`, is there twice or is of a number that changes with time; a correlation outside
     /// −1 to 1; correlations that no errors have together.
     pub fn correlated(each: Vec<Tolerance>, correlations: Vec<(usize, usize, f64)>) -> Result<Self, DesignError> {
+        each.iter().try_for_each(|one| expect(one.std.abs() <= LARGEST, "a tolerance", one.std, "at most 1e100"))?;
         let n = each.len();
         let mut matrix = vec![0.0; n * n];
         matrix.iter_mut().step_by(n + 1).for_each(|own| *own = 1.0);

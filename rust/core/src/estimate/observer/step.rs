@@ -20,7 +20,7 @@ use super::rest::Rest;
 use super::sampled::{JointState, Sampled};
 use super::settings::{AccelerationSource, Form, ObserverSettings, Start, check};
 use super::uncertainty::Uncertainty;
-use crate::check::{expect_length, refuse_infinite};
+use crate::check::{are_sound, expect_length, refuse_infinite};
 use crate::dynamics::Kinematics;
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
@@ -250,9 +250,11 @@ impl AccelerationObserver {
         }
     }
 
-    /// Whether links still have positions, velocities and accelerations.
+    /// Whether links and motors still have positions and velocities, and links accelerations.
     pub(super) fn is_finite(&self) -> bool {
-        [&self.q[..], &self.dq, &self.ddq, self.q_std()].into_iter().flatten().all(|x| x.is_finite())
+        let mut motors = (0..self.joints()).map(|joint| self.motor(joint));
+        are_sound([&self.q[..], &self.dq, &self.ddq, self.q_std()].into_iter().flatten())
+            && motors.all(|(theta, dtheta)| are_sound(&[theta, dtheta]))
     }
 
     /// [`step`](Self::step) with a sample that has been checked.

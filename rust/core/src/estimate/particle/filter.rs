@@ -10,6 +10,7 @@ use super::rao_blackwell;
 use super::regularise::Moments;
 use super::settings::{Marginalised, ParticleSettings};
 use super::shared::Shared;
+use crate::check::{are_sound, expect};
 use crate::error::{DesignError, RunError};
 use crate::estimate::kalman::{FilterOutput, Gaussian, JerkDriven, KalmanSample, Model, Phases, Predict, Tool};
 use crate::simd;
@@ -109,6 +110,13 @@ impl ParticleFilter {
     pub fn new(model: JerkDriven, settings: ParticleSettings, marginalised: Marginalised) -> Result<Self, DesignError> {
         let jerk = model.jerk_model();
         settings.check(jerk, marginalised)?;
+        let more = jerk.dense() - 3 * jerk.joints();
+        expect(
+            more == 0,
+            "disturbances",
+            more as f64,
+            "0 torques and wrenches from outside in the state of a particle",
+        )?;
         let (n, m, d) = (jerk.joints(), jerk.channels(), jerk.states());
         let past = Past::new(&model);
         // Where sensors are late, biases are not independent of each other given the path.
@@ -217,7 +225,7 @@ impl ParticleFilter {
 
     /// Whether the cloud still has a mean.
     pub(super) fn is_finite(&self) -> bool {
-        self.summary.mean.iter().all(|x| x.is_finite())
+        are_sound(&self.summary.mean)
     }
 
     /// [`step`](Self::step) with a sample that has been checked.

@@ -9,6 +9,7 @@ use super::output::{Summary, packed};
 use super::past::Past;
 use super::rao_blackwell;
 use super::settings::{Collapse, Marginalised, ParticleSettings};
+use crate::check::are_sound;
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
 use crate::estimate::kalman::{ExtendedKalmanFilter, FilterSettings, JerkDriven, KalmanSample};
@@ -94,7 +95,7 @@ impl Guard {
     /// Whether there is a Kalman estimate to restart from.
     pub(super) fn is_finite(&self) -> bool {
         let (fit, belief) = (self.kalman.fit(), self.kalman.belief());
-        fit.log_likelihood.is_finite() && belief.mean.iter().chain(&belief.covariance.data).all(|x| x.is_finite())
+        fit.log_likelihood.is_finite() && are_sound(belief.mean.iter().chain(&belief.covariance.data))
     }
 
     /// Whether the cloud explains the readings better.

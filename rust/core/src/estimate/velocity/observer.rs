@@ -5,7 +5,7 @@ use super::map::Mapped;
 use super::rigid::RigidDynamics;
 use super::schedule::Logic;
 use super::settings::{Gains, VelocitySettings};
-use crate::check::{expect_length, refuse_infinite};
+use crate::check::{are_sound, expect_length, refuse_infinite};
 use crate::error::{DesignError, RunError};
 use crate::estimate::Status;
 use crate::estimate::observer::{LONGEST, Start};
@@ -408,7 +408,7 @@ impl VelocityObserver {
     /// Whether the estimate is still one.
     #[inline(always)]
     pub fn is_finite(&self) -> bool {
-        self.velocity.iter().zip(&self.acceleration).all(|(v, a)| v.is_finite() && a.is_finite())
+        are_sound(self.velocity.iter().chain(&self.acceleration))
     }
 
     /// Tool centre point [m]; NaN when the robot has none.
