@@ -217,7 +217,7 @@ def faults() -> None:
 
 
 def observer_faults() -> None:
-    """Every fault in every channel of arm2_square, for the observer: rows off, and off and good without and with `std`."""
+    """Every fault in every channel of arm2_square, for the observer: rows off, off and good without and with `std`."""
     robot = Robot.load(DATA / "arm2_square/robot.yaml")
     log, truth = Log.read(DATA / "arm2_square/log.parquet", robot), Estimate.read(DATA / "arm2_square/truth.parquet")
     row = len(log) // 3

@@ -40,7 +40,9 @@ METHODS = {
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folders", type=Path, nargs="*", default=sorted(log.parent for log in DATA.glob("*/log.parquet")))
+    parser.add_argument(
+        "folders", type=Path, nargs="*", default=sorted(log.parent for log in DATA.glob("*/log.parquet"))
+    )
     parser.add_argument("--rows", type=int, default=3000)
     parser.add_argument("--methods", nargs="+", choices=list(METHODS), default=list(METHODS))
     options = parser.parse_args()

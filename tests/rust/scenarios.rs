@@ -33,9 +33,10 @@ fn answers_are_the_same_to_the_last_bit() {
                 estimator.reset();
             }
             let signals = Signal::ALL.map(|signal| numbers(&given["signals"][signal.name()]));
-            let [theta, dtheta, tau, acceleration, rate, q, dq, ddq, torque, ddqref, wrench] = &signals;
+            let [theta, dtheta, tau, acceleration, rate, q, dq, ddq, torque, ddqref, wrench, position] = &signals;
             let dt = number(&given["dt"]);
-            let sample = Sample { dt, theta, dtheta, tau, acceleration, rate, q, dq, ddq, torque, ddqref, wrench };
+            let sample =
+                Sample { dt, theta, dtheta, tau, acceleration, rate, q, dq, ddq, torque, ddqref, wrench, position };
             let taken = estimator.step(&sample).is_ok();
             assert_eq!(answer["taken"], taken, "{} step {index}", estimator.method());
             if taken {
