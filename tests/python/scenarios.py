@@ -13,7 +13,7 @@ from pathlib import Path
 
 DATA = Path(__file__).parents[1] / "data"
 SCENARIOS = DATA / "scenarios"
-SIGNALS = ("theta", "dtheta", "tau", "acceleration", "rate", "q", "dq", "ddq", "torque", "ddqref", "wrench")
+SIGNALS = ("theta", "dtheta", "tau", "acceleration", "rate", "q", "dq", "ddq", "torque", "ddqref", "wrench", "position")
 ESTIMATES = ("t", "q", "dq", "ddq", "theta", "dtheta", "q_std", "tool_position", "tool_std", "nis")
 STEPS = 60
 
