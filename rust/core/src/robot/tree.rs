@@ -164,6 +164,7 @@ impl Tree {
     ) -> Result<Frame, RobotError> {
         let count = self.bodies.len();
         let carrier = self.bodies.get(body).ok_or_else(|| RobotError::Body { owner: owner.into(), body, count })?;
+        expect_place(|| owner.into(), rotation, translation)?;
         let align = &carrier.align;
         Ok(Frame { body, rotation: align.mul_constant(rotation), translation: align.apply(translation) })
     }
@@ -228,10 +229,9 @@ fn compile(body: usize, spec: &BodySpec, carrier: &Mat3<f64>) -> Result<Body, Ro
         return Err(RobotError::Axis { body, length });
     }
     expect_of(spec.mass >= 0.0 && spec.mass.is_finite(), "mass", owner, spec.mass, "at least 0")?;
-    let matrices = [("rotation", &spec.rotation), ("inertia", &spec.inertia)];
-    let vectors = [("translation", &spec.translation), ("centre of mass", &spec.com)];
-    let columns = matrices.iter().flat_map(|(what, m)| m.0.iter().map(move |c| (*what, c)));
-    for (what, vector) in columns.chain(vectors) {
+    expect_place(owner, &spec.rotation, &spec.translation)?;
+    let [x, y, z] = &spec.inertia.0;
+    for (what, vector) in [("inertia", x), ("inertia", y), ("inertia", z), ("centre of mass", &spec.com)] {
         let sum: f64 = vector.0.iter().sum();
         expect_of(sum.is_finite(), what, owner, sum, "finite numbers")?;
     }
@@ -252,6 +252,20 @@ fn compile(body: usize, spec: &BodySpec, carrier: &Mat3<f64>) -> Result<Body, Ro
         inertia: moments(spec, &align),
         align,
     })
+}
+
+/// Refuses a place that is not finite.
+fn expect_place(
+    owner: impl Fn() -> String + Copy,
+    rotation: &Mat3<f64>,
+    translation: &Vec3<f64>,
+) -> Result<(), RobotError> {
+    let [x, y, z] = &rotation.0;
+    for (what, vector) in [("rotation", x), ("rotation", y), ("rotation", z), ("translation", translation)] {
+        let sum: f64 = vector.0.iter().sum();
+        expect_of(sum.is_finite(), what, owner, sum, "finite numbers")?;
+    }
+    Ok(())
 }
 
 /// The least and the greatest principal moment.
