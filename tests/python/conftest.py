@@ -29,7 +29,7 @@ def library():
     name = "liblinkside.dylib" if platform.system() == "Darwin" else "liblinkside.so"
     for folder in filter(None, LIBRARIES):
         if (Path(folder) / name).is_file():
-            return Path(folder)
+            return Path(folder).resolve()
     if LIBRARIES[0]:
         pytest.fail(f"LINKSIDE_CAPI={LIBRARIES[0]} has no {name}")
     pytest.skip(f"no {name}: cargo test --release -p linkside-capi builds it")

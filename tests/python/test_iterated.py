@@ -255,7 +255,7 @@ def test_a_loss_may_be_of_one_kind_of_sensor():
     some = ExtendedKalmanFilter(robot, Noise(jerk=15.0), loss={"acceleration": "huber"}, **given)
     assert "loss={'acceleration': 'huber'}" in repr(some)
     assert np.abs(some.run(log).q - squares.q).max() > 0
-    for loss, message in [("cauchy", "loss is 'cauchy'"), ({"tau": "huber"}, "'tau' is not one of")]:
+    for loss, message in [("cauchy", "loss is 'cauchy'"), ({"torques": "huber"}, "'torques' is not one of")]:
         with pytest.raises(EstimatorError, match=message):
             ExtendedKalmanFilter(robot, loss=loss)
 

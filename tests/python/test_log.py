@@ -48,6 +48,10 @@ class Robot:
         return ()
 
     @property
+    def position_channels(self) -> tuple[str, ...]:
+        return ()
+
+    @property
     def gearing(self) -> np.ndarray:
         return np.eye(len(self.names))
 

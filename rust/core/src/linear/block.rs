@@ -1,7 +1,7 @@
 //! Blocks: L rows by W vector registers of a product, whose sums stay in registers over the whole inner loop.
 //!
 //! Four rows share each load. A filter's matrices fit into the nearest cache as they are: nothing is blocked for one, and
-//! nothing is copied. The compiler knows the size of rows of up to twelve registers ([`Known`]), so that a block is its
+//! nothing is copied. The compiler knows the size of rows of up to twelve registers ([`KnownWidth`]), so that a block is its
 //! arithmetic and little else.
 
 use super::LANES;
@@ -54,9 +54,9 @@ pub(super) trait Width: Copy {
 
 /// A number of registers that the compiler knows.
 #[derive(Clone, Copy)]
-pub(super) struct Known<const R: usize>;
+pub(super) struct KnownWidth<const R: usize>;
 
-impl<const R: usize> Width for Known<R> {
+impl<const R: usize> Width for KnownWidth<R> {
     type Rows<'a> = &'a [[Lane; R]];
 
     #[inline(always)]
@@ -128,7 +128,7 @@ macro_rules! by_width {
     (@ $stride:expr, $width:ident, $body:expr, $($known:literal)*) => {
         match $stride / crate::linear::LANES {
             $($known => {
-                let $width = crate::linear::block::Known::<$known>;
+                let $width = crate::linear::block::KnownWidth::<$known>;
                 $body
             })*
             other => {

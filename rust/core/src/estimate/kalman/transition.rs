@@ -361,9 +361,10 @@ impl Transition {
     /// Φ and Q, row by row without padding.
     #[inline(always)]
     pub(super) fn remember(&self, memory: &mut Vec<f64>) {
+        let d = self.layout.dense;
         for matrix in [&self.phi, &self.noise.covariance().data] {
-            for row in matrix.chunks_exact(self.stride) {
-                memory.extend_from_slice(&row[..self.layout.dense]);
+            for row in matrix.chunks_exact(self.stride).take(d) {
+                memory.extend_from_slice(&row[..d]);
             }
         }
     }
