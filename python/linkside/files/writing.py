@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from linkside.errors import OutputError
+from linkside.errors import LinksideError, OutputError
 
 from .parts import discard, open_part, replacing
 from .regular import instead
@@ -49,7 +49,7 @@ def writing(path: Path) -> Iterator[None]:
     """Turn what can go wrong while a file is written into an `OutputError` that names it."""
     try:
         yield
-    except OutputError:
+    except LinksideError:
         raise
     except (OSError, ValueError, pa.ArrowException) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error

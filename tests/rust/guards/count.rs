@@ -61,6 +61,11 @@ fn in_folder(kernels: usize, folder: &Path) -> Result<Vec<u64>, String> {
         .arg(own)
         .env(COUNTING, "")
         .env("LINKSIDE_SIMD", "baseline")
+        // Filling memory by one instruction that repeats counts by bytes, and processors differ in when it is chosen.
+        .env(
+            "GLIBC_TUNABLES",
+            "glibc.cpu.x86_rep_stosb_threshold=100000000:glibc.cpu.x86_rep_movsb_threshold=100000000",
+        )
         .env("RAYON_NUM_THREADS", "1") // threads that wait for each other count as they please
         .output()
         .map_err(|error| format!("valgrind: {error}"))?;
