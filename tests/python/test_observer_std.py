@@ -10,6 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linkside import AccelerationObserver, Estimate, EstimatorError, Log, Robot, Status
+from linkside.control import inverse_dynamics
+from linkside.control.trajectories import rest_to_rest
 
 from .test_observers import ONE_LINK, RECORDINGS, load, one_joint
 
@@ -258,6 +260,26 @@ def test_a_channel_that_fails_does_not_make_a_good_row_wrong(signal, channel, ki
     if kind in ("stuck", "dead") and signal != "theta":
         assert (estimate.status[1420:] & Status.FAULTY).all()
     assert not estimate.status[:1300].any()
+
+
+@pytest.mark.parametrize("step", [0.0, 0.05])
+@pytest.mark.parametrize("name", ["arm2_square", "kr15_six_axes"])
+def test_a_commanded_torque_may_stay_what_it_is_at_rest(name, step):
+    """From one posture to another by torques without noise, which then hold gravity, the same in every row."""
+    robot, log, _ = load(name)
+    motion = rest_to_rest([log.theta[0], log.theta[0] + 0.3], duration=0.6, period=log.period).held(0.1, 1.0)
+    wanted, rng = inverse_dynamics(robot, motion), np.random.default_rng(0)
+    noise = np.concatenate([np.full(len(s.axes), s.noise_std) for s in robot.accelerometers])
+    force = robot.specific_force(motion.q, motion.dq, motion.ddq)
+    resolution = robot.config.encoder.resolution
+    signals = {
+        "theta": np.round(wanted.theta / resolution) * resolution,
+        "tau": np.round(wanted.tau / step) * step if step else wanted.tau,
+        "acceleration": force + noise * rng.standard_normal(force.shape),
+    }
+    columns = {c: x for s, values in signals.items() for c, x in zip(log.columns(s), values.T, strict=True)}
+    recording = Log.from_table({"t": motion.t - motion.t[0]} | columns, robot, check=False)
+    assert not AccelerationObserver(robot).run(recording).status.any()
 
 
 def test_torques_in_another_unit_are_in_the_deviations():

@@ -9,8 +9,10 @@ use crate::estimate::kalman::Signal;
 use crate::linear;
 use crate::robot::Robot;
 
-/// A torque that stays the same to the last bit for so long is not one that is measured [s].
+/// A torque that stays the same to the last bit for so long is not one that is measured [s], where its motor meanwhile goes so far
+/// [rad] and becomes so much faster or slower [rad/s]. That of a motor at rest, or at constant speed, may be commanded.
 const HELD: f64 = 0.05;
+const MOVED: [f64; 2] = [1e-3, 1e-2];
 /// A motor whose link has turned by so much has turned as well [rad]: no spring twists that far.
 const TURNED: f64 = 0.01;
 /// Time over which accelerations tell how far a link has turned [s].
@@ -23,6 +25,8 @@ const SURE: f64 = 3.0;
 pub(super) struct Repeats {
     period: f64,
     torques: Vec<Signal>,
+    /// Position and velocity of each motor when its torque became what it is, and whether they have changed since.
+    since: Vec<([f64; 2], bool)>,
     accelerations: Vec<Signal>,
     /// Variances of the noise of these.
     torque: Vec<f64>,
@@ -50,6 +54,7 @@ impl Repeats {
         Self {
             period,
             torques: vec![Signal::NEW; robot.len()],
+            since: vec![([0.0; 2], false); robot.len()],
             accelerations: vec![Signal::NEW; acceleration.len()],
             torque: uncertainty.torque.iter().map(|std| std * std).collect(),
             acceleration,
@@ -90,12 +95,16 @@ impl Repeats {
                 stuck |= signal.is_stuck(variance);
             }
         }
-        for ((signal, &tau), (&variance, drive)) in
-            self.torques.iter_mut().zip(sample.tau).zip(self.torque.iter().zip(&look.robot.drives))
-        {
-            if drive.elastic && !tau.is_nan() {
+        for (j, &tau) in sample.tau.iter().enumerate() {
+            if look.robot.drives[j].elastic && !tau.is_nan() {
+                let (signal, [theta, _, dtheta, ..]) = (&mut self.torques[j], look.state[j]);
                 signal.take(tau, 0.0);
-                stuck |= f64::from(signal.run) > long && signal.is_stuck(variance);
+                if signal.run == 1 {
+                    self.since[j] = ([theta, dtheta], false);
+                }
+                let ([from, speed], moved) = &mut self.since[j];
+                *moved |= (theta - *from).abs() > MOVED[0] && (dtheta - *speed).abs() > MOVED[1];
+                stuck |= *moved && f64::from(signal.run) > long && signal.is_stuck(self.torque[j]);
             }
         }
         for (j, still) in self.positions.iter_mut().enumerate() {
