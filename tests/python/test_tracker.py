@@ -13,9 +13,11 @@ from linkside import (
     EstimatorError,
     ExtendedKalmanFilter,
     Log,
+    MotorJerkFilter,
     Noise,
     RauchTungStriebelSmoother,
     Robot,
+    Status,
 )
 from linkside.calibration import align_tracker, calibrate
 from linkside.cli import main
@@ -110,6 +112,14 @@ def test_moves_links_where_it_is_trusted(run, method, noise):
         assert name == "trusted" or (error < 3 * estimate.q_std).all()
     np.testing.assert_allclose(errors["biased"], errors["without"], rtol=0.1)
     assert errors["trusted"].sum() < 0.98 * errors["without"].sum()
+
+
+@pytest.mark.parametrize("method", [ExtendedKalmanFilter, ElasticJointFilter, MotorJerkFilter])
+def test_may_stand_half_a_millimetre_off(run, method):
+    place = PLACE | {"xyz": [1.0004, 0.5, 0.1997]}
+    estimate = method(arm(place=place)).run(run.log)
+    assert not (estimate.status & Status.CONTRADICTED).any()
+    assert (np.abs(estimate.q - run.truth["q"]) < 3 * estimate.q_std).all()
 
 
 def test_calibrates_springs(run):

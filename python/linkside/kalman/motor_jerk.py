@@ -107,7 +107,7 @@ class MotorJerk(OnElasticDynamics):
         torque: bool | None = None,
         dq: bool | None = None,
         tau: bool | None = False,
-        biases: Sequence[str] = ("acceleration", "rate", "tau"),
+        biases: Sequence[str] = ("acceleration", "rate", "position", "tau"),
         gate: float | None = None,
         iterations: int = 1,
         tolerances: bool = True,
@@ -213,7 +213,8 @@ class MotorJerkFilter(MotorJerk, LiveOnElasticDynamics):
         Whether motor velocities and motor torques are read; None: where the log has them. Most velocities are
         derivatives of the positions, and say nothing more.
     biases
-        Kinds of channels with a bias state: any of ``"motor"``, ``"acceleration"``, ``"rate"``, ``"tau"``.
+        Kinds of channels with a bias state: any of ``"motor"``, ``"acceleration"``, ``"rate"``,
+        ``"position"``, ``"tau"``.
     gate, iterations, tolerances, start, link_disturbance, loss, linearisation
         As of `ElasticJointFilter`.
 
