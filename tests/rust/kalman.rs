@@ -19,7 +19,7 @@ use proptest::prelude::*;
 use std::sync::Arc;
 
 const JOINTS: usize = 3;
-const ALL: &[Kind] = &Kind::SENSORS;
+const ALL: &[Kind] = Kind::SENSORS;
 /// Motors, an accelerometer's two axes, motor velocities, a gyroscope's three axes, links, torques, links' velocities, a
 /// tracker's two axes.
 const CHANNELS: usize = 5 * JOINTS + 7;

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from abc import abstractmethod
+from collections.abc import Iterable, Iterator, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from linkside import _core
 from linkside.arrays import FloatArray
+from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot.considered import Uncertain, core_settings
 
-from .filtering import KalmanMethod
+from .filtering import KalmanEstimate, KalmanMethod
 from .late_sensors import inside
 from .link_disturbance import LinkDisturbance
-from .start import Moving
-from .starting import DecidingFilter
+from .start import Moving, Readings
+from .starting import DecidingFilter, first_readings, in_pieces
+
+Arrays = tuple[FloatArray, FloatArray, FloatArray]
 
 
 class OnElasticDynamics(KalmanMethod):
@@ -25,6 +30,22 @@ class OnElasticDynamics(KalmanMethod):
     _uncertain: list[Uncertain]
 
     _run_all = staticmethod(_core.ElasticJointFilter.run_all)
+
+    def _job(self, log: Log, law: LinkDisturbance | None = None) -> Job[KalmanEstimate]:
+        kinds = self.kinds(log)
+        arrays = self.arrays(log, kinds)
+        core = self.started_core(kinds, log, first_readings(log), law)
+        return Job(log, core, arrays, partial(self._estimate, log, kinds))
+
+    @abstractmethod
+    def started_core(
+        self, kinds: tuple[str, ...], log: Log, first: Readings, law: LinkDisturbance | None = None
+    ) -> _core.ElasticJointFilter:
+        """Build a filter of the core that starts where the ``first`` samples say."""
+
+    @abstractmethod
+    def arrays(self, log: Log, kinds: tuple[str, ...], before: Log | None = None) -> Arrays:
+        """Steps of time, readings and what moves the motors, one row a sample, for the core's filter."""
 
     def _relaxed(self, kinds: tuple[str, ...]) -> bool:
         """Whether friction elements start relaxed: no sensor tells where links are, so that noise would move them."""
@@ -90,3 +111,21 @@ class LiveOnElasticDynamics(OnElasticDynamics, DecidingFilter[_core.ElasticJoint
         there = {"acceleration": bool(self.robot.acceleration_channels), "dtheta": True}
         wanted = {kind: there.get(kind, False) if asked is None else asked for kind, asked in self._wanted.items()}
         return ("motor", *(kind for kind, use in wanted.items() if use))
+
+    def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
+        """Estimate a recording piece by piece, in bounded memory; bit-identical to `run`.
+
+        The first piece decides whether disturbance torques are estimated, and the scale of jerk where ``noise`` does
+        not give one that the model has.
+        """
+
+        def start(piece: Log, first: Readings) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
+            kinds = self.kinds(piece)
+            return self.started_core(kinds, piece, first, self.law(piece)), kinds
+
+        def run(
+            core: _core.ElasticJointFilter, kinds: tuple[str, ...], piece: Log, before: Log | None
+        ) -> dict[str, Any]:
+            return core.run(self.arrays(piece, kinds, before))
+
+        return in_pieces(pieces, start, run, self._estimate)

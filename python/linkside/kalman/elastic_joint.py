@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -11,15 +10,13 @@ import numpy as np
 from linkside import _core
 from linkside.arguments import one_of, per_joint, time_step
 from linkside.arrays import FloatArray, Signal
-from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
 from linkside.robot.compiled import Compiles
 from linkside.robot.considered import considered
 from linkside.robot.requirements import refuse_unsupported
 
-from .elastic_dynamics import LiveOnElasticDynamics, OnElasticDynamics
-from .filtering import KalmanEstimate
+from .elastic_dynamics import Arrays, LiveOnElasticDynamics, OnElasticDynamics
 from .linearisation import Linearisation
 from .link_disturbance import LinkDisturbance, Wanted
 from .losses import Losses
@@ -34,9 +31,6 @@ from .noise import (
     torque_noise,
 )
 from .start import Moving, Readings, Start
-from .starting import first_readings, in_pieces
-
-Arrays = tuple[FloatArray, FloatArray, FloatArray]
 
 TORQUE_TIME = 0.5
 """Times over which a log is asked how far its torques wander end here [s]."""
@@ -129,12 +123,6 @@ class ElasticJoint(OnElasticDynamics):
         self._uncertain = considered(robot, motors=True) if tolerances else []
         self._held = motor_torque == "held"
         self._disturbances, self._transition = disturbances, transition
-
-    def _job(self, log: Log, law: LinkDisturbance | None = None) -> Job[KalmanEstimate]:
-        kinds = self.kinds(log)
-        arrays = self.arrays(log, kinds)
-        core = self.started_core(kinds, log, first_readings(log), law)
-        return Job(log, core, arrays, partial(self._estimate, log, kinds))
 
     def kinds(self, log: Log) -> tuple[str, ...]:
         """Kinds of channels to use, in the filter's order."""
@@ -322,23 +310,6 @@ class ElasticJointFilter(ElasticJoint, LiveOnElasticDynamics, Compiles):
         core = self.core(self.live_kinds, period, self.noise, held=held, law=self.live_law)
         self._begin(core, None, self.live_kinds, self.noise, np.zeros(self.robot.n), self.live_law)
         return core
-
-    def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
-        """Estimate a recording piece by piece, in bounded memory; bit-identical to `run`.
-
-        The first piece decides whether disturbance torques are estimated.
-        """
-
-        def start(piece: Log, first: Readings) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
-            kinds = self.kinds(piece)
-            return self.started_core(kinds, piece, first, self.law(piece)), kinds
-
-        def run(
-            core: _core.ElasticJointFilter, kinds: tuple[str, ...], piece: Log, before: Log | None
-        ) -> dict[str, Any]:
-            return core.run(self.arrays(piece, kinds, before))
-
-        return in_pieces(pieces, start, run, self._estimate)
 
     def fresh(self, period: float) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
         """Build a filter of the core for a loop of this period [s], and the kinds of its channels.

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,14 +10,12 @@ import numpy as np
 from linkside import _core
 from linkside.arguments import finite_or_missing, per_joint, sized, time_step
 from linkside.arrays import FloatArray, Signal
-from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
 from linkside.robot.considered import considered
 from linkside.robot.requirements import refuse_unsupported
 
-from .elastic_dynamics import LiveOnElasticDynamics, OnElasticDynamics
-from .filtering import KalmanEstimate
+from .elastic_dynamics import Arrays, LiveOnElasticDynamics, OnElasticDynamics
 from .jerk_driven import commanded_jerk
 from .linearisation import Linearisation
 from .link_disturbance import LinkDisturbance, Wanted
@@ -35,9 +32,6 @@ from .noise import (
     motor_noise,
 )
 from .start import Moving, Readings, Start
-from .starting import first_readings, in_pieces
-
-Arrays = tuple[FloatArray, FloatArray, FloatArray]
 
 PURPOSE = "a filter on motors moved by jerk"
 
@@ -123,11 +117,6 @@ class MotorJerk(OnElasticDynamics):
         self.noise = noise or MotorJerkNoise()
         # Of a motor nothing counts whose torque is not read: without such readings these columns are zero.
         self._uncertain = considered(robot, motors=tau is not False) if tolerances else []
-
-    def _job(self, log: Log, law: LinkDisturbance | None = None) -> Job[KalmanEstimate]:
-        kinds = self.kinds(log)
-        core = self.started_core(kinds, log, first_readings(log), law)
-        return Job(log, core, self.arrays(log, kinds), partial(self._estimate, log, kinds))
 
     def kinds(self, log: Log) -> tuple[str, ...]:
         """Kinds of channels to use, in the filter's order."""
@@ -313,24 +302,6 @@ class MotorJerkFilter(MotorJerk, LiveOnElasticDynamics):
         core = self.core(self.live_kinds, self.noise, self._period, self.live_law)
         self.begin(core, None, self.live_kinds, self.noise, self.live_law)
         return core
-
-    def run_pieces(self, pieces: Iterable[Log]) -> Iterator[KalmanEstimate]:
-        """Estimate a recording that comes piece by piece, in bounded memory.
-
-        The same bits as `run` when ``noise.jerk`` is given; otherwise the scale of jerk is read off the first piece.
-        Whether links are disturbed is what the first piece shows.
-        """
-
-        def start(piece: Log, first: Readings) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
-            kinds = self.kinds(piece)
-            return self.started_core(kinds, piece, first, self.law(piece)), kinds
-
-        def run(
-            core: _core.ElasticJointFilter, kinds: tuple[str, ...], piece: Log, before: Log | None
-        ) -> dict[str, Any]:
-            return core.run(self.arrays(piece, kinds, before))
-
-        return in_pieces(pieces, start, run, self._estimate)
 
 
 class MotorJerkSmoother(MotorJerk):

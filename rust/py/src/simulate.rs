@@ -258,7 +258,7 @@ fn into_dict<'py>(
     robot: &linkside_core::robot::Robot,
 ) -> PyResult<Bound<'py, PyDict>> {
     let (n, count) = (robot.len(), recording.t.len());
-    let channels = Kind::all_channels(&Kind::SENSORS, robot).len();
+    let channels = Kind::all_channels(Kind::SENSORS, robot).len();
     let out = PyDict::new(py);
     out.set_item("t", PyArray1::from_vec(py, recording.t))?;
     if robot.tool.is_some() {

@@ -302,7 +302,7 @@ fn simulator() -> Work {
     };
     let noise = |channel: &Channel| if matches!(channel, Channel::Acceleration { .. }) { 0.05 } else { 0.0 };
     let models: Vec<_> =
-        Kind::all_channels(&Kind::SENSORS, &robot).iter().map(|channel| model(noise(channel))).collect();
+        Kind::all_channels(Kind::SENSORS, &robot).iter().map(|channel| model(noise(channel))).collect();
     Box::new(move |samples| {
         let reference = Reference::new(vec![0.0], vec![0.1; N], N).unwrap();
         let mut law = JointPd::new(reference, vec![2000.0; N], vec![200.0; N], vec![0.0; N]).unwrap();

@@ -119,7 +119,7 @@ impl Suite {
     /// # Errors
     /// A model out of range, or not as many as channels.
     pub fn new(robot: &Robot, models: &[SensorModel], period: f64, seed: u64) -> Result<Self, DesignError> {
-        let channels = Kind::all_channels(&Kind::SENSORS, robot);
+        let channels = Kind::all_channels(Kind::SENSORS, robot);
         let expected = channels.len();
         expect_length("sensors", models.len(), expected)?;
         for model in models {

@@ -96,18 +96,8 @@ impl Kind {
         Self::MotorTorque,
     ];
 
-    /// Those of sensors, without what moves a robot.
-    pub const SENSORS: [Self; 9] = [
-        Self::Motor,
-        Self::Acceleration,
-        Self::MotorVelocity,
-        Self::Rate,
-        Self::Link,
-        Self::Torque,
-        Self::LinkVelocity,
-        Self::Wrench,
-        Self::Position,
-    ];
+    /// Those of sensors, without what moves a robot, which stands last.
+    pub const SENSORS: &[Self] = Self::ALL.split_at(Self::ALL.len() - 1).0;
 
     /// # Errors
     /// Motor torques among `kinds`, for the reason that is `expected` of a model that does not read them.
