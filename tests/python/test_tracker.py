@@ -1,5 +1,8 @@
 """Trackers: what they read, what they teach, and where they stand."""
 
+import dataclasses
+from contextlib import suppress
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -153,6 +156,36 @@ def test_early_readings_are_not_called_late(run):
         early |= dict(zip(log.columns(signal), getattr(log, signal)[rows].T, strict=True))
     with pytest.raises(EstimatorError, match=r"is 2\d(\.\d)? ms early: its clock is ahead"):
         align_tracker(arm(place={}), Log.from_table(early, arm(), check=False))
+
+
+@pytest.mark.parametrize(
+    ("made", "words"),
+    [
+        (1e3 * np.eye(3), "do not follow the target"),
+        (np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0.5]]), "do not follow the target"),
+        (np.diag([1, 1, -1]), "left-handed"),
+        (-np.eye(3), "left-handed"),
+        (np.nan * np.eye(3), "no row has readings"),
+    ],
+    ids=["millimetres", "skew", "one sign", "all signs", "none"],
+)
+def test_readings_of_something_else_are_refused(run, made, words):
+    with pytest.raises(EstimatorError, match=words):
+        align_tracker(arm(place={}), dataclasses.replace(run.log, position=run.log.position @ made))
+
+
+@pytest.mark.parametrize("rows", [12, 60, 150])
+def test_a_short_recording_is_aligned_or_refused_in_words(run, rows):
+    with suppress(EstimatorError):
+        assert align_tracker(arm(place={}), run.log[300 : 300 + rows]).residual < 1e-4
+
+
+@pytest.mark.parametrize("rows", [slice(0, 110), slice(1400, 1501), slice(750, 757)])
+def test_readings_in_a_part_alone_are_aligned_or_refused_in_words(run, rows):
+    seen = np.full_like(run.log.position, np.nan)
+    seen[rows] = run.log.position[rows]
+    with suppress(EstimatorError):
+        assert align_tracker(arm(place={}), dataclasses.replace(run.log, position=seen)).residual < 1e-4
 
 
 def test_a_motion_along_a_line_does_not_tell_axes():

@@ -35,6 +35,15 @@ LONGEST, STEPS = 0.25, 101
 TOLD = 10.0
 """A target must move in two directions by more than this many standard deviations of a reading."""
 
+FEWEST = 8
+"""Rows with readings that all unknowns take at least."""
+
+FAR = 0.1
+"""Readings that are further from the target than this share of its motion are not of it, RMS."""
+
+MIRRORED = 10.0
+"""Of the mean square that is left, to that with left-handed axes: from here on the axes are left-handed."""
+
 ALIKE = 1e-6
 """Singular values below this share of the largest are rounding: what belongs to them is not determined."""
 
@@ -116,8 +125,8 @@ def align_tracker(
     Raises
     ------
     EstimatorError
-        No such tracker, one that records fewer than three axes, a motion that does not determine what is asked for, or
-        readings that are early: their clock is to be shifted first.
+        No such tracker, one that records fewer than three axes, a motion that does not determine what is asked for,
+        readings that do not follow the target, or that are early: their clock is to be shifted first.
     LogError
         The log lacks a column.
     """
@@ -146,7 +155,10 @@ def _named(robot: Robot, name: str | None) -> TrackerConfig:
 def _readings(robot: Robot, log: Log, tracker: TrackerConfig) -> FloatArray:
     (position,) = log.require("position", purpose="aligning a tracker")
     first = robot.position_channels.index(f"{tracker.name}_px")
-    return np.asarray(position[:, first : first + 3])
+    seen = np.asarray(position[:, first : first + 3])
+    if not np.isfinite(seen).all(axis=1).any():
+        raise EstimatorError(f"tracker {tracker.name!r}: no row has readings of all three axes")
+    return seen
 
 
 def _without(robot: Robot) -> Robot:
@@ -160,6 +172,8 @@ class _Search:
         self.robot, self.tracker, self.seen, self.t = robot, tracker, seen, log.t
         self.rows = np.flatnonzero(np.isfinite(seen).all(axis=1))
         self.delayed, self.moved = "delay" in free, "xyz" in free
+        # No more than a quarter of the recording is without a counterpart at any delay.
+        self.longest = min(LONGEST, 0.25 * float(log.t[-1] - log.t[0]))
         self.q = RauchTungStriebelSmoother(robot, tolerances=False).run(log).q
         self.path = CubicSpline(self.t, self._at(tracker.xyz))
         self._refuse_lines()
@@ -178,7 +192,7 @@ class _Search:
 
     def _refuse_lines(self) -> None:
         points = self.path(self.t[self.rows]) if len(self.rows) else np.zeros((0, 3))
-        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) if len(points) >= 4 else np.zeros(3)
+        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) if len(points) >= FEWEST else np.zeros(3)
         if spread[1] <= TOLD * self.tracker.noise_std * np.sqrt(max(len(points), 1)):
             raise EstimatorError(
                 f"tracker {self.tracker.name!r}: its target moves along a line at most, about which its axes may turn; "
@@ -190,10 +204,12 @@ class _Search:
         times = self.t[self.rows] - delay
         return times, (times >= self.t[0]) & (times <= self.t[-1])
 
-    def _kabsch(self, delay: float) -> tuple[Rotation, FloatArray, float]:
-        """Axes and origin of the tracker for a delay, and the mean square of what is left."""
+    def _kabsch(self, delay: float, sign: float = 1.0) -> tuple[Rotation, FloatArray, float]:
+        """Axes and origin of the tracker for a delay, and the mean square of what is left; -1: of left-handed axes."""
         times, there = self._seen_at(delay)
-        points, seen = self.path(times[there]), self.seen[self.rows][there]
+        if np.count_nonzero(there) < FEWEST:
+            return Rotation.identity(), np.zeros(3), np.inf
+        points, seen = self.path(times[there]), sign * self.seen[self.rows][there]
         middle, own = points.mean(axis=0), seen.mean(axis=0)
         turn, left = Rotation.align_vectors(points - middle, seen - own)
         return turn, middle - turn.apply(own), left**2 / len(seen)
@@ -201,13 +217,14 @@ class _Search:
     def result(self, robot: Robot) -> Alignment:
         """Fit, and put together what was found."""
         given = self.tracker.delay
-        tried = np.linspace(-LONGEST, LONGEST, STEPS) if self.delayed else [given]
+        tried = np.linspace(-self.longest, self.longest, STEPS) if self.delayed else [given]
         begin = float(min(tried, key=lambda delay: self._kabsch(delay)[2]))
         turn, origin, _ = self._kabsch(begin)
         start = np.concatenate([np.zeros(3), origin, [begin] * self.delayed, np.zeros(3 * self.moved)])
         found = least_squares(self._residuals(turn), start, x_scale="jac", method="lm")
         std, rms = self._uncertainty(found.jac, found.fun)
         delay = float(found.x[6]) if self.delayed else given
+        self._refuse_others(rms, delay)
         if delay < -3 * float(std[6] if self.delayed else 0.0):
             raise EstimatorError(
                 f"tracker {self.tracker.name!r} is {-1e3 * delay:.3g} ms early: its clock is ahead; shift its columns, "
@@ -225,17 +242,36 @@ class _Search:
         aligned = Robot(robot.config.model_copy(update={"trackers": trackers}), robot.tree)
         return Alignment(aligned, tracker, delay, errors, rms)
 
+    def _refuse_others(self, rms: float, delay: float) -> None:
+        """Refuse readings that are of something else than the target, or at another time than any that was tried."""
+        within = min(max(delay, -self.longest), self.longest)
+        if self._kabsch(within)[2] > MIRRORED * self._kabsch(within, -1.0)[2]:
+            raise EstimatorError(
+                f"tracker {self.tracker.name!r}: its readings follow the target in left-handed axes; turn one sign"
+            )
+        moved = float(np.sqrt(self.path(self.t).var(axis=0).sum() / 3))
+        if rms > FAR * moved or abs(delay) > 2 * max(self.longest, self.tracker.delay):
+            raise EstimatorError(
+                f"tracker {self.tracker.name!r}: its readings do not follow the target: {1e3 * rms:.3g} mm off, RMS, "
+                f"where that moves by {1e3 * moved:.3g} mm; look at their unit (`units`), signs, link and xyz, and at "
+                f"clocks that differ by more than {self.longest:.2g} s"
+            )
+
     def _residuals(self, turn: Rotation) -> Callable[[FloatArray], FloatArray]:
         """What readings differ by, of those rows that any delay leaves within the recording, (3k,) [m]."""
-        margin = LONGEST if self.delayed else self.tracker.delay
+        margin = self.longest if self.delayed else self.tracker.delay
         rows = self.rows[(self.t[self.rows] >= self.t[0] + margin) & (self.t[self.rows] <= self.t[-1] - margin)]
-        rows = rows if len(rows) > 8 else self.rows
+        if len(rows) < FEWEST:
+            raise EstimatorError(
+                f"tracker {self.tracker.name!r}: fewer than {FEWEST} rows have readings that are not within "
+                f"{margin:.2g} s of an end of the recording"
+            )
 
         def residuals(x: FloatArray) -> FloatArray:
             times = self.t[rows] - (x[6] if self.delayed else self.tracker.delay)
             points = self.path(times)
-            for step, shift in zip(x[-3:] if self.moved else (), self.shifts if self.moved else (), strict=True):
-                points = points + step * shift(times)
+            if self.moved:
+                points = points + sum(step * shift(times) for step, shift in zip(x[-3:], self.shifts, strict=True))
             axes = Rotation.from_rotvec(x[:3]) * turn
             return np.asarray(axes.inv().apply(points - x[3:6]) - self.seen[rows]).ravel()
 
