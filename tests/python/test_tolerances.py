@@ -11,10 +11,13 @@ from linkside import (
     ElasticJointSmoother,
     ExtendedKalmanFilter,
     Log,
+    MotorJerkFilter,
+    ParticleFilter,
     RauchTungStriebelSmoother,
     Robot,
 )
 from linkside.control.controllers import JointPD
+from linkside.robot.considered import with_expected_damping
 from linkside.simulation import simulate
 
 from .robots import ARM, spring
@@ -128,3 +131,46 @@ def test_play_that_is_not_declared_is_inside_the_standard_deviations(estimator: 
         estimate = estimator(arm(wide)).run(run.log)
         off = np.any(np.abs(estimate.q - run.truth["q"]) > 3 * estimate.q_std, axis=1)
         assert (np.mean(off) < 0.02) == honest, np.mean(off)
+
+
+def undamped(softer: float = 1.0, **keys: Any) -> list[dict[str, Any]]:
+    """Two springs of which robot.yaml states no damping, or a robot that differs from it."""
+    return [
+        spring(name, stiffness=softer * k, **{"damping": 0.0, **keys})
+        for name, k in (("shoulder", 3e3), ("elbow", 1e3))
+    ]
+
+
+@pytest.mark.parametrize(
+    "estimator", [ExtendedKalmanFilter, RauchTungStriebelSmoother, MotorJerkFilter, ParticleFilter]
+)
+def test_a_vibration_of_unknown_phase_dies_in_the_estimate_as_the_mean_over_all_springs_does(estimator: Any) -> None:
+    """Over robots with springs from the tolerance, undamped or not, it is less far off than one that rings on."""
+    nominal = robot(undamped(), stiffness=0.2, damping=1.0)
+    squares = {True: [], False: []}
+    for tolerance in (-2, -1, 0, 1, 2):
+        for damping in (0.0, 3.0):
+            run = moving(robot(undamped(np.exp(0.2 * tolerance), damping=damping)), seconds=4.0)
+            for tolerances, sums in squares.items():
+                estimate = estimator(nominal, tolerances=tolerances).run(run.log)
+                sums.append(np.var((estimate.q - run.truth["q"])[2000:], axis=0).sum())  # but for what the weight does
+    assert np.mean(squares[True]) < 0.6 * np.mean(squares[False])
+
+
+def test_the_expected_damping_falls_to_1_in_e_with_the_mean_over_all_springs() -> None:
+    sigma, rng = 0.05, np.random.default_rng(1)
+    damped = with_expected_damping(robot(undamped(), stiffness=sigma))
+    mass = np.diag(damped.mass_matrix(np.zeros(2)))
+    for drive, inertia in zip(damped.drives, mass, strict=True):
+        omega = np.sqrt(drive.stiffness / inertia)
+        rate = drive.damping / (2 * inertia)
+        phases = omega * np.exp(sigma / 2 * rng.normal(size=100_000)) / rate
+        mean = np.abs(np.mean(np.exp(1j * phases)))  # the envelope at the time at which the damped one is at 1/e
+        assert mean == pytest.approx(np.exp(-1), abs=0.01)
+
+
+@pytest.mark.parametrize("stated", [{"damping": 1e-3}, {"sensors": True}])
+def test_no_damping_is_expected_where_it_is_stated_or_a_sensor_sees_the_vibration(stated: dict[str, Any]) -> None:
+    seen = {"accelerometers": [{"name": "acc", "link": "hand", "noise_std": 0.01}]} if stated.pop("sensors", 0) else {}
+    known = Robot.from_urdf(ARM, undamped(**stated), encoder=ENCODER, **seen)
+    assert with_expected_damping(known) is known

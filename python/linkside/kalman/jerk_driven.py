@@ -15,7 +15,7 @@ from linkside.recording.batch import Job
 from linkside.recording.log import Log
 from linkside.robot import Robot
 from linkside.robot.compiled import Compiles
-from linkside.robot.considered import considered, core_settings
+from linkside.robot.considered import considered, core_settings, with_expected_damping
 from linkside.robot.requirements import refuse_unsupported
 
 from .filtering import CoreFilter, KalmanEstimate, KalmanMethod, LiveFilter, Startable
@@ -127,10 +127,20 @@ class JerkDriven(KalmanMethod):
     ) -> None:
         refuse_unsupported(robot, "a filter on the jerk-driven model")
         wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
-        super().__init__(robot, wanted, biases, gate, iterations, start, link_disturbance, loss, linearisation)
+        super().__init__(
+            with_expected_damping(robot) if tolerances else robot,
+            wanted,
+            biases,
+            gate,
+            iterations,
+            start,
+            link_disturbance,
+            loss,
+            linearisation,
+        )
         self.noise = noise or Noise()
         self._damping = damping
-        self._uncertain = considered(robot) if tolerances else []
+        self._uncertain = considered(self.robot) if tolerances else []
 
     _run_all = staticmethod(_core.ExtendedKalmanFilter.run_all)
 
@@ -258,7 +268,8 @@ class ExtendedKalmanFilter(
         How often a sample's measurement is linearised; 1 is the plain update.
     tolerances
         Whether the ``tolerances`` of robot.yaml count in standard deviations, as far as independent sensors have not
-        narrowed them (Schmidt–Kalman); the estimate itself is the same.
+        narrowed them (Schmidt–Kalman); the estimate itself is the same, but for springs without ``damping`` on a robot
+        without sensors on its links, whose vibrations are then damped as far as their frequency is uncertain.
     start
         The state at the first sample: ``"auto"``, from the first 32 samples, at rest or in motion; ``"rest"``; or a
         mean and a covariance of the state, with or without its biases. `step` gives an estimate from the first sample

@@ -12,7 +12,7 @@ from linkside.arguments import finite_or_missing, per_joint, sized, time_step
 from linkside.arrays import FloatArray, Signal
 from linkside.recording.log import Log
 from linkside.robot import Robot
-from linkside.robot.considered import considered
+from linkside.robot.considered import considered, with_expected_damping
 from linkside.robot.requirements import refuse_unsupported
 
 from .elastic_dynamics import Arrays, LiveOnElasticDynamics, OnElasticDynamics
@@ -113,10 +113,20 @@ class MotorJerk(OnElasticDynamics):
         wanted = {"acceleration": accelerations, "dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
         wanted["tau"] = tau
         refuse_unsupported(robot, PURPOSE)
-        super().__init__(robot, wanted, biases, gate, iterations, start, link_disturbance, loss, linearisation)
+        super().__init__(
+            with_expected_damping(robot) if tolerances else robot,
+            wanted,
+            biases,
+            gate,
+            iterations,
+            start,
+            link_disturbance,
+            loss,
+            linearisation,
+        )
         self.noise = noise or MotorJerkNoise()
         # Of a motor nothing counts whose torque is not read: without such readings these columns are zero.
-        self._uncertain = considered(robot, motors=tau is not False) if tolerances else []
+        self._uncertain = considered(self.robot, motors=tau is not False) if tolerances else []
 
     def kinds(self, log: Log) -> tuple[str, ...]:
         """Kinds of channels to use, in the filter's order."""

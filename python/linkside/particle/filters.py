@@ -171,7 +171,6 @@ class ParticleFilter(DecidingFilter[_core.ParticleFilter], JerkDrivenFilter[_cor
     ) -> None:
         super().__init__()
         one_of("collapse", collapse, ("reseed", "flag", "raise"))
-        self.robot = robot
         refuse_unsupported(robot, "a particle filter")
         self._front = ExtendedKalmanFilter(
             robot,
@@ -184,6 +183,7 @@ class ParticleFilter(DecidingFilter[_core.ParticleFilter], JerkDrivenFilter[_cor
             tolerances=tolerances,
             start=start if initial is None else "rest",
         )
+        self.robot = self._front.robot
         self._at = start if initial is None else "rest"
         self.noise = self._front.noise
         self._outliers = _by_kind(outliers or {})

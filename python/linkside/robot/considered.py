@@ -61,6 +61,28 @@ def considered(robot: Robot, *, motors: bool = False) -> list[Uncertain]:
     return [replace(one, std=known.get(one.name, one.std)) for one in found]
 
 
+def with_expected_damping(robot: Robot) -> Robot:
+    """Give springs that state no damping what is expected of a vibration that nothing on the links measures.
+
+    With σ the tolerance of ln K, the mean over all such springs of a vibration of frequency ω is exp(−σ²ω²t²/8) cos ωt.
+    It has fallen to 1/e when one with a damping ratio of σ/√8 has, at which standard deviations let it die as well.
+    The damping is that ratio's at the zero posture, and is itself known to `tolerances.damping`.
+    """
+    if robot.accelerometers or robot.gyroscopes or robot.trackers:
+        return robot
+    tolerances = robot.config.tolerances
+    inertias = np.diag(robot.mass_matrix(np.zeros((1, robot.n)))[0])
+    joints = list(robot.drives)
+    for j, (drive, inertia) in enumerate(zip(robot.drives, inertias, strict=True)):
+        if drive.elastic and not drive.damping and drive.stiffness:
+            std = tolerances.calibrated.get(f"stiffness_{drive.name}", tolerances.stiffness)
+            damping = std / 2**0.5 * np.sqrt(drive.stiffness * inertia)
+            joints[j] = drive.model_copy(update={"damping": float(damping)})
+    if joints == list(robot.drives):
+        return robot
+    return Robot(robot.config.model_copy(update={"joints": tuple(joints)}), robot.tree, robot.notes)
+
+
 def core_settings(robot: Robot, uncertain: Sequence[Uncertain]) -> dict[str, Any]:
     """Give the settings of a filter of the core that say what of ``robot`` is uncertain."""
     return {
