@@ -19,6 +19,10 @@ CAUSES = {
         "something pushed the robot, or it took up a load",
         "robot.yaml is wrong about this sensor or its joint",
     ),
+    "drift": (
+        "the encoder slips or drifts: its position leaves the integral of the motor's measured velocity",
+        "the velocity is wrong, in its scale or its zero",
+    ),
     "correlated": (
         "a spring, a mass or a payload is not as robot.yaml says",
         "something drives the robot that robot.yaml lacks: friction, a cable, a contact",
@@ -75,7 +79,8 @@ class Fault:
             if self.kind in ("stuck", "saturated", "dead")
             else (f"by {self.size:.3g} ({self.deviations:.3g} standard deviations)")
         )
-        word = "contradicts the other channels" if self.kind == "step" else f"looks {self.kind}"
+        words = {"step": "contradicts the other channels", "drift": "contradicts its motor's velocity"}
+        word = words.get(self.kind, f"looks {self.kind}")
         return f"{where}: '{self.channel}' {word}, {by}. Likely: {causes}"
 
 

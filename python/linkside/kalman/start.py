@@ -37,6 +37,9 @@ DOUBT = 0.1
 ROUNDS = 3
 """How often torsion and what it depends on are found in turn."""
 
+SHAKEN = 0.05
+"""Time for which links may have been moved by random jerk before the first sample, and vibrate [s]."""
+
 QUIET = 4.0
 """A robot is at rest while its readings stay within this many standard deviations of their mean."""
 
@@ -123,6 +126,7 @@ def _moving(robot: Robot, readings: Readings, spread: Spread) -> Moving | None:
     follows, seen = np.isinf(stiffness), _sees(readings, spread)
     ddq_std = np.where(follows, WIDENING * std[2], ddq_std)
     q_std = np.hypot(np.abs(mass) @ ddq_std, DOUBT * (load - weight)) / stiffness
+    swing = np.sqrt(SHAKEN * np.diag(mass) / stiffness) * spread.jerk  # as fast as a vibration of that acceleration is
     return Moving(
         q=q,
         dq=dq,
@@ -131,7 +135,7 @@ def _moving(robot: Robot, readings: Readings, spread: Spread) -> Moving | None:
         dtheta=dtheta,
         ddtheta=ddtheta,
         q_std=np.hypot(q_std, WIDENING * std[0]),
-        dq_std=np.hypot(twist, WIDENING * std[1]),
+        dq_std=np.sqrt(twist**2 + (WIDENING * std[1]) ** 2 + (0.0 if seen else swing) ** 2),
         ddq_std=ddq_std,
         dtheta_std=WIDENING * std[1],
         ddtheta_std=WIDENING * std[2],
@@ -220,11 +224,12 @@ def _link_acceleration(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Acceleration and jerk of links at the first sample, and the former's standard deviation, each (n,).
 
-    As their motors', give or take as much again, or not at all where all motors stand. Accelerometers tell more, to
-    their noise and `OFFSET`.
+    As their motors', give or take as much again and what jerk has left of before, or not at all where all motors
+    stand. Accelerometers tell more, to their noise and `OFFSET`.
     """
     dtheta, ddtheta, std = motors
-    loose = np.hypot(np.hypot(1.0, ddtheta), WIDENING * std[2])
+    shaken = np.sqrt(1.0 + ddtheta**2 + SHAKEN * spread.jerk**2)
+    loose = np.hypot(shaken, WIDENING * std[2])
     if readings.acceleration is None or not _sees(readings, spread):
         return ddtheta if dtheta.any() else np.zeros_like(ddtheta), np.zeros_like(ddtheta), loose
     there = ~np.isnan(readings.acceleration).any(axis=1)

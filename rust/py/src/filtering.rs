@@ -132,6 +132,7 @@ fn word(fault: Fault) -> &'static str {
         Fault::Wrap => "wrap",
         Fault::Step => "step",
         Fault::Flipped => "flipped",
+        Fault::Drift => "drift",
         Fault::Correlated => "correlated",
         Fault::Unknown => "unknown",
     }

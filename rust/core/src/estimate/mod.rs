@@ -19,6 +19,7 @@ pub mod likelihood;
 pub mod measurement;
 pub mod observer;
 pub mod particle;
+pub(crate) mod slip;
 mod status;
 pub mod velocity;
 

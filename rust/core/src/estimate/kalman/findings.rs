@@ -37,6 +37,8 @@ pub(super) struct Alarm {
     pub(super) variance: f64,
     /// The window that tells; none: this sample alone.
     pub(super) bank: Option<usize>,
+    /// What the readings look like, where the test itself says so.
+    pub(super) fault: Option<Fault>,
 }
 
 /// What a sample comes to.
@@ -93,10 +95,12 @@ impl Findings {
         self.open.and_then(|open| self.list[open].channel)
     }
 
-    /// Whether an alarm is of the channel of the finding that goes on, and of one that does not repeat itself.
+    /// Whether an alarm is a step in the channel of the finding that goes on, and that does not repeat itself.
     pub(super) fn is_step(&self, alarm: &Alarm) -> bool {
         let finding = self.open.map(|open| &self.list[open]);
-        alarm.size != 0.0 && finding.is_some_and(|f| f.channel == Some(alarm.channel) && !f.fault.repeats())
+        alarm.size != 0.0
+            && alarm.fault.is_none()
+            && finding.is_some_and(|f| f.channel == Some(alarm.channel) && !f.fault.repeats())
     }
 
     /// The last fault with a name still shows at sample `now`.
@@ -130,9 +134,9 @@ impl Findings {
             (self.open, self.doubt) = (None, None);
         }
         match verdict {
-            Judgement::Channel(Alarm { channel, size, deviations, age, .. }) if self.channel().is_none() => {
+            Judgement::Channel(Alarm { channel, size, deviations, age, fault, .. }) if self.channel().is_none() => {
                 let since = now.saturating_sub(u64::from(age));
-                let fault = signals[channel].fault(size, turns[channel], now - since);
+                let fault = fault.unwrap_or_else(|| signals[channel].fault(size, turns[channel], now - since));
                 // What was first seen without a name is this.
                 if self.open.is_some_and(|open| open + 1 == self.list.len() && self.list[open].since + LEAD >= since) {
                     self.list.pop();

@@ -102,7 +102,8 @@ impl Isolation {
                 self.pull[i] -= lower(k, i) * self.pull[k];
             }
         }
-        let mut worst = Alarm { channel: 0, size: 0.0, deviations: 0.0, age: 0, variance: 0.0, bank: None };
+        let mut worst =
+            Alarm { channel: 0, size: 0.0, deviations: 0.0, age: 0, variance: 0.0, bank: None, fault: None };
         for c in (0..m).filter(|&c| self.residuals[c].is_finite() && only.is_none_or(|only| only == c)) {
             let mut precision = 0.0;
             // Λ_cc = ‖D^(−1/2) L⁻¹ e_c‖², column c of L⁻¹ by forward substitution.

@@ -18,6 +18,7 @@ use super::signal::{Fault, Signal, Turned};
 use super::window_sum::WindowSum;
 use crate::estimate::Status;
 use crate::estimate::measurement::Channel;
+use crate::estimate::slip::{Slip, SlipCheck};
 
 /// Quantile of the normal distribution for the tests of single channels.
 const DEVIATIONS: f64 = 6.5;
@@ -49,6 +50,9 @@ const LASTING: f64 = 4.0;
 /// A sample counts there by no more than such a mean square.
 const SHOCK: f64 = 16.0;
 
+/// Part of its last slip within which an encoder is back where it was.
+const BACK: f64 = 0.1;
+
 /// Tests on the innovations of a filter.
 ///
 /// A few thousand operations a sample for six joints, nearly all of them the banks'. It never changes the estimate:
@@ -63,6 +67,9 @@ pub(super) struct Monitor {
     runs: Vec<f64>,
     /// How far motors have turned meanwhile, by the velocities that the filter is given (n).
     turned: Vec<Turned>,
+    /// The same of motors that go on, and how far each has slipped in all (n).
+    slips: Vec<SlipCheck>,
+    slipped: Vec<f64>,
     /// Signatures of steps in the windows that are on all the time.
     steady: Bank,
     /// The same since a contradiction, and whether that window is on.
@@ -92,6 +99,8 @@ impl Monitor {
             turns: model.channel_kinds().iter().map(|c| matches!(c, Channel::Motor(_) | Channel::Link(_))).collect(),
             runs: vec![1.0; m],
             turned: vec![Turned::default(); model.robot().len()],
+            slips: vec![SlipCheck::new(); model.robot().len()],
+            slipped: vec![0.0; model.robot().len()],
             begun: false,
             recent: 0.0,
             wrong: 0.0,
@@ -115,6 +124,8 @@ impl Monitor {
     pub(super) fn reset(&mut self) {
         self.signals.fill(Signal::NEW);
         self.turned.fill(Turned::default());
+        self.slips.fill(SlipCheck::new());
+        self.slipped.fill(0.0);
         self.steady.restart();
         self.onset.restart();
         self.sums.iter_mut().for_each(WindowSum::clear);
@@ -146,6 +157,7 @@ impl Monitor {
         let [all, white] = self.isolation.load(correction, consider.as_deref(), &self.effect.signatures);
         // 1. Each channel by itself: stuck, saturated or dead readings need no model but that the prediction, or the motor, moves.
         let stuck = self.look(model, sample, correction);
+        let slip = self.slip(model, sample);
         // 2. A step in some channel since a window began, by its signature in all of them.
         let jump = self.jump(correction);
         let (known, residuals, runs) = (&self.effect.signatures[..], &self.isolation.residuals[..], &self.runs[..]);
@@ -161,7 +173,7 @@ impl Monitor {
         } else {
             self.wrong = self.recent;
         }
-        let verdict = match self.repetition(stuck) {
+        let verdict = match self.repetition(stuck).or(slip) {
             Some(alarm) => Judgement::Channel(alarm),
             None => match self.alarm(model, consider.as_deref(), jump) {
                 Judgement::Channel(alarm) => Judgement::Channel(alarm),
@@ -186,9 +198,11 @@ impl Monitor {
         {
             self.take_step(model, correction, alarm);
         }
-        // 5. A row is faulty as long as the effect of faults on some link is not small.
-        if self.effect.is_active()
-            && self.any_link(belief, consider, |j, _, whole| self.effect.error[j] * self.effect.error[j] > whole)
+        // 5. A row is faulty as long as the effect of faults on some link is not small. A link follows its motor's slips.
+        if (self.effect.is_active() || self.slipped.iter().any(|slipped| *slipped != 0.0))
+            && self.any_link(belief, consider, |j, _, whole| {
+                self.effect.error[j].abs().max(self.slipped[j].abs()).powi(2) > whole
+            })
         {
             self.findings.prolong(now);
             flags |= Status::CONTRADICTED | Status::FAULTY;
@@ -218,6 +232,25 @@ impl Monitor {
             }
         }
         stuck
+    }
+
+    /// A motor position that goes off from where its velocity brings it, unless a finding of another channel goes on.
+    #[inline(always)]
+    fn slip(&mut self, model: &impl Model, sample: &KalmanSample<'_>) -> Option<Alarm> {
+        let mut found = None;
+        for (i, kind) in model.channel_kinds().iter().enumerate() {
+            let Channel::Motor(j) = *kind else { continue };
+            let Some(&velocity) = sample.inputs.dtheta.get(j) else { continue };
+            let variance = model.variance(i);
+            if let Some(slip) = self.slips[j].take(sample.dt, sample.readings[i], variance, velocity) {
+                let Slip { size, deviations, samples: age } = slip;
+                let whole = self.slipped[j] + size;
+                self.slipped[j] = if whole.abs() < BACK * size.abs() { 0.0 } else { whole };
+                found =
+                    Some(Alarm { channel: i, size, deviations, age, variance, bank: None, fault: Some(Fault::Drift) });
+            }
+        }
+        found.filter(|alarm| self.findings.channel().is_none_or(|open| open == alarm.channel))
     }
 
     /// Lets those steps begin that began at the sample last taken.
@@ -303,7 +336,7 @@ impl Monitor {
         let (channel, age) =
             stuck.filter(|(channel, _)| self.findings.channel().is_none_or(|open| open == *channel))?;
         let deviations = f64::from(self.signals[channel].run);
-        Some(Alarm { channel, size: 0.0, deviations, age, variance: 0.0, bank: None })
+        Some(Alarm { channel, size: 0.0, deviations, age, variance: 0.0, bank: None, fault: None })
     }
 
     /// The channel to name, if one explains what is wrong; while a finding goes on, its channel alone.
@@ -337,7 +370,8 @@ impl Monitor {
                     verdict = Judgement::Contradicted { fault: Fault::Correlated, squares };
                 }
             } else if drop > most {
-                let alarm = Alarm { channel, size, deviations: ratio.sqrt(), age, variance, bank: Some(index) };
+                let alarm =
+                    Alarm { channel, size, deviations: ratio.sqrt(), age, variance, bank: Some(index), fault: None };
                 (verdict, most) = (Judgement::Channel(alarm), drop);
             }
         }

@@ -15,6 +15,8 @@ pub enum Fault {
     Step,
     /// The sign is turned.
     Flipped,
+    /// A motor's position that goes off from where its measured velocity brings it.
+    Drift,
     /// None of these: innovations that lean to one side for long.
     Correlated,
     /// None of these.
