@@ -2,7 +2,7 @@
 
 import decimal
 import gzip
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,7 +16,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linkside import demo
+import linkside
+from linkside import ExtendedKalmanFilter, demo
 from linkside.errors import EstimatorError, LogError
 from linkside.recording.log import Log
 from linkside.recording.opening import log_rows
@@ -569,3 +570,10 @@ def test_truncated_csv_is_a_shorter_log_or_refused(tmp_path_factory, cut):
         assert 2 <= len(Log.read(path, Robot())) <= 20
     except LogError as error:
         assert str(error).startswith(f"{path}: ")  # noqa: PT017
+
+
+def test_signals_that_were_replaced_by_columns_in_another_order_of_memory_are_taken():
+    robot = linkside.Robot.load(demo.ROBOT)
+    log = Log.read(demo.LOG, robot)[:50]
+    turned = replace(log, theta=np.asfortranarray(log.theta), tau=log.tau.repeat(2, axis=1)[:, ::2])
+    np.testing.assert_array_equal(ExtendedKalmanFilter(robot).run(turned).q, ExtendedKalmanFilter(robot).run(log).q)

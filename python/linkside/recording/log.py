@@ -97,6 +97,13 @@ class Log:
     _layout: Layout
     findings: tuple[Finding, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Lay arrays out row by row, as the core reads them; one that is has no copy."""
+        for field in fields(self):
+            array = getattr(self, field.name)
+            if isinstance(array, np.ndarray) and not array.flags.c_contiguous:
+                object.__setattr__(self, field.name, frozen(np.ascontiguousarray(array)))
+
     @classmethod
     def read(cls, path: str | Path, robot: RobotColumns, *, allow_gaps: bool = False, check: bool = True) -> Log:
         """Read a file (Parquet, CSV, MATLAB, HDF5) or a bag; only the columns needed.
@@ -299,8 +306,6 @@ class Log:
             raise EstimatorError(f"a log is cut by rows, forwards, as in log[100:200], not by {rows!r}")
         cut = {f.name: getattr(self, f.name) for f in fields(self)}
         cut = {name: a[rows] for name, a in cut.items() if isinstance(a, np.ndarray)}
-        if (rows.step or 1) > 1:
-            cut = {name: frozen(np.ascontiguousarray(a)) for name, a in cut.items()}
         first, period = rows.indices(len(self))[0], self.period * (rows.step or 1)
         pace = self.pace.until(self, first) if 0 < first < len(self) else self.pace
         return replace(self, period=period, pace=pace if period == self.period else pace.thinned(period), **cut)
