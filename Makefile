@@ -2,24 +2,31 @@
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
-PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+# uv takes a tenth of pip's time. The machine's certificates, as pip; maturin of .venv, as Cargo would build PyO3 anew for a Python in a new place.
+INSTALL := $(BIN)/uv pip install --quiet --system-certs --no-build-isolation-package linkside --python $(BIN)/python -c constraints.txt
 
 # Units stand in brackets, as links do.
 RUSTDOC := RUSTDOCFLAGS="-D warnings -A rustdoc::broken-intra-doc-links" cargo doc --locked --no-deps -p linkside-core -p linkside-bag -p linkside-compiled --target-dir target
 
 PREFIX ?= /usr/local
 
-.PHONY: demo checked test guards lint fuzz soak mutants coverage bench latency header install-c docs figures lock licences clean
+unexport MAKEFLAGS # with `--jobs`: Cargo and CMake count their own
 
-demo: $(VENV) ## build, install, run the main job on the recording inside the package
-	$(PIP) .
+.PHONY: demo checked test test-debug test-release guards lint lint-rust lint-python fuzz soak mutants coverage bench latency header install-c docs figures lock licences clean
+
+demo: $(BIN)/uv ## build, install, run the main job on the recording inside the package
+	$(INSTALL) .
 	$(BIN)/linkside demo
 
-checked: $(VENV) # installed once for `make lint test`
-	$(PIP) ".[test,lint]"
+checked: $(BIN)/uv # installed once for `make lint test`
+	$(INSTALL) ".[test,lint]"
 
-test: checked ## everything that must hold
+test: test-debug test-release ## everything that must hold
+
+test-debug:
 	RUSTFLAGS="--cfg one_level" cargo test --locked -p linkside-core -p linkside-bag -p linkside-compiled -p linkside-capi
+
+test-release: checked
 	cargo test --locked --workspace --release --features linkside-capi/header --test '*' # of the workspace: with the wheel's features, on its build of the core
 	$(BIN)/python -m mypy.stubtest linkside._core
 	LINKSIDE_CAPI=target/release/deps OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile # a worker a core, not two
@@ -27,18 +34,22 @@ test: checked ## everything that must hold
 guards: ## instructions that kernels take, beside those on record; WRITE=1 renews the record
 	$(if $(WRITE),LINKSIDE_WRITE_GUARDS=1) cargo test --locked --workspace --release --features linkside-capi/header --test guards # on the build of `test`
 
-lint: checked
+lint: lint-rust lint-python
+
+lint-rust:
 	cargo fmt --all --check
 	cargo clippy --locked --workspace --all-targets -- -D warnings
 	cargo clippy --locked --workspace --test guards -- -D warnings
 	$(RUSTDOC)
+
+lint-python: checked
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
 SECONDS ?= 3600
 fuzz: checked ## every target for SECONDS, two at a time
-	$(PIP) atheris
+	$(INSTALL) atheris
 	fuzz/build.sh
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python fuzz/all.py --seconds $(SECONDS)
 
@@ -54,16 +65,16 @@ mutants: ## changes of the core that no test notices; MUTANTS='--shard 1/100' ta
 LLVM ?= 22
 coverage: checked ## lines and branches that tests run; needs llvm-profdata and llvm-cov of the version that rustc has
 	tests/coverage.sh $(LLVM)
-	$(PIP) coverage
+	$(INSTALL) coverage
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m coverage run --branch --source linkside -m pytest
 	$(BIN)/python -m coverage report --skip-covered --sort cover
 
-bench: $(VENV) ## beside what one would use instead
-	$(PIP) ".[test,bench]"
+bench: $(BIN)/uv ## beside what one would use instead
+	$(INSTALL) ".[test,bench]"
 	$(BIN)/python benches/python/run.py
 
-latency: $(VENV) ## the slowest of 10⁶ steps of a controller's loop, for 3, 6 and 7 joints
-	$(PIP) ".[test]"
+latency: $(BIN)/uv ## the slowest of 10⁶ steps of a controller's loop, for 3, 6 and 7 joints
+	$(INSTALL) ".[test]"
 	mkdir -p target/latency
 	cargo run --locked --release -p linkside-compiled --example latency -- 1e6 $$($(BIN)/python benches/python/latency.py target/latency)
 
@@ -74,20 +85,19 @@ install-c: ## the C library, its headers, CMake package and pkg-config file, bel
 	cargo build --locked --release -p linkside-capi
 	rust/capi/install/install.sh target/release $(PREFIX)
 
-docs: $(VENV) ## the pages, and the API reference of both languages beside them, into site
-	$(PIP) ".[docs]"
+docs: $(BIN)/uv ## the pages, and the API reference of both languages beside them, into site
+	$(INSTALL) ".[docs]"
 	$(RUSTDOC)
 	rm -rf site
 	PYTHONPATH=docs $(BIN)/zensical build --strict
 	cp -r target/doc site/rust
 	$(BIN)/python docs/notebooks.py site/tutorials
 
-figures: $(VENV) ## draw every figure of the pages anew, some minutes
-	$(PIP) ".[docs]"
+figures: $(BIN)/uv ## draw every figure of the pages anew, some minutes
+	$(INSTALL) ".[docs]"
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python docs/figures.py
 
-lock: $(VENV) ## renew constraints.txt
-	$(PIP) uv
+lock: $(BIN)/uv ## renew constraints.txt
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.10 --all-extras --no-emit-index-url --no-annotate \
 	    --custom-compile-command "make lock" pyproject.toml -o constraints.txt
 
@@ -97,5 +107,6 @@ licences: ## renew THIRD-PARTY-LICENSES.txt, after Cargo.lock
 clean:
 	rm -rf $(VENV) target site
 
-$(VENV):
+$(BIN)/uv:
 	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt uv "maturin>=1.16,<2"

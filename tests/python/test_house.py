@@ -155,7 +155,7 @@ def test_the_core_says_what_it_does():
     "item",
     [
         "robot/mod.rs: pub struct Robot",
-        "estimate/observer/step.rs: pub struct AccelerationObserver",
+        "estimate/observer/acceleration_observer.rs: pub struct AccelerationObserver",
         "estimate/kalman/filter.rs: pub struct ExtendedKalmanFilter",
         "estimate/kalman/elastic.rs: pub type ElasticModel",
         "estimate/kalman/smoother.rs: pub struct Smoother",

@@ -82,12 +82,12 @@ pub fn phase<K: Kernel>(kernel: K) -> K::Output {
 #[inline]
 pub fn dispatch<K: Kernel>(level: Level, kernel: K) -> K::Output {
     match level.min(widest()) {
-        Level::Baseline => baseline(kernel),
+        Level::Baseline => kernel.baseline(),
         // SAFETY: `widest` has asked the processor.
         #[cfg(all(target_arch = "x86_64", not(one_level)))]
-        Level::Avx2 | Level::Avx512 => unsafe { avx2(kernel) },
+        Level::Avx2 | Level::Avx512 => unsafe { kernel.avx2() },
         #[cfg(any(not(target_arch = "x86_64"), one_level))]
-        Level::Avx2 | Level::Avx512 => baseline(kernel),
+        Level::Avx2 | Level::Avx512 => kernel.baseline(),
     }
 }
 
@@ -97,26 +97,38 @@ pub fn dispatch_lanes<K: Kernel>(level: Level, kernel: K) -> K::Output {
     match level.min(widest()) {
         // SAFETY: `widest` has asked the processor.
         #[cfg(all(target_arch = "x86_64", not(one_level)))]
-        Level::Avx512 => unsafe { avx512(kernel) },
+        Level::Avx512 => unsafe { kernel.avx512() },
         narrower => dispatch(narrower, kernel),
     }
 }
 
-#[inline(never)]
-fn baseline<K: Kernel>(kernel: K) -> K::Output {
-    kernel.run()
+/// A kernel compiled for each level.
+///
+/// Methods of the kernel and not functions over kernels: rustc compiles these where they are written, all in one unit and by
+/// one core, and methods where the kernel is.
+trait Compiled: Kernel + Sized {
+    #[inline(never)]
+    fn baseline(self) -> Self::Output {
+        self.run()
+    }
+
+    /// # Safety
+    /// Of processors with AVX2 alone.
+    #[cfg(all(target_arch = "x86_64", not(one_level)))]
+    #[target_feature(enable = "avx2")]
+    #[inline(never)]
+    unsafe fn avx2(self) -> Self::Output {
+        self.run()
+    }
+
+    /// # Safety
+    /// Of processors with AVX-512 alone.
+    #[cfg(all(target_arch = "x86_64", not(one_level)))]
+    #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx512bw")]
+    #[inline(never)]
+    unsafe fn avx512(self) -> Self::Output {
+        self.run()
+    }
 }
 
-#[cfg(all(target_arch = "x86_64", not(one_level)))]
-#[target_feature(enable = "avx2")]
-#[inline(never)]
-fn avx2<K: Kernel>(kernel: K) -> K::Output {
-    kernel.run()
-}
-
-#[cfg(all(target_arch = "x86_64", not(one_level)))]
-#[target_feature(enable = "avx512f,avx512dq,avx512vl,avx512bw")]
-#[inline(never)]
-fn avx512<K: Kernel>(kernel: K) -> K::Output {
-    kernel.run()
-}
+impl<K: Kernel> Compiled for K {}

@@ -1,19 +1,20 @@
-//! Kalman filters and their noise.
+//! Kalman filters.
 
 use super::BuildError;
+use super::noise::{ElasticNoise, JerkNoise, LinkDisturbance, MotorJerkNoise, Wrenches};
+use super::tolerances::{Tolerance, tolerances};
 use linkside_core::error::DesignError;
 use linkside_core::estimate::kalman::{
-    self, Discretization, ElasticModel, ElasticSettings, ExtendedKalmanFilter, FilterSettings, Gaussian, JerkDriven,
-    JerkModel, Lateness, MotorJerkSettings, NoiseLoss, Phases, SigmaRule, Tolerances, Uncertain,
+    Discretization, ElasticModel, ElasticSettings, ExtendedKalmanFilter, FilterSettings, Gaussian, JerkDriven,
+    JerkModel, Lateness, MotorJerkSettings, NoiseLoss, Phases, SigmaRule,
 };
 use linkside_core::estimate::measurement::Kind;
 use linkside_core::robot::Robot;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// Samples that delays may span in all, and numbers that may have tolerances: each costs a filter a state or a column.
+/// Samples that delays may span in all: each costs a filter a state.
 const MOST_DELAYED: usize = 4096;
-const MOST_TOLERANCES: usize = 1024;
 
 /// Kalman filter on the jerk-driven model; see [`JerkDriven`].
 #[derive(Clone, Debug, Deserialize, Serialize)]
@@ -116,75 +117,6 @@ pub struct MotorJerkFilter {
     pub start: Option<Belief>,
 }
 
-/// Standard deviations of everything that is random; see [`kalman::JerkNoise`].
-#[derive(Clone, Debug, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-#[allow(missing_docs)]
-pub struct JerkNoise {
-    pub jerk: Vec<f64>,
-    pub link_walk: Vec<f64>,
-    pub reading: Vec<f64>,
-    pub torsion: f64,
-    pub bias_walk: Vec<f64>,
-    pub bias_time: Vec<f64>,
-    pub initial: Vec<f64>,
-    pub initial_bias: Vec<f64>,
-}
-
-/// Standard deviations of everything that is random; see [`kalman::ElasticNoise`].
-#[derive(Clone, Debug, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-#[allow(missing_docs)]
-pub struct ElasticNoise {
-    pub link: Vec<f64>,
-    pub motor: Vec<f64>,
-    pub torque: Vec<f64>,
-    pub disturbance_walk: Vec<f64>,
-    pub reading: Vec<f64>,
-    pub torque_walk: Vec<f64>,
-    pub bias_walk: Vec<f64>,
-    pub bias_time: Vec<f64>,
-    pub initial: Vec<f64>,
-    pub initial_bias: Vec<f64>,
-}
-
-/// Standard deviations of everything that is random; see [`kalman::MotorJerkNoise`].
-#[derive(Clone, Debug, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-#[allow(missing_docs)]
-pub struct MotorJerkNoise {
-    pub jerk: Vec<f64>,
-    pub link: Vec<f64>,
-    pub reading: Vec<f64>,
-    pub bias_walk: Vec<f64>,
-    pub bias_time: Vec<f64>,
-    pub initial: Vec<f64>,
-    pub initial_bias: Vec<f64>,
-}
-
-/// How disturbance torques of links wander; see [`kalman::LinkDisturbance`].
-#[derive(Clone, Debug, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-#[allow(missing_docs)]
-pub struct LinkDisturbance {
-    pub initial: Vec<f64>,
-    pub walk: Vec<f64>,
-    pub time: f64,
-}
-
-/// How varying wrenches wander; see [`kalman::WrenchLaw`].
-#[derive(Clone, Debug, Default, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-#[allow(missing_docs)]
-pub struct Wrenches {
-    pub initial: Vec<f64>,
-    pub walk: Vec<f64>,
-}
-
-/// A parameter's kind, its joint or sensor, its axis, and its standard deviation.
-#[derive(Clone, Debug, Deserialize, Serialize)]
-pub struct Tolerance(pub String, pub usize, pub usize, pub f64);
-
 /// Time constant and delay inside a sensor [s], and how many steps of time the delay can have.
 #[derive(Clone, Copy, Debug, Deserialize, Serialize)]
 pub struct Late(pub f64, pub f64, pub usize);
@@ -198,6 +130,18 @@ pub struct Belief {
     pub covariance: Vec<Vec<f64>>,
 }
 
+/// The filter on a description's model, by the fields that all three descriptions have: serde flattens no struct of them
+/// where unknown fields are refused.
+macro_rules! filter_of {
+    ($description:expr, $robot:expr, $model:expr) => {{
+        let own = $description;
+        let known = tolerances($robot, &own.tolerances, &own.correlations)?;
+        let model = $model.with_tolerances(known).with_late(&late(&own.late)?)?;
+        let settings = FilterSettings { gate: own.gate, iterations: own.iterations };
+        filter(model, settings, &own.losses, own.points.as_ref(), own.start.as_ref())
+    }};
+}
+
 impl JerkFilter {
     /// The filter, with all checks.
     ///
@@ -207,16 +151,8 @@ impl JerkFilter {
         let mut model = JerkModel::new(Arc::clone(robot), &kinds(&self.kinds)?, &self.biased)?;
         let torques = self.link_disturbance.clone().map(Into::into);
         model = model.with_disturbances(torques, self.wrenches.clone().into())?;
-        let model = JerkDriven::new(model, self.noise.clone().into(), self.damping)?
-            .with_tolerances(tolerances(robot, &self.tolerances, &self.correlations)?)
-            .with_late(&late(&self.late)?)?;
-        filter(
-            model,
-            FilterSettings { gate: self.gate, iterations: self.iterations },
-            &self.losses,
-            self.points.as_ref(),
-            self.start.as_ref(),
-        )
+        let model = JerkDriven::new(model, self.noise.clone().into(), self.damping)?;
+        filter_of!(self, robot, model)
     }
 }
 
@@ -241,16 +177,8 @@ impl ElasticFilter {
             self.noise.clone().into(),
             links,
             self.wrenches.clone().into(),
-        )?
-        .with_tolerances(tolerances(robot, &self.tolerances, &self.correlations)?)
-        .with_late(&late(&self.late)?)?;
-        filter(
-            model,
-            FilterSettings { gate: self.gate, iterations: self.iterations },
-            &self.losses,
-            self.points.as_ref(),
-            self.start.as_ref(),
-        )
+        )?;
+        filter_of!(self, robot, model)
     }
 }
 
@@ -268,61 +196,8 @@ impl MotorJerkFilter {
             self.noise.clone().into(),
             links,
             self.wrenches.clone().into(),
-        )?
-        .with_tolerances(tolerances(robot, &self.tolerances, &self.correlations)?)
-        .with_late(&late(&self.late)?)?;
-        filter(
-            model,
-            FilterSettings { gate: self.gate, iterations: self.iterations },
-            &self.losses,
-            self.points.as_ref(),
-            self.start.as_ref(),
-        )
-    }
-}
-
-impl From<JerkNoise> for kalman::JerkNoise {
-    fn from(n: JerkNoise) -> Self {
-        let JerkNoise { jerk, link_walk, reading, torsion, bias_walk, bias_time, initial, initial_bias } = n;
-        Self { jerk, link_walk, reading, torsion, bias_walk, bias_time, initial, initial_bias }
-    }
-}
-
-impl From<ElasticNoise> for kalman::ElasticNoise {
-    fn from(n: ElasticNoise) -> Self {
-        Self {
-            link: n.link,
-            motor: n.motor,
-            torque: n.torque,
-            disturbance_walk: n.disturbance_walk,
-            reading: n.reading,
-            torque_walk: n.torque_walk,
-            bias_walk: n.bias_walk,
-            bias_time: n.bias_time,
-            initial: n.initial,
-            initial_bias: n.initial_bias,
-        }
-    }
-}
-
-impl From<MotorJerkNoise> for kalman::MotorJerkNoise {
-    fn from(n: MotorJerkNoise) -> Self {
-        let MotorJerkNoise { jerk, link, reading, bias_walk, bias_time, initial, initial_bias } = n;
-        Self { jerk, link, reading, bias_walk, bias_time, initial, initial_bias }
-    }
-}
-
-impl From<Wrenches> for kalman::WrenchLaw {
-    fn from(law: Wrenches) -> Self {
-        let Wrenches { initial, walk } = law;
-        Self { initial, walk }
-    }
-}
-
-impl From<LinkDisturbance> for kalman::LinkDisturbance {
-    fn from(d: LinkDisturbance) -> Self {
-        let LinkDisturbance { initial, walk, time } = d;
-        Self { initial, walk, time }
+        )?;
+        filter_of!(self, robot, model)
     }
 }
 
@@ -374,55 +249,4 @@ pub fn late(inside: &[Option<Late>]) -> Result<Vec<Option<Lateness>>, BuildError
     BuildError::limit("samples that delays span", spanned, MOST_DELAYED)?;
     let one = |&Late(time_constant, delay, steps): &Late| Lateness { time_constant, delay, steps };
     Ok(inside.iter().map(|inside| inside.as_ref().map(one)).collect())
-}
-
-/// Numbers of `robot` that are known to a tolerance only.
-///
-/// # Errors
-/// One of a joint, a sensor or a kind that there is not; correlations that no errors have.
-pub fn tolerances(
-    robot: &Robot,
-    each: &[Tolerance],
-    correlations: &[(usize, usize, f64)],
-) -> Result<Tolerances, BuildError> {
-    BuildError::limit("tolerances", each.len(), MOST_TOLERANCES)?;
-    let each: Result<_, _> = each.iter().map(|one| one.build(robot)).collect();
-    Ok(Tolerances::correlated(each?, correlations.to_vec())?)
-}
-
-impl Tolerance {
-    fn build(&self, robot: &Robot) -> Result<kalman::Tolerance, BuildError> {
-        use Uncertain as U;
-        let Self(ref kind, i, axis, std) = *self;
-        let (parameter, parts) = match kind.as_str() {
-            "stiffness" => (U::Stiffness(i), robot.len()),
-            "cubic_stiffness" => (U::CubicStiffness(i), robot.len()),
-            "damping" => (U::Damping(i), robot.len()),
-            "yielding" => (U::Yielding(i), robot.len()),
-            "hysteresis" => (U::Hysteresis(i), robot.len()),
-            "mass" => (U::Mass(i), robot.len()),
-            "link_friction" => (U::LinkFriction(i), robot.len()),
-            "torque_constant" => (U::TorqueConstant(i), robot.len()),
-            "motor_friction" => (U::MotorFriction(i), robot.len()),
-            "motor_inertia" => (U::MotorInertia(i), robot.len()),
-            "encoder_line" => (U::EncoderLine(i, axis), robot.len()),
-            "encoder_zero" => (U::EncoderZero(i), robot.len()),
-            "lost_motion" => (U::LostMotion(i), robot.len()),
-            "rotation" => (U::Rotation(i, axis), robot.accelerometers.len()),
-            "translation" => (U::Translation(i, axis), robot.accelerometers.len()),
-            "scale" => (U::Scale(i, axis), robot.accelerometers.len()),
-            _ => return Err(BuildError::unknown("a tolerance", kind)),
-        };
-        let axes = match parameter {
-            U::EncoderLine(j, _) => robot.drives.get(j).map_or(0, |drive| 2 * drive.encoder_lines.len()),
-            _ => 3,
-        };
-        if i >= parts || axis >= axes {
-            return Err(BuildError::unknown("a tolerance of a part", &format!("{kind} {i} {axis}")));
-        }
-        if !(std >= 0.0 && std.is_finite()) {
-            return Err(DesignError::Range { what: "a tolerance", value: std, expected: "at least 0" }.into());
-        }
-        Ok(kalman::Tolerance { parameter, std })
-    }
 }

@@ -4,16 +4,17 @@
 //! that comes out of a file can be wrong in a way that the core would not accept from a program.
 
 mod filters;
+mod noise;
 mod observers;
 mod robot;
+mod tolerances;
 
-pub use filters::{
-    Belief, ElasticFilter, ElasticNoise, JerkFilter, JerkNoise, Late, LinkDisturbance, MotorJerkFilter, MotorJerkNoise,
-    Tolerance, kinds, late, tolerances,
-};
+pub use filters::{Belief, ElasticFilter, JerkFilter, Late, MotorJerkFilter, kinds, late};
+pub use noise::{ElasticNoise, JerkNoise, LinkDisturbance, MotorJerkNoise};
 pub use observers::{Levels, Map, Observer, ObserverStart, Velocity};
 pub(crate) use robot::MOST_PARTS;
 pub use robot::{Balance, Body, Drive, Place, Robot, Rotor, Sensor};
+pub use tolerances::{Tolerance, tolerances};
 
 use linkside_core::error::{DesignError, RobotError};
 use serde::{Deserialize, Serialize};

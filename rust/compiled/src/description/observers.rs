@@ -1,6 +1,6 @@
 //! Observers, which are designed for one sampling period.
 
-use super::filters::{Tolerance, tolerances};
+use super::tolerances::{Tolerance, tolerances};
 use super::{BuildError, MOST_PARTS};
 use linkside_core::estimate::observer::{
     self, AccelerationObserver, AccelerationSource, Complex, Form, ObserverSettings, Uncertainty,

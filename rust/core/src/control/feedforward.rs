@@ -13,7 +13,6 @@ use crate::error::DesignError;
 use crate::interrupt::Watch;
 use crate::robot::Robot;
 use crate::scalar::Series;
-use crate::simd::Kernel;
 
 /// The highest derivative of the links' motion that can be asked for.
 pub const HIGHEST: usize = 17;
@@ -141,29 +140,6 @@ struct FeedforwardPass<'a, const P: usize, const L: usize> {
     before: Vec<Option<LoadedTransmission<P>>>,
 }
 
-impl<const P: usize, const L: usize> Kernel for FeedforwardPass<'_, P, L> {
-    type Output = Desired;
-
-    #[inline(always)]
-    fn run(mut self) -> Desired {
-        let size = self.path.t.len() * self.robot.len();
-        let [mut theta, mut dtheta, mut tau] = [(); 3].map(|()| Vec::with_capacity(size));
-        let watch = Watch::current();
-        for row in 0..self.path.t.len() {
-            if watch.stops() {
-                break;
-            }
-            self.read(row);
-            let dt = if row == 0 { 0.0 } else { self.path.t[row] - self.path.t[row - 1] };
-            self.transmit(dt);
-            theta.extend(self.theta.iter().map(|s| s.0[0]));
-            dtheta.extend(self.theta.iter().map(|s| s.0[1]));
-            tau.extend((0..self.robot.len()).map(|joint| self.torque(joint)));
-        }
-        Desired { theta, dtheta, tau }
-    }
-}
-
 impl<'a, const P: usize, const L: usize> FeedforwardPass<'a, P, L> {
     fn new(robot: &'a Robot, path: Path<'a>, further: usize) -> Self {
         let zero = || vec![Series::default(); robot.len()];
@@ -183,8 +159,28 @@ impl<'a, const P: usize, const L: usize> FeedforwardPass<'a, P, L> {
         }
     }
 
+    /// Sample by sample. Not inlined, as its parts are not: of four lengths in one function, compilers make much too much.
+    #[inline(never)]
+    fn run(mut self) -> Desired {
+        let size = self.path.t.len() * self.robot.len();
+        let [mut theta, mut dtheta, mut tau] = [(); 3].map(|()| Vec::with_capacity(size));
+        let watch = Watch::current();
+        for row in 0..self.path.t.len() {
+            if watch.stops() {
+                break;
+            }
+            self.read(row);
+            let dt = if row == 0 { 0.0 } else { self.path.t[row] - self.path.t[row - 1] };
+            self.transmit(dt);
+            theta.extend(self.theta.iter().map(|s| s.0[0]));
+            dtheta.extend(self.theta.iter().map(|s| s.0[1]));
+            tau.extend((0..self.robot.len()).map(|joint| self.torque(joint)));
+        }
+        Desired { theta, dtheta, tau }
+    }
+
     /// The links' motion at `row`, and the torque that it takes with all derivatives.
-    #[inline(always)]
+    #[inline(never)]
     fn read(&mut self, row: usize) {
         let n = self.robot.len();
         let [q, dq, ddq] = &mut self.link;
@@ -207,7 +203,7 @@ impl<'a, const P: usize, const L: usize> FeedforwardPass<'a, P, L> {
     }
 
     /// Motor positions, from the outermost joint inwards, `dt` after the sample before.
-    #[inline(always)]
+    #[inline(never)]
     fn transmit(&mut self, dt: f64) {
         let n = self.robot.len();
         for i in (0..n).rev() {

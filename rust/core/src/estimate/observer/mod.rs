@@ -7,6 +7,7 @@
 //! the links do not come into it.
 
 mod acceleration;
+mod acceleration_observer;
 mod bound;
 mod correction;
 mod deviations;
@@ -25,10 +26,10 @@ mod run;
 mod sampled;
 mod sensor_errors;
 mod settings;
-mod step;
 mod uncertainty;
 
 pub use acceleration::{AccelerationMap, Observability};
+pub use acceleration_observer::AccelerationObserver;
 pub use bound::UltimateBound;
 pub use correction::LONGEST;
 pub use gains::{JointModel, closed_form_gains};
@@ -38,5 +39,4 @@ pub(crate) use rest::Rest;
 pub use rest::link_position_at_rest;
 pub use sampled::Sampled;
 pub use settings::{AccelerationSource, Form, ObserverSettings, Start};
-pub use step::AccelerationObserver;
 pub use uncertainty::Uncertainty;

@@ -1,7 +1,7 @@
 //! The observer over whole recordings.
 
+use super::acceleration_observer::AccelerationObserver;
 use super::recording::{ObserverOutput, ObserverRecording, ObserverSample};
-use super::step::AccelerationObserver;
 use crate::check::expect_length;
 use crate::error::RunError;
 use crate::interrupt::Watch;

@@ -1,7 +1,8 @@
 //! The first cloud.
 
 use super::cloud::{Cloud, Wide};
-use super::proposal::{ParticleSample, draw};
+use super::proposal::draw;
+use super::sample::ParticleSample;
 use crate::estimate::kalman::{Gaussian, Linearised};
 use crate::linear;
 use crate::random::{Purpose, Stream};

@@ -23,6 +23,7 @@ mod regularise;
 mod renew;
 mod resample;
 mod run;
+mod sample;
 mod settings;
 mod shared;
 mod smoother;

@@ -3,8 +3,8 @@
 use super::density::Density;
 use super::filter::ParticleFilter;
 use super::initialise::InitialCloud;
-use super::proposal::{ParticleReading, ParticleSample, Walk};
 use super::rao_blackwell;
+use super::sample::{ParticleReading, ParticleSample, Walk};
 use super::settings::{Marginalised, Proposal};
 use super::shared::Probe;
 use crate::error::DesignError;

@@ -3,7 +3,8 @@
 use super::cloud::{Block, Cloud, ParticleRow, Scratch, WIDE, Wide};
 use super::conditional::{Conditional, ReadingSlope};
 use super::process_noise::ProcessNoise;
-use super::proposal::{ParticleReading, ParticleSample, draw, load, store};
+use super::proposal::{draw, load, store};
+use super::sample::{ParticleReading, ParticleSample};
 use super::settings::Proposal;
 use super::sums::Weigh;
 use crate::estimate::kalman::{Gaussian, JerkModel};

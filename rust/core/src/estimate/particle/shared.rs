@@ -1,7 +1,7 @@
 //! One linearisation for all particles, where the cloud is narrow enough that each has the same.
 
 use super::cloud::{Cloud, Scratch, WIDE, Wide};
-use super::proposal::ParticleSample;
+use super::sample::ParticleSample;
 use crate::estimate::kalman::{JerkModel, Linearised};
 use crate::linear;
 use crate::scalar::{Lanes, ln};

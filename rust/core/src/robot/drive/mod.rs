@@ -7,21 +7,24 @@ mod hysteresis;
 mod load_friction;
 mod ripple;
 mod soft_windup;
+mod spring;
 mod transmission;
+mod wound;
 
 pub use backlash::Backlash;
 pub use curve::{Interpolation, SpringCurve};
 pub use friction::Friction;
-pub use hysteresis::{FrictionElement, Hysteresis, Moved, Wound};
+pub use hysteresis::{FrictionElement, Hysteresis, Moved};
 pub use load_friction::{LoadFriction, Loss};
 pub use ripple::{GearOutput, Harmonic, Ripple};
 pub use soft_windup::SoftWindup;
+pub(crate) use spring::SpringRates;
+pub use wound::Wound;
 
 use crate::check::expect_of;
 use crate::error::RobotError;
 use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
-use core::ops::{Add, Mul};
 
 /// A joint's drive, reflected through the gear to the link side.
 ///
@@ -72,21 +75,6 @@ pub struct Drive {
     /// What of it grows with the torque that the transmission gives the link; likewise.
     pub bearing_loss: LoadFriction,
 }
-
-/// What of a spring can be freed, plain or with derivatives.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct SpringRates<C> {
-    /// K [N m/rad].
-    pub(crate) stiffness: C,
-    /// [N m/rad³].
-    pub(crate) cubic: C,
-}
-
-/// A number that constants of type `C` scale and add to: plain ones do to every number, so that only what has derivatives
-/// pays for them.
-pub(crate) trait Over<C>: Scalar + Mul<C, Output = Self> + Add<C, Output = Self> {}
-
-impl<C, T: Scalar + Mul<C, Output = T> + Add<C, Output = T>> Over<C> for T {}
 
 impl Drive {
     /// A linear spring K [N m/rad] and damper D [N m s/rad] behind a motor B [kg m²], and nothing else.
@@ -173,126 +161,6 @@ impl Drive {
         self.ripple.check(&owner())
     }
 
-    /// What the spring's torque has beyond K δ, at torsion δ [rad] [N m].
-    #[inline(always)]
-    pub fn nonlinear_torque<T: Scalar>(&self, torsion: T) -> T {
-        if self.curve.is_none() && self.backlash.is_none() {
-            return self.bend(self.cubic_stiffness, torsion);
-        }
-        self.spring_torque(torsion) - torsion * self.stiffness
-    }
-
-    /// Torque of the spring at torsion δ [rad] [N m].
-    #[inline(always)]
-    pub fn spring_torque<T: Scalar>(&self, torsion: T) -> T {
-        self.engaged_torque(self.rates(), self.backlash.engaged(torsion))
-    }
-
-    /// Slope of the spring's torque at torsion δ [rad] [N m/rad].
-    #[inline(always)]
-    pub fn tangent_stiffness<T: Scalar>(&self, torsion: T) -> T {
-        self.slope(self.rates(), torsion)
-    }
-
-    #[inline(always)]
-    fn rates(&self) -> SpringRates<f64> {
-        SpringRates { stiffness: self.stiffness, cubic: self.cubic_stiffness }
-    }
-
-    /// Torque beyond K z of hardening and wind-up at torsion z, behind the play.
-    #[inline(always)]
-    fn bend<C, T: Over<C>>(&self, cubic: C, engaged: T) -> T {
-        let square = engaged * engaged;
-        (square * cubic + self.soft_windup.secant(square)) * engaged
-    }
-
-    /// Torque of the spring at torsion z, behind the play.
-    #[inline(always)]
-    fn engaged_torque<C: Copy, T: Over<C>>(&self, rates: SpringRates<C>, engaged: T) -> T {
-        if !self.curve.is_none() {
-            return self.curve.torque(engaged);
-        }
-        engaged * rates.stiffness + self.bend(rates.cubic, engaged)
-    }
-
-    /// Its slope there.
-    #[inline(always)]
-    fn engaged_slope<C: Copy + Mul<f64, Output = C>, T: Over<C>>(&self, rates: SpringRates<C>, engaged: T) -> T {
-        if !self.curve.is_none() {
-            return self.curve.slope(engaged);
-        }
-        let square = engaged * engaged;
-        square * (rates.cubic * 3.0) + rates.stiffness + self.soft_windup.tangent(square)
-    }
-
-    /// Slope of the spring's torque at torsion δ, play included.
-    #[inline(always)]
-    fn slope<C: Copy + Mul<f64, Output = C>, T: Over<C>>(&self, rates: SpringRates<C>, torsion: T) -> T {
-        let slope = self.engaged_slope(rates, self.backlash.engaged(torsion));
-        if self.backlash.is_none() { slope } else { slope * self.backlash.engagement(torsion) }
-    }
-
-    /// What the spring's torque gains where its hardening is greater by 1 N m/rad³, at torsion δ [rad] [rad³].
-    #[inline(always)]
-    pub(crate) fn hardening<T: Scalar>(&self, torsion: T) -> T {
-        let engaged = self.backlash.engaged(torsion);
-        engaged * engaged * engaged
-    }
-
-    /// Torsion at which the spring holds `torque` [rad], and one over its slope there [rad/(N m)], with the derivatives of
-    /// `rates`, whose values are the drive's own.
-    #[inline(always)]
-    pub(crate) fn twist<C: Copy + Mul<f64, Output = C>, T: Over<C>>(&self, rates: SpringRates<C>, torque: T) -> (T, T) {
-        // One step of Newton's method from the solution gives a derivative number its slopes.
-        let solution = torque.map(|t| self.solve(t));
-        let force = self.engaged_torque(rates, self.backlash.engaged(solution));
-        let torsion = solution + (torque - force) / self.slope(rates, solution);
-        (torsion, T::constant(1.0) / self.slope(rates, torsion))
-    }
-
-    /// One over the slope of the spring's torque at torsion δ [rad] [rad/(N m)].
-    #[inline(always)]
-    pub(crate) fn compliance<T: Scalar>(&self, torsion: T) -> T {
-        if self.is_linear() {
-            return T::constant(1.0 / self.stiffness);
-        }
-        T::constant(1.0) / self.tangent_stiffness(torsion)
-    }
-
-    /// Torsion at which the spring holds `torque` [N m] [rad].
-    #[inline(always)]
-    pub fn torsion<T: Scalar>(&self, torque: T) -> T {
-        if self.is_linear() {
-            return torque * (1.0 / self.stiffness);
-        }
-        simd::phase(Torsion { drive: self, torque })
-    }
-
-    /// Whether the spring's torque is K δ.
-    #[inline(always)]
-    pub fn is_linear(&self) -> bool {
-        let straight = self.curve.is_none() && self.backlash.is_none();
-        straight && self.cubic_stiffness == 0.0 && self.soft_windup.stiffness == 0.0
-    }
-
-    fn solve(&self, torque: f64) -> f64 {
-        let engaged = if self.curve.is_none() { self.solve_engaged(torque) } else { self.curve.torsion(torque) };
-        self.backlash.torsion(engaged)
-    }
-
-    /// Newton's method, as the spring is monotone.
-    fn solve_engaged(&self, torque: f64) -> f64 {
-        let (rates, mut torsion) = (self.rates(), torque / self.stiffness);
-        for _ in 0..50 {
-            let step = (self.engaged_torque(rates, torsion) - torque) / self.engaged_slope(rates, torsion);
-            torsion -= step;
-            if step.abs() <= 1e-16 * torsion.abs() {
-                break;
-            }
-        }
-        torsion
-    }
-
     /// Friction torque of the link at speed `v` [rad/s], and its slope [N m, N m s/rad]:
     /// γ₁(tanh γ₂v − tanh γ₃v) + γ₄ tanh γ₅v + γ₆v (Ulrich and Sasiadek 2011, eq. (14)), and that of its bearing without load.
     #[inline(always)]
@@ -346,26 +214,7 @@ impl Drive {
     }
 }
 
-/// The torsion of a spring that is not linear; a function of its own, as many rows of sensors ask for it.
-struct Torsion<'a, T> {
-    drive: &'a Drive,
-    torque: T,
-}
-
-impl<T: Scalar> Kernel for Torsion<'_, T> {
-    type Output = T;
-    const LANES: bool = T::LANES;
-
-    #[inline(always)]
-    fn run(self) -> T {
-        let Self { drive, torque } = self;
-        // One more step of Newton's method from the solution gives a derivative number its slope.
-        let solution = torque.map(|t| drive.solve(t));
-        solution + (torque - drive.spring_torque(solution)) / drive.tangent_stiffness(solution)
-    }
-}
-
-/// Friction of a link that is not viscous alone, likewise.
+/// Friction of a link that is not viscous alone; a function of its own, as many rows ask for it.
 struct LinkFriction<'a, T> {
     law: &'a [f64; 6],
     v: T,
@@ -386,100 +235,4 @@ impl<T: Scalar> Kernel for LinkFriction<'_, T> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::scalar::{Dual, Lanes};
-
-    fn drive() -> Drive {
-        Drive {
-            cubic_stiffness: 3e4,
-            soft_windup: SoftWindup { stiffness: 120.0, shape: 800.0 },
-            motor_friction: Friction {
-                viscous: 0.1,
-                coulomb: 2.0,
-                stribeck: 1.5,
-                stribeck_velocity: 0.05,
-                asymmetry: -0.7,
-            },
-            link_friction: [0.5, 150.0, 50.0, 2.0, 100.0, 0.5],
-            bearing_friction: Friction { viscous: 0.3, coulomb: 1.0, asymmetry: 0.2, ..Friction::default() },
-            ..Drive::spring(500.0, 1.0, 1.0)
-        }
-    }
-
-    /// Drives with every law of a spring.
-    fn drives() -> [Drive; 4] {
-        let backlash = Backlash { half_gap: 2e-3, slope: 0.02, rounding: 3e-4 };
-        let curve = SpringCurve::new(&[[0.01, 6.0], [0.1, 90.0]], Interpolation::Monotone).unwrap();
-        let table = Drive { curve, ..drive() };
-        [drive(), Drive { backlash, ..drive() }, table.clone(), Drive { backlash, ..table }]
-    }
-
-    #[test]
-    fn slopes_are_the_derivatives_of_the_laws() {
-        for (d, x) in drives().iter().flat_map(|d| [-0.3, -0.01, 0.0, 1e-3, 0.2].map(|x| (d, x))) {
-            let v = Dual::<1>::variable(x, 0);
-            let near = |a: f64, b: f64| assert!((a - b).abs() <= 1e-12 * (1.0 + a.abs()), "{x}: {a} {b}");
-            near(d.spring_torque(v).gradient[0], d.tangent_stiffness(x));
-            near(d.link_friction(v).0.gradient[0], d.link_friction(x).1);
-            near(d.motor_friction(v).0.gradient[0], d.motor_friction(x).1);
-            near(d.nonlinear_torque(x) + d.stiffness * x, d.spring_torque(x));
-            let torque = d.spring_torque(v);
-            near(d.torsion(torque).value, x);
-            near(d.torsion(torque).gradient[0], 1.0);
-        }
-    }
-
-    /// Rates with derivatives give torsions with those: δ(K, c, τ) of φ(δ; K, c) = τ has δ_K = −φ_K/φ′.
-    #[test]
-    fn torsions_have_the_derivatives_of_rates() {
-        for (d, x) in drives()[..2].iter().flat_map(|d| [-0.3, 1e-3, 0.05].map(|x| (d, x))) {
-            let rates = SpringRates { stiffness: Dual::<3>::variable(d.stiffness, 0), cubic: Dual::variable(3e4, 1) };
-            let (torsion, compliance) = d.twist(rates, Dual::variable(d.spring_torque(x), 2));
-            let (engaged, slope) = (d.backlash.engaged(x), d.tangent_stiffness(x));
-            let expected = [-engaged / slope, -d.hardening(x) / slope, 1.0 / slope];
-            assert!((torsion.value - x).abs() < 1e-12 && (compliance.value * slope - 1.0).abs() < 1e-12);
-            for (found, expected) in torsion.gradient.iter().zip(expected) {
-                assert!((found - expected).abs() <= 1e-10 * expected.abs(), "{x}: {found} {expected}");
-            }
-        }
-    }
-
-    /// The least slope on a fine grid, for wind-ups that are missing and that are added.
-    #[test]
-    fn the_softest_torsion_is_found() {
-        for (k, shape, cubic) in [(300.0, 800.0, 3e4), (-900.0, 800.0, 0.0), (-900.0, 800.0, 3e4), (-9.0, 80.0, 3e5)] {
-            let d = Drive { soft_windup: SoftWindup { stiffness: k, shape }, cubic_stiffness: cubic, ..drive() };
-            let grid = (0..20_000).map(|i| d.tangent_stiffness(1e-5 * f64::from(i)));
-            let least = grid.fold(f64::INFINITY, f64::min);
-            assert!((d.soft_windup.least_slope(d.stiffness, cubic) - least).abs() < 1e-5 * d.stiffness, "{k} {least}");
-        }
-    }
-
-    #[test]
-    fn a_spring_that_gives_way_is_refused() {
-        let windup = |stiffness, shape| Drive { soft_windup: SoftWindup { stiffness, shape }, ..drive() }.check("it");
-        assert!(windup(499.0, 800.0).is_ok() && windup(-1000.0, 800.0).is_ok());
-        for (stiffness, shape) in [(501.0, 800.0), (-2000.0, 2e5)] {
-            let error = windup(stiffness, shape).unwrap_err().to_string();
-            assert!(error.contains("least tangent stiffness of it") && error.contains("must rise"), "{error}");
-        }
-        assert!(windup(10.0, -1.0).unwrap_err().to_string().contains("soft wind-up's shape of it is -1"));
-        let cubic = Drive { cubic_stiffness: -1.0, ..drive() }.check("it").unwrap_err();
-        assert!(cubic.to_string().contains("cubic stiffness of it is -1, expected at least 0"));
-        let stribeck = Friction { stribeck: 1.0, ..Friction::default() };
-        let error = Drive { motor_friction: stribeck, ..drive() }.check("it").unwrap_err();
-        assert!(error.to_string().contains("Stribeck velocity of it is 0, expected greater than 0"));
-    }
-
-    #[test]
-    fn lanes_hold_the_bits_of_one_number() {
-        let (drives, x) = (drives(), [-0.3, -0.001, 0.02, 0.7]);
-        let v = Lanes(x);
-        for (d, i) in drives.iter().flat_map(|d| [0, 1, 2, 3].map(|i| (d, i))) {
-            assert_eq!(d.torsion(v).0[i], d.torsion(x[i]));
-            assert_eq!(d.link_friction(v).0.0[i], d.link_friction(x[i]).0);
-            assert_eq!(d.dry_friction(v).0[i], d.dry_friction(x[i]));
-        }
-    }
-}
+mod tests;

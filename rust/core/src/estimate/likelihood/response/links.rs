@@ -1,16 +1,9 @@
 //! The links' motion, step by step.
 
-use super::super::parameters::{Parameter, Parameters};
 use super::equation::{Balance, Equation, MotorSample};
-use super::sensors::Sensors;
-use crate::check::{expect_at_least, expect_finite, expect_length, expect_rising};
-use crate::error::{DesignError, RunError};
-use crate::estimate::measurement::{Channel, Kind};
-use crate::interrupt::Watch;
+use super::motion::MotorMotion;
 use crate::lu::Lu;
-use crate::memory::filled;
 use crate::robot::Robot;
-use std::sync::Arc;
 
 /// √3/6: Gauss's two nodes lie this far from the middle of a step.
 const SPREAD: f64 = 0.288_675_134_594_812_9;
@@ -41,167 +34,6 @@ const POSITIONS: [[f64; 2]; 2] = squared();
 /// Weights of accelerations in the position at the end of a step.
 const LAST: [f64; 2] = [0.5 * (STAGES[0][0] + STAGES[1][0]), 0.5 * (STAGES[0][1] + STAGES[1][1])];
 
-/// How motors moved, row-major, one row a sample; nothing is missing.
-#[derive(Clone, Debug)]
-pub struct MotorMotion {
-    /// Times [s].
-    pub t: Vec<f64>,
-    /// Positions (n) [rad].
-    pub theta: Vec<f64>,
-    /// Velocities (n) [rad/s].
-    pub dtheta: Vec<f64>,
-    /// Accelerations (n) [rad/s²].
-    pub ddtheta: Vec<f64>,
-}
-
-impl MotorMotion {
-    /// # Errors
-    /// Arrays that do not belong together, numbers that are not finite, times that do not rise.
-    fn check(&self, n: usize) -> Result<(), DesignError> {
-        for (what, values) in [("theta", &self.theta), ("dtheta", &self.dtheta), ("ddtheta", &self.ddtheta)] {
-            expect_length(what, values.len(), self.t.len() * n)?;
-            expect_finite(what, values)?;
-        }
-        expect_at_least("t", self.t.len(), 2)?;
-        expect_rising("t", &self.t)
-    }
-
-    /// Motors at the share `c` of the step after `row`, by Hermite's cubics.
-    fn at(&self, row: usize, c: f64, out: &mut MotorSample) {
-        let n = out.theta.len();
-        let h = self.t[row + 1] - self.t[row];
-        let (a, b) = (row * n..(row + 1) * n, (row + 1) * n..(row + 2) * n);
-        let rest = 1.0 - c;
-        let weights = [(1.0 + 2.0 * c) * rest * rest, c * c * (3.0 - 2.0 * c), h * c * rest * rest, -h * c * c * rest];
-        let cubic = |x: &[f64], dx: &[f64], out: &mut [f64]| {
-            let [from, to] = [a.clone(), b.clone()].map(|r| (&x[r.clone()], &dx[r]));
-            for (j, out) in out.iter_mut().enumerate() {
-                let slopes = weights[2] * from.1[j] + weights[3] * to.1[j];
-                *out = weights[0] * from.0[j] + weights[1] * to.0[j] + slopes;
-            }
-        };
-        cubic(&self.theta, &self.dtheta, &mut out.theta);
-        cubic(&self.dtheta, &self.ddtheta, &mut out.dtheta);
-        for (j, out) in out.ddtheta.iter_mut().enumerate() {
-            *out = rest * self.ddtheta[a.start + j] + c * self.ddtheta[b.start + j];
-        }
-    }
-}
-
-/// What sensors would have read.
-#[derive(Clone, Debug, Default)]
-pub struct Responded {
-    /// One row a sample, one column a channel.
-    pub prediction: Vec<f64>,
-    /// Its derivatives (channels × (p + 2n) a sample): in the parameters, in q and in q̇ of the first sample.
-    pub slopes: Vec<f64>,
-}
-
-/// A robot whose motors moved as recorded.
-///
-/// ```
-/// use linkside_core::estimate::likelihood::{MotorMotion, Parameter, Response};
-/// use linkside_core::estimate::measurement::Kind;
-///
-/// // The motor turns at 0.2 rad/s without a jerk, and the link with it, whatever the spring between them.
-/// let robot = std::sync::Arc::new(linkside_core::demo::arm()?);
-/// let t: Vec<f64> = (0..50).map(|i| 1e-3 * f64::from(i)).collect();
-/// let theta: Vec<f64> = t.iter().map(|t| 0.2 * t).collect();
-/// let motion = MotorMotion { t, theta: theta.clone(), dtheta: vec![0.2; 50], ddtheta: vec![0.0; 50] };
-/// let response = Response::new(robot, &[Kind::Link], vec![], motion)?;
-/// let found = response.evaluate(&[Parameter::Stiffness(0)], &[1.2e4], &[0.0, 0.0])?;
-/// assert!(found.prediction.iter().zip(&theta).all(|(q, theta)| (q - theta).abs() < 1e-12));
-/// assert!(found.slopes[49 * 3].abs() < 1e-12); // by the stiffness
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-#[derive(Clone, Debug)]
-pub struct Response {
-    /// Links, drives and sensors.
-    robot: Arc<Robot>,
-    /// What the motors did, and what is read of the links.
-    motion: MotorMotion,
-    channels: Vec<Channel>,
-    /// Parameters that are not free, and not as the robot says.
-    fixed: Vec<(Parameter, f64)>,
-}
-
-impl Response {
-    /// Of sensors of `kinds`, parameters that are `fixed` not being as the robot says.
-    ///
-    /// # Errors
-    /// Arrays that do not fit the robot or each other.
-    pub fn new(
-        robot: Arc<Robot>,
-        kinds: &[Kind],
-        fixed: Vec<(Parameter, f64)>,
-        motion: MotorMotion,
-    ) -> Result<Self, DesignError> {
-        motion.check(robot.len())?;
-        let channels = Kind::all_channels(kinds, &robot);
-        Ok(Self { robot, motion, channels, fixed })
-    }
-
-    /// Number of samples.
-    pub fn len(&self) -> usize {
-        self.motion.t.len()
-    }
-
-    /// Whether there is no sample; never true.
-    pub fn is_empty(&self) -> bool {
-        self.motion.t.is_empty()
-    }
-
-    /// Number of channels.
-    pub fn channels(&self) -> usize {
-        self.channels.len()
-    }
-
-    /// Readings under `values` of the parameters `free`. The links start where the springs hold them, moving with their
-    /// motors, but for `offset` = (q, q̇).
-    ///
-    /// The method of Gauss with two stages: fourth order, and stable however stiff a joint is.
-    ///
-    /// # Errors
-    /// A parameter that the robot does not have; links that fly away.
-    pub fn evaluate(&self, free: &[Parameter], values: &[f64], offset: &[f64]) -> Result<Responded, RunError> {
-        let n = self.robot.len();
-        expect_length("values", values.len(), free.len())?;
-        expect_length("offset", offset.len(), 2 * n)?;
-        let mut parameters = Parameters::<f64>::of(&self.robot);
-        for (parameter, value) in self.fixed.iter().copied().chain(free.iter().copied().zip(values.iter().copied())) {
-            let slot = parameters.slot(parameter);
-            *slot.ok_or(DesignError::NoParameter { parameter: format!("{parameter:?}") })? = value;
-        }
-        let (count, channels, width) = (self.len(), self.channels(), free.len() + 2 * n);
-        let mut sensors = Sensors::new(&parameters, free, &self.channels);
-        let mut links = Links::new(Equation::new(&self.robot, parameters, free), offset);
-        let mut out =
-            Responded { prediction: filled(0.0, count, channels)?, slopes: filled(0.0, count, channels * width)? };
-        let rows = out.prediction.chunks_exact_mut(channels).zip(out.slopes.chunks_exact_mut(channels * width));
-        let watch = Watch::current();
-        for (row, (prediction, slopes)) in rows.enumerate() {
-            if row == 0 {
-                // The first sample: where the springs hold the links, found together with its derivatives.
-                links.start(&self.motion);
-            } else {
-                // Gauss's two stages from the sample before; derivatives by the matrix that Newton's method has
-                // factorised last.
-                links.step(&self.motion, row - 1);
-            }
-            // The sample's own accelerations, which accelerometers read: the stages' are those inside the step.
-            links.accelerate(&self.motion, row);
-            if !links.state.iter().all(|x| x.is_finite()) {
-                return Err(RunError::NotFinite { sample: row });
-            }
-            if watch.stops() {
-                return Err(RunError::Interrupted { sample: row });
-            }
-            sensors.read(&mut links, prediction, slopes);
-        }
-        Ok(out)
-    }
-}
-
 /// Links on their way, with the derivatives of their motion.
 #[derive(Clone, Debug)]
 pub(super) struct Links<'a> {
@@ -228,7 +60,7 @@ pub(super) struct Links<'a> {
 }
 
 impl<'a> Links<'a> {
-    fn new(equation: Equation<'a>, offset: &'a [f64]) -> Self {
+    pub(super) fn new(equation: Equation<'a>, offset: &'a [f64]) -> Self {
         let n = equation.robot.len();
         let (p, width) = (equation.free.len(), equation.free.len() + 2 * n);
         Self {
@@ -256,7 +88,7 @@ impl<'a> Links<'a> {
     }
 
     /// Where the springs hold the links, found by Newton's method, and the offset.
-    fn start(&mut self, motion: &MotorMotion) {
+    pub(super) fn start(&mut self, motion: &MotorMotion) {
         let (n, width, p) = (self.motors.theta.len(), self.width, self.equation.free.len());
         motion.at(0, 0.0, &mut self.motors);
         let held = MotorSample { theta: self.motors.theta.clone(), ..MotorSample::new(n) };
@@ -297,7 +129,7 @@ impl<'a> Links<'a> {
     }
 
     /// The accelerations of sample `row`, where positions and velocities are known.
-    fn accelerate(&mut self, motion: &MotorMotion, row: usize) {
+    pub(super) fn accelerate(&mut self, motion: &MotorMotion, row: usize) {
         let (n, width, p) = (self.motors.theta.len(), self.width, self.equation.free.len());
         let (from, c) = if row == 0 { (0, 0.0) } else { (row - 1, 1.0) };
         motion.at(from, c, &mut self.motors);
@@ -327,7 +159,7 @@ impl<'a> Links<'a> {
     }
 
     /// From sample `row` to the next.
-    fn step(&mut self, motion: &MotorMotion, row: usize) {
+    pub(super) fn step(&mut self, motion: &MotorMotion, row: usize) {
         let n = self.motors.theta.len();
         let h = motion.t[row + 1] - motion.t[row];
         for (c, motors) in NODES.into_iter().zip(&mut self.at_nodes) {
