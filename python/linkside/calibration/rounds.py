@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeAlias
 
 import numpy as np
 
 from linkside.arrays import FloatArray
 from linkside.errors import NumericalError
+from linkside.mapping import Map
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
@@ -71,9 +71,6 @@ class LogEvidence:
     information: FloatArray
     lasting: FloatArray
     wider: float
-
-
-Map: TypeAlias = Callable[[Callable[[Task], LogEvidence], Sequence[Task]], Iterable[LogEvidence]]
 
 
 def evaluate(robot: Robot, free: Sequence[Parameter], task: Task) -> LogEvidence:

@@ -16,13 +16,14 @@ import numpy as np
 
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
+from linkside.mapping import Map, here
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
 from .parameters import NOISE, Parameter, choose
 from .response import OF_TIME
 from .response_run import CORNERS
-from .rounds import Map, Rounds, SharedColumns, scope
+from .rounds import Rounds, SharedColumns, scope
 from .search import GAIN, ROUGH
 
 FREE = ("stiffness", "damping", "payload_mass", "bias")
@@ -79,7 +80,7 @@ def calibrate_together(
     free: Iterable[str] = FREE,
     times: Sequence[float] | None = None,
     drift: Iterable[str] = (),
-    run: Map = map,
+    run: Map = here,
 ) -> Together:
     """Find a robot's parameters from many logs, some with other loads, and sensors whose biases change.
 
@@ -104,7 +105,7 @@ def calibrate_together(
         Of ``free``, kinds that also change linearly over ``times``; the prior of the change over their whole span is
         the tolerance.
     run
-        Evaluates the logs: the built-in ``map``, that of an executor or of a cluster; tasks and results can be pickled.
+        Evaluates the logs: ``map`` of an executor or of a cluster, see `linkside.fleet.mapped`.
 
     Raises
     ------
