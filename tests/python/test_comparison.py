@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import re
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from scipy.stats import permutation_test
 
 from linkside import Estimate, EstimatorError, LogError, Robot, cli, demo
 from linkside.comparison import Segment, between_rests, compare, find_shift, read_motion, read_segments
+from linkside.comparison.outliers import apart, distances, outlying
 
 RATE = 1000.0
 
@@ -155,6 +157,72 @@ def test_an_outlier_among_repeats_is_named_and_left_out():
         only(alone, estimate="mean of repeats", signal="tool").rms
     )
     assert "outlier, left out" in found.to_text()
+
+
+def scatter(rng, tails, dimensions, count=50):
+    """Deviations of repeats, (R, k), in so many directions; each repeat is as large as ``tails`` has it."""
+    sizes = {
+        "normal": np.ones(count),
+        "Laplace": np.sqrt(rng.exponential(size=count)),
+        "Student": np.sqrt(5 / rng.chisquare(5, size=count)),
+    }
+    return rng.normal(size=(count, dimensions)) * sizes[tails][:, None]
+
+
+@pytest.mark.parametrize("tails", ["normal", "Laplace", "Student"])
+@pytest.mark.parametrize("dimensions", [1, 3, 100])
+@pytest.mark.parametrize("drift", [0.0, 1.0])
+def test_no_outlier_is_named_among_fifty_clean_repeats(tails, dimensions, drift):
+    """In one set of a hundred at most, within what chance makes of 150 sets."""
+    rng = np.random.default_rng(dimensions)
+    order = np.arange(50.0)
+    alarms = 0
+    for _ in range(150):
+        repeats = scatter(rng, tails, dimensions) + drift * order[:, None]
+        alarms += outlying(apart(repeats @ repeats.T, order if drift else None)).any()
+    assert alarms <= 4  # of 1 % of 150, more: 2 %
+
+
+@pytest.mark.parametrize(
+    ("tails", "size", "found"), [("normal", 12, 0.9), ("Laplace", 25, 0.75), ("Student", 40, 0.75)]
+)
+def test_an_outlier_among_fifty_is_named_alone(tails, size, found):
+    rng = np.random.default_rng(1)
+    named = []
+    for _ in range(60):
+        repeats = scatter(rng, tails, 3)
+        direction = rng.normal(size=3)
+        repeats[7] = size * np.sqrt(3) * direction / np.linalg.norm(direction)
+        named.append(np.flatnonzero(outlying(apart(repeats @ repeats.T))).tolist())
+    assert named.count([7]) >= found * len(named)
+
+
+def test_of_springs_that_scatter_only_the_wrong_one_is_named():
+    """Three springs that scatter by 2 %, each with a path of its own; in one repeat they are 30 % too soft."""
+    rng = np.random.default_rng(2)
+    shapes = 1e-3 * np.stack([np.sin(3 * T), np.cos(5 * T), np.sin(7 * T)])
+    repeats = {}
+    for i in range(50):
+        springs = rng.normal(0, 0.02, 3) - 0.3 * (i == 20)
+        one = motion(T)
+        one.tool_position[:, 2] += springs @ shapes + rng.normal(0, 1e-6, len(T))
+        repeats[f"run {i}"] = one
+    assert compare(motion(T), repeats, repeats=True).repeats.outliers == ("run 20",)
+
+
+def test_the_median_path_is_the_median():
+    """Of paths of one number the spatial median is the median; with a drift, the line of least absolute deviations."""
+    values = np.random.default_rng(3).normal(size=7)
+    for order, center in ((None, np.median(values)), (np.arange(7.0), _least_absolute_line(values))):
+        sizes = distances(apart(np.outer(values, values), order))
+        assert sizes == pytest.approx(np.abs(values - center), abs=2e-3)
+
+
+def _least_absolute_line(values):
+    """It goes through two of the points: try all pairs."""
+    at = np.arange(len(values))
+    lines = [np.polyval(np.polyfit(at[[i, j]], values[[i, j]], 1), at) for i, j in combinations(at, 2)]
+    return min(lines, key=lambda line: np.abs(values - line).sum())
 
 
 def test_a_trend_of_repeats_is_measured_though_one_is_an_outlier():

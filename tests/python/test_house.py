@@ -14,7 +14,7 @@ ROOT = Path(linkside.__file__).parent
 
 LAYERS = (
     ("errors",),
-    ("arrays", "channels", "findings", "text"),
+    ("arrays", "channels", "findings", "mapping", "text"),
     ("arguments",),
     ("statistics", "files"),
     ("figures",),

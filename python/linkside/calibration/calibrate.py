@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError, LinksideError, NumericalError
 from linkside.files.yaml_source import suggest
 from linkside.kalman.noise import Noise
+from linkside.mapping import Map, here
 from linkside.recording.log import Log
 from linkside.recording.motion import moving
 from linkside.robot import Robot
@@ -60,6 +62,7 @@ def calibrate(
     held_out: Sequence[Log] = (),
     start: Mapping[str, float] | None = None,
     progress: Progress | None = None,
+    run: Map = here,
 ) -> Calibration:
     """Find a robot's parameters from its own recordings, without external measurements.
 
@@ -95,6 +98,9 @@ def calibrate(
         fit of the equations of motion if the recordings are more probable there.
     progress
         Called with a `Step` whenever a better point is found.
+    run
+        Evaluates the recordings, see `linkside.fleet.mapped`; with motor torques they are evaluated one by one. The
+        result does not depend on it.
 
     Raises
     ------
@@ -119,27 +125,27 @@ def calibrate(
     _refuse_unknown(chosen, start or {})
     if free is None and not torque and "q" not in kinds(robot, logs):
         chosen = [p for p in chosen if p.kind not in BY_LINK_ENCODERS]
-    run = _run(robot, logs, noise or Noise(), torque, chosen, start or {}, progress)
-    run.solve()
-    after, found = run.after()
-    foretold = run.foretold() if len(run.problem.free) else None
+    solved = _run(robot, logs, noise or Noise(), torque, chosen, start or {}, progress, run)
+    solved.solve()
+    after, found = solved.after()
+    foretold = solved.foretold() if len(solved.problem.free) else None
     gain = None
     if foretold is not None and not torque and robot.acceleration_channels:
-        gain = filters_gain(robot, logs, noise or Noise(), run.problem.free, run.z)
+        gain = filters_gain(robot, logs, noise or Noise(), solved.problem.free, solved.z)
     return Calibration(
-        estimates=_estimates(run.problem.free, run.z, found),
-        refused=run.refused,
-        before=run.before,
+        estimates=_estimates(solved.problem.free, solved.z, found),
+        refused=solved.refused,
+        before=solved.before,
         after=after,
-        held_out=run.held_out(held_out) if held_out else None,
-        contradictions=_contradictions(run.problem, run.z),
-        notes=run.notes,
+        held_out=solved.held_out(held_out) if held_out else None,
+        contradictions=_contradictions(solved.problem, solved.z),
+        notes=solved.notes,
         foretold=foretold,
-        objections=objections(run.problem.free, run.z, found.std, foretold, gain),
-        evaluations=run.evaluations,
+        objections=objections(solved.problem.free, solved.z, found.std, foretold, gain),
+        evaluations=solved.evaluations,
         seconds=time.perf_counter() - began,
-        problem=run.problem,
-        z=run.z,
+        problem=solved.problem,
+        z=solved.z,
         uncertainty=found,
     )
 
@@ -152,6 +158,7 @@ def _run(
     free: list[Parameter],
     start: Mapping[str, float],
     progress: Progress | None,
+    run: Map,
 ) -> FilterRun | ResponseRun:
     """Choose the method: a Kalman filter if motor torques are measurements, else the response of the links."""
     moves = np.any([moving(log) for log in logs], axis=0)
@@ -159,7 +166,7 @@ def _run(
     if torque:
         return FilterRun(Problem(robot, logs, noise, torque, free), still, start, progress)
     seen = [p for p in free if p.kind not in OF_FILTERS]
-    return ResponseRun(ResponseProblem(robot, recordings(robot, logs), seen), still, start, progress)
+    return ResponseRun(ResponseProblem(robot, recordings(robot, logs), seen, run=run), still, start, progress)
 
 
 def _refuse_without_part(chosen: Sequence[Parameter], asked: Sequence[str], logs: Sequence[Log]) -> None:
@@ -194,12 +201,16 @@ def _contradictions(problem: Posterior, z: FloatArray) -> tuple[Contradiction, .
     """Estimate from each recording alone, starting at the joint estimate."""
     if len(problem.logs) < 2:
         return ()
-    fits = []
-    for i, log in enumerate(problem.logs):
-        alone = problem.alone(i, z)
-        best = Search(alone).maximise(z)
-        evidence = alone.evidence(best, detail=True)
-        still = [name for name, does in zip(problem.robot.names, moving(log), strict=True) if not does]
-        untold = unidentifiable(alone.free, best, evidence, still)
-        fits.append(Alone(best, uncertainty(evidence, log.period), frozenset(untold.reasons)))
-    return tuple(compare(problem, fits))
+    run = problem.run if isinstance(problem, ResponseProblem) else here
+    fits = run(partial(_alone, z), [problem.alone(i, z) for i in range(len(problem.logs))])
+    return tuple(compare(problem, list(fits)))
+
+
+def _alone(z: FloatArray, problem: Posterior) -> Alone:
+    """Estimate from the only recording of a problem."""
+    best = Search(problem).maximise(z)
+    evidence = problem.evidence(best, detail=True)
+    log = problem.logs[0]
+    still = [name for name, does in zip(problem.robot.names, moving(log), strict=True) if not does]
+    untold = unidentifiable(problem.free, best, evidence, still)
+    return Alone(best, uncertainty(evidence, log.period), frozenset(untold.reasons))

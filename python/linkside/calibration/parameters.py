@@ -211,6 +211,18 @@ def choose(robot: Robot, free: Iterable[str] | None, torque: bool, bounds: Bound
     return [_bounded(p, bounds[p.name]) if p.name in bounds else p for p in chosen]
 
 
+def beside(robot: Robot, free: Iterable[Parameter]) -> list[Parameter]:
+    """Parameters that are held while ``free`` are found, and of which robot.yaml is hardly right.
+
+    Their tolerances are those of a calibration where robot.yaml has one.
+    """
+    taken = {*(p.name for p in free), f"mass_scale_{_heaviest(robot)}"}
+    known = robot.config.tolerances.calibrated
+    kinds = (*BESIDE, "time_constant", "delay", *OF_LINK_ENCODERS)
+    held = (p for p in catalogue(robot, False) if p.kind in kinds and p.name not in taken)
+    return [replace(p, tolerance=known.get(p.name, p.tolerance)) for p in held]
+
+
 def _heaviest(robot: Robot) -> str:
     """The joint that moves the heaviest link: forces and masses that all grow alike show in no motion, so that its mass
     is what others are measured by."""

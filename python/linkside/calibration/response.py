@@ -6,10 +6,13 @@ with what they read, so that a wrong spring cannot improve a density of the moto
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, fields, replace
+from functools import cached_property, partial
 from itertools import pairwise
-from typing import Any
+from operator import methodcaller
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +20,7 @@ import numpy.typing as npt
 from linkside._core import Response
 from linkside.arrays import FloatArray
 from linkside.kalman.late_sensors import sensors
+from linkside.mapping import Map, here
 from linkside.robot import Robot
 from linkside.robot.sensors import Lateness
 
@@ -27,19 +31,17 @@ from .parameters import NOISE, OF_LINK_ENCODERS, CoreName, Parameter, catalogue
 from .prepared import ZEROS, Prepared, kinds, width
 from .problem import HUBER, STATED, Evidence, bare
 from .products import products
+from .restart import restart, uncertain_start
 from .spread import spread
 from .whitening import Whitening
 
 LEAST_ZERO = 1e-3
 """Uncertainty of a zero, in the signal's unit, beside the largest reading."""
 
+Found = TypeVar("Found")
+
 OF_TIME = ("time_constant", "delay", *OF_LINK_ENCODERS)
 LEAST_NOISE = 1e-9
-FIRST = 0.05
-"""Length of the beginning of a recording that decides whether it starts in motion [s]."""
-
-LEAST_START, LEAST_SPEED = 1e-4, 1e-3
-"""Uncertainty of the links' first positions [rad] and velocities [rad/s], beside what gravity and motion make of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +74,8 @@ class ResponseProblem:
         `robot` without what `bare` takes off, where it is known.
     white
         What makes residuals white where all frequencies are looked at, if they are not taken as they are.
+    run
+        Evaluates the recordings, each by itself.
     """
 
     def __init__(
@@ -84,8 +88,9 @@ class ResponseProblem:
         size: FloatArray | None = None,
         base: Robot | None = None,
         white: Whitening | None = None,
+        run: Map = here,
     ) -> None:
-        self.robot, self.recordings, self.white = robot, list(recordings), white
+        self.robot, self.recordings, self.white, self.run = robot, list(recordings), white, run
         self.logs = [recording.log for recording in recordings]
         self.free, self.held, self.corner = tuple(free), tuple(held), corner
         self.kinds = kinds(robot, self.logs)
@@ -93,15 +98,14 @@ class ResponseProblem:
         bands = [Band.below(corner, seen.period, len(seen.readings)) for seen in self._seen]
         self._bands: list[Band] | list[Whitening] = bands if white is None else [white] * len(bands)
         self._narrowed = [float(np.linalg.norm(band.weights)) for band in bands]
-        self.base, fixed = base or bare(robot), self._fixed()
-        self._cores = [Response(self.base.core, seen.motors, kinds=self.kinds, fixed=fixed) for seen in self._seen]
+        self.base = base or bare(robot)
         self.size = self._least() if size is None else size
         self._zeros = [c for c, kind in enumerate(self._kind_of_channels()) if kind in ZEROS]
         largest = [float(np.abs(recordings[0].readings[:, c]).max()) for c in self._zeros]
-        self._start = np.concatenate([_uncertain_start(robot, self.recordings), np.array(largest) + LEAST_ZERO])
+        self._start = np.concatenate([uncertain_start(robot, self.recordings), np.array(largest) + LEAST_ZERO])
 
     def _like(self, **changes: Any) -> ResponseProblem:
-        names = ("robot", "recordings", "free", "held", "corner", "size", "base", "white")
+        names = ("robot", "recordings", "free", "held", "corner", "size", "base", "white", "run")
         return ResponseProblem(**{name: getattr(self, name) for name in names} | changes)
 
     def restricted(self, free: Sequence[Parameter]) -> ResponseProblem:
@@ -133,8 +137,9 @@ class ResponseProblem:
 
     def smoothed(self, wider: float) -> ResponseProblem:
         """Give the same problem with motors' positions smoothed less, by this factor on the corner frequency."""
-        smoother = [replace(r, motors=motors(self.robot, r.log, wider)) for r in self.recordings]
-        return self._like(recordings=smoother)
+        moved = self.run(partial(motors, self.robot, wider=wider), self.logs)
+        pairs = zip(self.recordings, moved, strict=True)
+        return self._like(recordings=[replace(recording, motors=own) for recording, own in pairs])
 
     def alone(self, index: int, z: FloatArray) -> ResponseProblem:
         """Give the same problem on one of its recordings."""
@@ -146,12 +151,12 @@ class ResponseProblem:
         ``corner`` is of another band.
         """
         there = self._like(corner=self.corner if corner is None else corner, size=None, white=None)
-        seen = [there._residuals(i, z, sloped=False) for i in range(len(self.logs))]
+        seen = there._each(methodcaller("_residuals", 0, z, sloped=False))
         size = spread([residual * there.size for residual, _ in seen], there._least())
         started, left = [], []
         for recording, (residual, start) in zip(self.recordings, seen, strict=True):
             by, e = start * (there.size / size)[:, None], residual * (there.size / size)
-            shift = _restart(e, by, self._start)
+            shift = restart(e, by, self._start)
             started.append(replace(recording, offset=recording.offset + shift))
             left.append((e - by @ shift) * size)
         if np.isfinite(there.corner):
@@ -173,15 +178,13 @@ class ResponseProblem:
         """Evaluate at one point; raises NumericalError where links fly away."""
         p = len(self.free)
         total = Evidence(0.0, np.zeros(p), np.zeros((p, p)), 0, [], [], [])
-        for i, seen in enumerate(self._seen):
-            total = _sum(total, self._of_log(i, z, detail, len(seen.readings)))
+        for found in self._each(methodcaller("_of_log", z, detail)):
+            total = _sum(total, found)
         return total
 
     def log_likelihood(self, z: FloatArray) -> float:
         """Log-likelihood alone."""
-        return float(
-            sum(self._clean(*self._residuals(i, z, sloped=False)).densities.sum() for i in range(len(self.logs)))
-        )
+        return float(sum(self._each(methodcaller("_density", z))))
 
     def predicted(self, z: FloatArray) -> list[FloatArray]:
         """What sensors should read in each recording, (T, m)."""
@@ -205,8 +208,36 @@ class ResponseProblem:
         """Parameters that predictions depend on before sensors' filters."""
         return [k for k, p in enumerate(self.free) if p.kind not in (*NOISE, *OF_TIME)]
 
-    def _of_log(self, i: int, z: FloatArray, detail: bool, count: int) -> Evidence:
-        residual, by = self._residuals(i, z)
+    def _each(self, function: Callable[[ResponseProblem], Found]) -> list[Found]:
+        """What a function gives for each recording by itself, all else as it is."""
+        return [function(self)] if len(self.logs) == 1 else list(self.run(function, self._singles))
+
+    @cached_property
+    def _singles(self) -> list[ResponseProblem]:
+        """The same problem on each recording as it is seen in the band."""
+        singles = [copy(self) for _ in self.logs]
+        for i, single in enumerate(singles):
+            single.recordings = single._seen = [self._seen[i]]
+            single.logs, single._bands = [self.logs[i]], self._bands[i : i + 1]
+        return singles
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy elsewhere needs; it evaluates its recordings there."""
+        return {name: own for name, own in vars(self).items() if name not in ("_cores", "_singles")} | {"run": here}
+
+    @cached_property
+    def _cores(self) -> list[Response]:
+        """What predicts readings of each recording."""
+        fixed = self._fixed()
+        return [Response(self.base.core, seen.motors, kinds=self.kinds, fixed=fixed) for seen in self._seen]
+
+    def _density(self, z: FloatArray) -> float:
+        """Log-likelihood of the only recording."""
+        return float(self._clean(*self._residuals(0, z, sloped=False)).densities.sum())
+
+    def _of_log(self, z: FloatArray, detail: bool) -> Evidence:
+        """Evidence of the only recording."""
+        residual, by = self._residuals(0, z)
         p, total = len(self.free), by.shape[2]
         given = np.isfinite(residual)
         left = self._clean(residual, by[:, :, p:])
@@ -222,7 +253,8 @@ class ResponseProblem:
         out = Evidence(float(left.densities.sum()), told[:, total], information, int(given.sum()), [], [], [])
         if not detail:
             return out
-        rows = self._bands[i].rows(count)
+        count = len(self._seen[0].readings)
+        rows = self._bands[0].rows(count)
         pull = (weighted[:, :, :p] - weighted[:, :, start] @ explained[:, :p]) * weighted[:, :, total:]
         return replace(
             out,
@@ -234,7 +266,7 @@ class ResponseProblem:
     def _clean(self, residual: FloatArray, start: FloatArray) -> _Left:
         """What is left of residuals (R, m) with the best start, whose slopes are ``start`` (R, m, s)."""
         given = np.isfinite(residual)
-        clean = residual - np.where(given, start @ _restart(residual, start, self._start), 0.0)
+        clean = residual - np.where(given, start @ restart(residual, start, self._start), 0.0)
         size = np.where(given, np.abs(clean), 0.0)
         outlying = size > HUBER
         loss = np.where(outlying, HUBER * (2 * size - HUBER), size**2)
@@ -351,31 +383,6 @@ def _times(sensor: Lateness | None) -> list[float]:
     if sensor is None:
         return [0.0, 0.0]
     return [1 / (2 * np.pi * sensor.corner_frequency) if sensor.corner_frequency else 0.0, sensor.delay]
-
-
-def _uncertain_start(robot: Robot, recordings: Sequence[Prepared]) -> FloatArray:
-    """How far positions and velocities of links may be from rest on their springs at first, (2n,).
-
-    By what gravity twists the springs, and by what the first motion of the motors may do besides.
-    """
-    stiffness = np.array([drive.stiffness or np.inf for drive in robot.drives])
-    twist, speed = np.full(robot.n, LEAST_START), np.full(robot.n, LEAST_SPEED)
-    for recording in recordings:
-        count = max(1, round(FIRST / recording.log.period))
-        theta, dtheta, ddtheta = (recording.motors[name][:count] for name in ("theta", "dtheta", "ddtheta"))
-        load = np.abs(robot.gravity_torque(theta)) + np.abs(robot.inverse_dynamics(theta, dtheta, ddtheta))
-        twist = np.maximum(twist, load.max(axis=0) / stiffness)
-        speed = np.maximum(speed, np.abs(dtheta).max(axis=0))
-    return np.concatenate([twist, speed])
-
-
-def _restart(residual: FloatArray, start: FloatArray, std: FloatArray) -> FloatArray:
-    """By how much another start of the links, uncertain by ``std``, explains the residuals better."""
-    e = np.nan_to_num(residual)
-    weight = np.minimum(1.0, HUBER / np.maximum(np.abs(e), HUBER))
-    weighted = np.concatenate([start, e[:, :, None]], axis=2) * np.sqrt(weight)[:, :, None]
-    gram = products(weighted.reshape(e.size, len(std) + 1))
-    return np.asarray(np.linalg.solve(gram[:-1, :-1] + np.diag(1 / std**2), gram[:-1, -1]))
 
 
 def _placed(values: FloatArray, rows: npt.NDArray[np.int64], count: int, empty: float) -> FloatArray:

@@ -134,7 +134,9 @@ class ResponseRun(CalibrationRun[ResponseProblem]):
     def held_out(self, logs: Sequence[Log]) -> tuple[float, float]:
         """Log-likelihood of other recordings, before and after; noise levels are fitted for both."""
         problem = self.problem
-        test = ResponseProblem(problem.robot, recordings(problem.robot, logs), problem.free, base=problem.base)
+        test = ResponseProblem(
+            problem.robot, recordings(problem.robot, logs), problem.free, base=problem.base, run=problem.run
+        )
         before, after = (test.settled(z).log_likelihood(z) for z in (np.zeros(len(self.z)), self.z))
         return before, after
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeAlias
 
 import numpy as np
 
 from linkside.arrays import FloatArray
 from linkside.errors import NumericalError
+from linkside.mapping import Map
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
+from .between import variances, widened
 from .parameters import Parameter
 from .prepared import recordings
 from .recordings import refuse
@@ -27,9 +28,6 @@ OF_GROUPS = ("payload_mass", "payload_xyz")
 
 OF_LOGS = ("bias",)
 """Kinds that each log has for itself."""
-
-COMMON = 1.0
-"""Errors that all logs have in common, as of motors' smoothing, in standard errors of one log: they stay in a mean."""
 
 STEPS = 12
 """Most steps in one band."""
@@ -71,9 +69,6 @@ class LogEvidence:
     information: FloatArray
     lasting: FloatArray
     wider: float
-
-
-Map: TypeAlias = Callable[[Callable[[Task], LogEvidence], Sequence[Task]], Iterable[LogEvidence]]
 
 
 def evaluate(robot: Robot, free: Sequence[Parameter], task: Task) -> LogEvidence:
@@ -139,12 +134,6 @@ class SharedColumns:
         own = [k for k, p in enumerate(free) if scope(p) == "log"]
         return cls(tuple(free), groups, columns, own, common, [b.reshape(len(common), len(columns)) for b in by])
 
-    @property
-    def counts(self) -> FloatArray:
-        """How many logs have a column in common, (d,); none of a drift, which is a difference between logs."""
-        shared = np.sum([np.any(share != 0, axis=0) for share in self.by], axis=0)
-        return np.where([owner == "drift" for owner, _ in self.columns], 0.0, shared)
-
     def z(self, i: int, a: FloatArray, own: FloatArray) -> FloatArray:
         """The parameters of log ``i``, (p,)."""
         z = np.empty(len(self.free))
@@ -163,20 +152,36 @@ class _Everywhere:
 
 
 @dataclass(frozen=True, eq=False)
-class _Reduced:
-    """What is left of all logs' evidence when what each has for itself is eliminated.
+class _Rest:
+    """What a log says of what logs share, when what it has for itself is eliminated.
 
-    ``lasting`` and ``between`` are variances of the gradient, by its course within logs and by its sums over logs.
-    ``within`` is the covariance of a log's own parameters where all else is known, ``pull`` how these follow what logs
-    share.
+    ``gradient`` and ``information`` are (s,) and (s, s). ``within`` is the covariance of its own parameters where all
+    else is known, (o, o), ``follow`` how these follow its share of the others, (o, s).
     """
 
     gradient: FloatArray
-    curvature: FloatArray
-    lasting: FloatArray
-    between: FloatArray
-    within: list[FloatArray]
-    pull: list[FloatArray]
+    information: FloatArray
+    within: FloatArray
+    follow: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class SharedUncertainty:
+    """Standard errors in tolerances.
+
+    Attributes
+    ----------
+    std : (d,)
+        Of what logs share.
+    common : (d,)
+        The part of it that does not become smaller with more logs.
+    of_logs : list of (o,)
+        Of what each log has for itself.
+    """
+
+    std: FloatArray
+    common: FloatArray
+    of_logs: list[FloatArray]
 
 
 class Rounds:
@@ -190,14 +195,22 @@ class Rounds:
         Paths or logs.
     robot
         Theirs.
+    held
+        Parameters that are uncertain by their tolerances, but not estimated.
     run
         Evaluates tasks, in their order.
     """
 
-    def __init__(self, layout: SharedColumns, logs: Sequence[str | Log], robot: Robot, run: Map) -> None:
-        self.layout, self.logs, self.run = layout, list(logs), run
+    def __init__(
+        self,
+        layout: SharedColumns,
+        logs: Sequence[str | Log],
+        robot: Robot,
+        held: Sequence[Parameter],
+        run: Map,
+    ) -> None:
+        self.layout, self.logs, self.robot, self.held, self.run = layout, list(logs), robot, tuple(held), run
         self.count = 0
-        self._evaluate = partial(evaluate, robot, layout.free)
         self._a = np.zeros(len(layout.columns))
         self._own = [np.zeros(len(layout.own)) for _ in self.logs]
         self._wider: list[float | None] = [1.0] * len(self.logs)
@@ -225,33 +238,80 @@ class Rounds:
             here = there
         self._here, self._a, self._own = here, here.a, here.own
 
-    def uncertainty(self) -> tuple[FloatArray, list[FloatArray]]:
-        """Standard errors, in tolerances: of what logs share (d,), and of what each has (o,).
+    def uncertainty(self) -> SharedUncertainty:
+        """Say how far to trust the estimates.
 
-        As in `linkside.calibration.uncertainty`, the larger of those by the information and by the variance of the
-        gradient: its long-run variance within logs, and its variance between logs (K.-Y. Liang and S. L. Zeger,
-        Biometrika 73, 1986), whose errors of the model differ with the motion. To what logs share, errors are added
-        that all of them have in common, which no scatter shows.
+        What is independent from log to log is the largest of the information, the long-run variance of the gradient
+        within logs (as in `linkside.calibration.uncertainty`), and the scatter of logs about what they share, see
+        `between`. What all logs have in common no scatter shows: parameters that are held at robot.yaml's values are
+        uncertain by their tolerances, and estimates follow them (S. F. Schmidt 1966: consider covariance).
         """
-        reduced = self._reduced(self.here)
-        plain = np.linalg.inv(reduced.curvature)
-        larger = [plain @ (slow + np.eye(len(plain))) @ plain for slow in (reduced.lasting, reduced.between)]
-        wider = np.sqrt(np.maximum(1.0, np.max([np.diag(one) for one in larger], axis=0) / np.diag(plain)))
+        rests = [self._rest(found, own) for found, own in zip(self.here.found, self.here.own, strict=True)]
+        plain = np.asarray(np.linalg.inv(self._curvature(rests)), np.float64)
+        held, own_held = self._of_held(plain, rests)
+        larger = [plain @ (spread + np.eye(len(plain))) @ plain for spread in self._spreads(rests, len(plain))]
+        variance = np.max([np.diag(plain), *(np.diag(one) for one in larger)], axis=0)
+        wider = np.sqrt(variance / np.diag(plain))
         covariance = plain * np.outer(wider, wider)
         of_logs = []
-        for found, within, pull in zip(self.here.found, reduced.within, reduced.pull, strict=True):
+        for found, rest, by, of_held in zip(self.here.found, rests, self.layout.by, own_held, strict=True):
             own = np.ix_(self.layout.own, self.layout.own)
-            lasting = within @ (found.lasting[own] + np.eye(len(within))) @ within
-            alone = np.maximum(np.diag(within), np.diag(lasting))
-            of_logs.append(np.sqrt(alone + np.einsum("ij,jk,ik->i", pull, covariance, pull)))
-        std = np.sqrt(np.diag(covariance))
+            lasting = rest.within @ (found.lasting[own] + np.eye(len(rest.within))) @ rest.within
+            alone = np.maximum(np.diag(rest.within), np.diag(lasting))
+            pull = rest.follow @ by
+            variance_of_own = alone + np.einsum("ij,jk,ik->i", pull, covariance, pull) + np.sum(of_held**2, axis=1)
+            of_logs.append(np.sqrt(np.minimum(variance_of_own, np.maximum(alone, 1.0))))
         # No more than the prior leaves: a parameter that no log shows keeps its tolerance.
-        return np.minimum(std * np.sqrt(1.0 + COMMON**2 * self.layout.counts), np.maximum(std, 1.0)), of_logs
+        single, common = np.sqrt(variance), np.sqrt(np.sum(held**2, axis=1))
+        std = np.minimum(np.hypot(single, common), np.maximum(single, 1.0))
+        return SharedUncertainty(std, np.minimum(common, std), of_logs)
+
+    def _spreads(self, rests: Sequence[_Rest], count: int) -> tuple[FloatArray, FloatArray]:
+        """Variances of the gradient in what logs share: by its course within logs, and by logs' differences."""
+        own, common = self.layout.own, self.layout.common
+        lasting, between = np.zeros((count, count)), np.zeros((count, count))
+        found, freedom = variances(
+            np.array([rest.gradient for rest in rests]),
+            np.array([rest.information for rest in rests]),
+            np.array(self.layout.by),
+            np.eye(count),
+            self.here.a,
+        )
+        effects = widened(found, freedom)
+        for evidence, rest, by in zip(self.here.found, rests, self.layout.by, strict=True):
+            effective = np.zeros((len(common), len(self.layout.free)))
+            effective[:, common], effective[:, own] = np.eye(len(common)), -rest.follow.T
+            lasting += by.T @ effective @ evidence.lasting @ effective.T @ by
+            between += by.T @ (rest.information + rest.information * effects @ rest.information) @ by
+        return lasting, between
+
+    def _of_held(self, plain: FloatArray, rests: Sequence[_Rest]) -> tuple[FloatArray, list[FloatArray]]:
+        """How estimates follow the parameters that are held, in tolerances: (d, h), and (o, h) of each log."""
+        own, common, p = self.layout.own, self.layout.common, len(self.layout.free)
+        zeros = np.zeros(len(self.held))
+        at = [np.append(self.layout.z(i, self.here.a, x), zeros) for i, x in enumerate(self.here.own)]
+        every = partial(evaluate, self.robot, (*self.layout.free, *self.held))
+        crosses = [found.information[:, p:] for found in self._found(every, at, np.inf)]
+        slope = np.zeros((len(self.here.a), len(zeros)))
+        for cross, rest, by in zip(crosses, rests, self.layout.by, strict=True):
+            slope += by.T @ (cross[common] - rest.follow.T @ cross[own])
+        shared = -plain @ slope
+        return shared, [
+            -rest.within @ cross[own] - rest.follow @ by @ shared
+            for cross, rest, by in zip(crosses, rests, self.layout.by, strict=True)
+        ]
+
+    def _found(
+        self, function: Callable[[Task], LogEvidence], at: Sequence[FloatArray], corner: float
+    ) -> list[LogEvidence]:
+        """Evaluate each log at its point."""
+        tasks = [Task(log, z, corner, wider) for log, z, wider in zip(self.logs, at, self._wider, strict=True)]
+        self.count += 1
+        return list(self.run(function, tasks))
 
     def _at(self, a: FloatArray, own: list[FloatArray], corner: float) -> _Everywhere:
-        tasks = [Task(log, self.layout.z(i, a, own[i]), corner, self._wider[i]) for i, log in enumerate(self.logs)]
-        found = list(self.run(self._evaluate, tasks))
-        self.count += 1
+        at = [self.layout.z(i, a, own[i]) for i in range(len(self.logs))]
+        found = self._found(partial(evaluate, self.robot, self.layout.free), at, corner)
         prior = a @ a + sum(x @ x for x in own)
         return _Everywhere(a, own, found, float(sum(one.value for one in found) - 0.5 * prior))
 
@@ -273,40 +333,36 @@ class Rounds:
 
     def _step(self, here: _Everywhere) -> tuple[FloatArray, list[FloatArray], float]:
         """The step of what logs share and of what each has, and the gain that it promises."""
-        reduced = self._reduced(here)
+        rests = [self._rest(found, own) for found, own in zip(here.found, here.own, strict=True)]
+        curvature, gradient = self._curvature(rests), -here.a
+        for rest, by in zip(rests, self.layout.by, strict=True):
+            gradient = gradient + by.T @ rest.gradient
         low, high = self._bounds
-        held = ((here.a <= low) & (reduced.gradient < 0)) | ((here.a >= high) & (reduced.gradient > 0))
+        held = ((here.a <= low) & (gradient < 0)) | ((here.a >= high) & (gradient > 0))
         moves = np.flatnonzero(~held)
         step = np.zeros(len(here.a))
-        step[moves] = np.linalg.solve(reduced.curvature[np.ix_(moves, moves)], reduced.gradient[moves])
-        own, gain = [], 0.5 * float(step @ reduced.gradient)
-        for found, x, within, pull in zip(here.found, here.own, reduced.within, reduced.pull, strict=True):
+        step[moves] = np.linalg.solve(curvature[np.ix_(moves, moves)], gradient[moves])
+        own, gain = [], 0.5 * float(step @ gradient)
+        for found, x, rest, by in zip(here.found, here.own, rests, self.layout.by, strict=True):
             slope = found.gradient[self.layout.own] - x
-            own.append(within @ slope - pull @ step)
-            gain += 0.5 * float(slope @ within @ slope)
+            own.append(rest.within @ slope - rest.follow @ by @ step)
+            gain += 0.5 * float(slope @ rest.within @ slope)
         longest = max(np.abs(step).max(initial=0.0), *(np.abs(x).max(initial=0.0) for x in own))
         share = min(1.0, BOX / longest) if longest else 1.0
         return share * step, [share * x for x in own], gain
 
-    def _reduced(self, here: _Everywhere) -> _Reduced:
-        own, common, d = self.layout.own, self.layout.common, len(here.a)
-        gradient, curvature, lasting, between = -here.a, np.eye(d), np.zeros((d, d)), np.zeros((d, d))
-        all_within: list[FloatArray] = []
-        all_pull: list[FloatArray] = []
-        for found, x, by in zip(here.found, here.own, self.layout.by, strict=True):
-            cross = found.information[np.ix_(own, common)]
-            within = np.asarray(np.linalg.inv(found.information[np.ix_(own, own)] + np.eye(len(own))), np.float64)
-            follow = within @ cross
-            pulled = by.T @ (found.gradient[common] - follow.T @ (found.gradient[own] - x))
-            gradient = gradient + pulled
-            between += np.outer(pulled, pulled)
-            curvature += by.T @ (found.information[np.ix_(common, common)] - cross.T @ follow) @ by
-            effective = np.zeros((len(common), len(self.layout.free)))
-            effective[:, common], effective[:, own] = np.eye(len(common)), -follow.T
-            lasting += by.T @ effective @ found.lasting @ effective.T @ by
-            all_within.append(within)
-            all_pull.append(follow @ by)
-        return _Reduced(gradient, curvature, lasting, between, all_within, all_pull)
+    def _rest(self, found: LogEvidence, x: FloatArray) -> _Rest:
+        own, common = self.layout.own, self.layout.common
+        cross = found.information[np.ix_(own, common)]
+        within = np.asarray(np.linalg.inv(found.information[np.ix_(own, own)] + np.eye(len(own))), np.float64)
+        follow = within @ cross
+        gradient = found.gradient[common] - follow.T @ (found.gradient[own] - x)
+        return _Rest(gradient, found.information[np.ix_(common, common)] - cross.T @ follow, within, follow)
+
+    def _curvature(self, rests: Sequence[_Rest]) -> FloatArray:
+        """Of the posterior in what logs share, (d, d)."""
+        parts = [by.T @ rest.information @ by for rest, by in zip(rests, self.layout.by, strict=True)]
+        return np.asarray(np.eye(len(self.layout.columns)) + np.sum(parts, axis=0))
 
     @property
     def _bounds(self) -> tuple[FloatArray, FloatArray]:

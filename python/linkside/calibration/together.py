@@ -16,13 +16,14 @@ import numpy as np
 
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
+from linkside.mapping import Map, here
 from linkside.recording.log import Log
 from linkside.robot import Robot
 
-from .parameters import NOISE, Parameter, choose
+from .parameters import NOISE, Parameter, beside, choose
 from .response import OF_TIME
 from .response_run import CORNERS
-from .rounds import Map, Rounds, SharedColumns, scope
+from .rounds import Rounds, SharedColumns, scope
 from .search import GAIN, ROUGH
 
 FREE = ("stiffness", "damping", "payload_mass", "bias")
@@ -31,13 +32,18 @@ FREE = ("stiffness", "damping", "payload_mass", "bias")
 
 @dataclass(frozen=True)
 class Shared:
-    """An estimate: value, standard error and prior standard deviation, in ``unit``."""
+    """An estimate in ``unit``: value, standard error and prior standard deviation.
+
+    ``common`` is the part of the standard error that more logs do not reduce: by what robot.yaml holds at values that
+    are uncertain, such as masses.
+    """
 
     name: str
     unit: str
     value: float
     std: float
     prior_std: float
+    common: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,13 +85,14 @@ def calibrate_together(
     free: Iterable[str] = FREE,
     times: Sequence[float] | None = None,
     drift: Iterable[str] = (),
-    run: Map = map,
+    run: Map = here,
 ) -> Together:
     """Find a robot's parameters from many logs, some with other loads, and sensors whose biases change.
 
     The posterior probability is that of `calibrate` without motor torques, with a prior for each parameter, around the
     value of robot.yaml with its tolerance: one for what all logs share, for each group's payload, and for each log's
-    biases. Standard errors are increased where errors of the model are correlated in time.
+    biases. Standard errors contain how much logs differ, by a variance between logs (restricted maximum likelihood),
+    and the tolerances of what is held: masses, mountings, scales and delays that are not in ``free``.
 
     Parameters
     ----------
@@ -104,7 +111,7 @@ def calibrate_together(
         Of ``free``, kinds that also change linearly over ``times``; the prior of the change over their whole span is
         the tolerance.
     run
-        Evaluates the logs: the built-in ``map``, that of an executor or of a cluster; tasks and results can be pickled.
+        Evaluates the logs: ``map`` of an executor or of a cluster, see `linkside.fleet.mapped`.
 
     Raises
     ------
@@ -119,7 +126,8 @@ def calibrate_together(
     if not len(logs):
         raise EstimatorError("there is no log to calibrate with")
     layout = _layout(robot, len(logs), groups, tuple(free), times, tuple(drift))
-    rounds = Rounds(layout, [log if isinstance(log, Log) else str(log) for log in logs], robot, run)
+    paths = [log if isinstance(log, Log) else str(log) for log in logs]
+    rounds = Rounds(layout, paths, robot, beside(robot, layout.free), run)
     for corner in (*CORNERS, np.inf):
         rounds.climb(corner, GAIN if corner == np.inf else ROUGH)
     return _outcome(
@@ -162,26 +170,27 @@ def _spanned(times: Sequence[float] | None, count: int) -> FloatArray:
 
 
 def _outcome(layout: SharedColumns, rounds: Rounds, span: float, seconds: float) -> Together:
-    std, of_logs = rounds.uncertainty()
+    known = rounds.uncertainty()
     found: dict[Hashable, dict[str, Shared]] = {"robot": {}, "drift": {}}
-    for (owner, p), z, s in zip(layout.columns, rounds.here.a.tolist(), std.tolist(), strict=True):
-        made = _drift(p, z, s, span) if owner == "drift" else _shared(p, z, s)
+    rows = zip(layout.columns, rounds.here.a.tolist(), known.std.tolist(), known.common.tolist(), strict=True)
+    for (owner, p), z, s, common in rows:
+        made = _drift(p, z, s, common, span) if owner == "drift" else _shared(p, z, s, common)
         found.setdefault(owner, {})[p.name] = made
     own = [layout.free[k] for k in layout.own]
     logs = [
         {p.name: _shared(p, z, s) for p, z, s in zip(own, at.tolist(), sizes.tolist(), strict=True)}
-        for at, sizes in zip(rounds.here.own, of_logs, strict=True)
+        for at, sizes in zip(rounds.here.own, known.of_logs, strict=True)
     ]
     groups = {label: found.get(("group", label), {}) for label in layout.labels}
     value = sum(one.value for one in rounds.here.found)
     return Together(found["robot"], found["drift"], groups, logs, value, rounds.count, seconds)
 
 
-def _shared(p: Parameter, z: float, std: float) -> Shared:
-    return Shared(p.name, p.unit, p.value(z), std * p.slope(z), p.slope(z))
+def _shared(p: Parameter, z: float, std: float, common: float = 0.0) -> Shared:
+    return Shared(p.name, p.unit, p.value(z), std * p.slope(z), p.slope(z), common * p.slope(z))
 
 
-def _drift(p: Parameter, z: float, std: float, span: float) -> Shared:
+def _drift(p: Parameter, z: float, std: float, common: float, span: float) -> Shared:
     """Change per unit of time: relative for parameters that are varied by their logarithm."""
     scale = p.tolerance / span
-    return Shared(p.name, "" if p.relative else p.unit, scale * z, scale * std, scale)
+    return Shared(p.name, "" if p.relative else p.unit, scale * z, scale * std, scale, scale * common)

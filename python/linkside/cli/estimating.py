@@ -19,7 +19,7 @@ from linkside.recording.opening import log_rows
 from . import reporting
 from .failures import complain
 from .group import main
-from .options import check_report, example, no_check, report
+from .options import at_a_time, check_report, example, no_check, report
 from .terminal import bar
 
 PATTERNS: dict[str, Callable[[float], patterns.PolePattern]] = {
@@ -103,11 +103,7 @@ class Poles(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
 @no_check
 @report
 @click.option("--truth", "truths", type=click.Path(), multiple=True, help="Compare with this truth; one for each log.")
-@click.option("-j", "--jobs", "workers", type=click.IntRange(1), help="Logs at a time.  [default: one per core]")
-@click.option(
-    "--on",
-    help="Where to run: dask for processes of this machine, or the address of a Dask scheduler, tcp://host:8786.",
-)
+@at_a_time
 @click.option(
     "--manifest", help="Write a Parquet table with a row for each log: verdict, figures, digests, time and worker."
 )

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from linkside.files.writing import check_writable
+from linkside.fleet.places import is_url, logs_of
 from linkside.fleet.task import naming
 from linkside.kalman.noise import Noise
 from linkside.recording.estimate import Estimate
@@ -19,7 +20,7 @@ from linkside.report import inputs
 from linkside.robot import Robot
 
 from .group import main
-from .options import check_figure, check_report, draw, example, no_check, refuse_clashes, report
+from .options import at_a_time, check_figure, check_report, draw, example, no_check, refuse_clashes, report
 from .terminal import bar
 
 if TYPE_CHECKING:
@@ -132,22 +133,28 @@ def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> 
 @click.option("--bound", "bounds", multiple=True, help="NAME=LOW:HIGH, bounds of a parameter.")
 @click.option("--held-out", type=click.Path(), multiple=True, help="A log used only to test the result.")
 @no_check
+@at_a_time
 @click.option("--resume", is_flag=True, help="Resume an interrupted run.")
 @click.option("--force", is_flag=True, help="Write the result even if it is refused.")
 def calibrate(robot: str, logs: tuple[str, ...], out: str, resume: bool, **options: Any) -> None:
     """Identify springs, load and sensor errors of ROBOT from LOGs.
 
+    Each LOG is a file, a glob, or a URL such as s3://bucket/logs/*.parquet; of several, each is evaluated by itself.
     The result is not written, and the exit status is 3, if it does not predict held-back readings better than ROBOT as
     it is, if an estimate is at a bound, or if one is far from ROBOT.
     """
     from . import calibrate_logs
 
+    names, tests = logs_of(logs), logs_of(options.pop("held_out"))
+    if options["report"] is not None and any(map(is_url, (*names, *tests))):
+        raise click.UsageError("--report is for logs on this machine, not for URLs")
     outputs = [Path(out), *([Path(options["report"])] if options["report"] else [])]
-    refuse_clashes(outputs, [robot, *logs, *options["held_out"]])
+    refuse_clashes(outputs, [robot, *names, *tests])
     check_writable(out, (".yaml", ".yml"))
-    check_report(options["report"], [robot, *logs, *options["held_out"]])
+    check_report(options["report"], [robot, *names, *tests])
     with bar(None) as advance:
-        result = calibrate_logs.run(robot, logs, out, resume, advance, **options)
+        note = partial(click.echo, err=True)
+        result = calibrate_logs.run(robot, names, out, resume, advance, note, held_out=tests, **options)
     click.echo(result.to_text(), nl=False)
     if result.refused:
         click.echo("linkside excite ROBOT LOG... --out motion.parquet plans a motion for the parameters not estimated")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ import click
 
 from linkside.errors import EstimatorError, LogError, RecordingWarning
 from linkside.files.writing import check_writable
+from linkside.fleet import mapped
+from linkside.fleet.places import check_output, from_anywhere, is_url, local_output, logs_of
 from linkside.fleet.task import naming
 from linkside.recording.checks import verdicts
 from linkside.recording.log import Log
@@ -19,7 +22,18 @@ from linkside.robot import Robot
 
 from .error_tables import tool_table
 from .group import main
-from .options import Shift, check_figure, check_report, draw, example, named_number, no_check, refuse_clashes, report
+from .options import (
+    Shift,
+    at_a_time,
+    check_figure,
+    check_report,
+    draw,
+    example,
+    named_number,
+    no_check,
+    refuse_clashes,
+    report,
+)
 from .terminal import show
 
 
@@ -116,42 +130,51 @@ def _show_bounds(robot: Robot, path: str) -> None:
 )
 @click.option("--out", type=click.Path(), help="Write the result: a .json, .csv, .tex or .txt file.")
 @click.option("--figure", type=click.Path(), help="Draw a figure: a .png, .pdf or .svg file.")
+@at_a_time
 @report
 def compare(reference: str, estimates: tuple[str, ...], **options: Any) -> None:
     """Measure how far ESTIMATEs are from REFERENCE.
 
-    REFERENCE is a truth, another estimate, or a log, of which the commanded path is used.
+    REFERENCE is a truth, another estimate, or a log, of which the commanded path is used. All are Parquet or CSV files,
+    globs, or URLs such as s3://bucket/estimates/*.parquet.
     """
     from linkside import comparison as module
     from linkside.comparison.output import SUFFIXES, tables
 
     out, figure, segments, report = (options[name] for name in ("out", "figure", "segments", "report"))
-    files = [reference, *estimates, options["robot"]]
+    found = logs_of(estimates)
+    files = [reference, *found, options["robot"]]
+    if report is not None and any(map(is_url, (reference, *found))):
+        raise click.UsageError("--report is for estimates on this machine, not for URLs")
     if out is not None:
-        check_writable(out, SUFFIXES)
+        check_output(out, SUFFIXES)
         refuse_clashes([Path(out)], files)
     check_figure(figure, [*files, out])
     check_report(report, [*files, out, figure])
-    result = module.compare_files(
-        reference,
-        estimates,
-        robot=None if options["robot"] is None else Robot.load(options["robot"]),
-        names=None if options["names"] is None else options["names"].split(","),
-        shift=options["shift"],
-        align=options["align"],
-        segments="rests" if segments == "rests" else () if segments is None else module.read_segments(segments),
-        repeats=options["repeats"],
-    )
+    with mapped(options["on"], options["workers"], len(found), partial(click.echo, err=True)) as run:
+        result = module.compare_files(
+            reference,
+            found,
+            robot=None if options["robot"] is None else Robot.load(options["robot"]),
+            names=None if options["names"] is None else options["names"].split(","),
+            shift=options["shift"],
+            align=options["align"],
+            segments="rests" if segments == "rests" else () if segments is None else module.read_segments(segments),
+            repeats=options["repeats"],
+            read=partial(from_anywhere, module.read_motion),
+            run=run,
+        )
     show(tables(result))
     if out is not None:
-        result.write(out)
+        with local_output(out) as path:
+            result.write(path)
         click.echo(f"written: {out}")
     if figure is not None:
         draw(result.figure(), figure)
     if report is not None:
         from linkside.comparison.page import page
 
-        roles = [("reference", reference), *(("estimate", file) for file in estimates), ("robot", options["robot"])]
+        roles = [("reference", reference), *(("estimate", file) for file in found), ("robot", options["robot"])]
         page(result, inputs(roles)).write(report)
         click.echo(f"report: {report}")
 

@@ -21,6 +21,21 @@ no_check = click.option("--no-check", is_flag=True, help="Skip the checks of the
 report = click.option("--report", type=click.Path(), help="Write a report, a self-contained HTML file.")
 
 
+def at_a_time(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Options ``workers`` and ``on``: how many logs at a time, and where."""
+    for option in (
+        click.option(
+            "--on",
+            help="Where to run: dask for processes of this machine, or the address of a scheduler, tcp://host:8786.",
+        ),
+        click.option(
+            "-j", "--jobs", "workers", type=click.IntRange(1), help="Logs at a time.  [default: one per core]"
+        ),
+    ):
+        command = option(command)
+    return command
+
+
 def example(command: str) -> str:
     """The end of a command's help."""
     return f"Example:\n\n\b\n  {command}"

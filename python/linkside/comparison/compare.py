@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
+from linkside.mapping import Map, here
 from linkside.recording import Estimate
 from linkside.robot import Robot
 from linkside.robot.workspace import prismatic
@@ -77,19 +79,23 @@ def compare_files(
     align: Literal["time", "start"] = "time",
     segments: Sequence[Segment] | Literal["rests"] = (),
     repeats: bool = False,
+    read: Callable[[str | Path, Robot | None], Estimate] = read_motion,
+    run: Map = here,
 ) -> Comparison:
     """Compare files of estimates with a truth, another estimate, or the commanded path of a log.
 
-    Names are those given, or those of the files; everything else is as in `compare`.
+    Each estimate is read and compared by itself, wherever ``run`` has it, see `linkside.fleet.mapped`; ``read`` reads
+    a file. Names are those given, or those of the files; everything else is as in `compare`.
     """
     named = list(names or distinct([Path(path) for path in estimates]))
     if len(named) != len(estimates):
         raise EstimatorError(f"{len(named)} names for {len(estimates)} estimates")
-    motions = {name: read_motion(path, robot) for name, path in zip(named, estimates, strict=True)}
-    if len(motions) != len(estimates):
+    files = dict(zip(named, estimates, strict=True))
+    if len(files) != len(estimates):
         raise EstimatorError("two estimates have the same name; give names that differ")
-    options = {"shift": shift, "align": align, "segments": segments, "repeats": repeats, "robot": robot}
-    return compare(read_motion(reference, robot), motions, name=str(reference), **options)  # type: ignore[arg-type]
+    clocks = _Clocks.of(read(reference, robot), align, shift)
+    differences = list(run(partial(_of_file, clocks, read, robot), list(files.items())))
+    return _compared(str(reference), clocks.reference, differences, robot, segments, repeats=repeats)
 
 
 def distinct(paths: Sequence[Path]) -> list[str]:
@@ -138,18 +144,56 @@ def compare(
     EstimatorError
         Nothing in common, in time or in signals; or an argument out of range.
     """
-    if align not in ALIGNMENTS:
-        raise EstimatorError(f"align is {align!r}, expected one of {', '.join(ALIGNMENTS)}")
-    if shift != "auto" and not math.isfinite(shift):
-        raise EstimatorError(f"shift is {shift}, expected a finite time in seconds, or 'auto'")
-    if not estimates:
+    clocks = _Clocks.of(reference, align, shift)
+    differences = [clocks.difference(label, estimate) for label, estimate in estimates.items()]
+    return _compared(name, reference, differences, robot, segments, repeats=repeats)
+
+
+@dataclass(frozen=True, eq=False)
+class _Clocks:
+    """A reference, and how times of estimates belong to its own."""
+
+    reference: Estimate
+    align: str
+    shift: float | Literal["auto"]
+
+    @classmethod
+    def of(cls, reference: Estimate, align: str, shift: float | Literal["auto"]) -> _Clocks:
+        if align not in ALIGNMENTS:
+            raise EstimatorError(f"align is {align!r}, expected one of {', '.join(ALIGNMENTS)}")
+        if shift != "auto" and not math.isfinite(shift):
+            raise EstimatorError(f"shift is {shift}, expected a finite time in seconds, or 'auto'")
+        return cls(reference, align, shift)
+
+    def difference(self, label: str, estimate: Estimate) -> Difference:
+        reference = self.reference
+        origin = reference.t[0] if self.align == "start" and len(reference) else 0.0
+        moved = _from_start(estimate, origin) if self.align == "start" else estimate
+        late = find_shift(reference, moved) if self.shift == "auto" else float(self.shift)
+        return _difference(label, reference, moved, late)
+
+
+def _of_file(
+    clocks: _Clocks,
+    read: Callable[[str | Path, Robot | None], Estimate],
+    robot: Robot | None,
+    file: tuple[str, str | Path],
+) -> Difference:
+    name, path = file
+    return clocks.difference(name, read(path, robot))
+
+
+def _compared(
+    name: str,
+    reference: Estimate,
+    differences: list[Difference],
+    robot: Robot | None,
+    segments: Sequence[Segment] | Literal["rests"],
+    *,
+    repeats: bool,
+) -> Comparison:
+    if not differences:
         raise EstimatorError("there is no estimate to compare")
-    origin = reference.t[0] if align == "start" and len(reference) else 0.0
-    differences = []
-    for label, estimate in estimates.items():
-        moved = _from_start(estimate, origin) if align == "start" else estimate
-        late = find_shift(reference, moved) if shift == "auto" else float(shift)
-        differences.append(_difference(label, reference, moved, late))
     judged = Repeats.of(differences) if repeats and len(differences) > 1 else None
     if judged is not None:
         differences.append(judged.mean)

@@ -56,7 +56,7 @@ def tables(comparison: ComparisonResult) -> Iterator[RenderableType]:
 
 
 def _repeats(repeats: Repeats, units: dict[str, str]) -> Iterator[RenderableType]:
-    """The spread between repeats, the distance of each to the others, and their trend."""
+    """The spread between repeats, the distance of each from the median path, and their trend."""
     spread = Titled("standard deviation between repeats, RMS over time", ("signal", "spread", "unit"))
     for signal, value in repeats.spread.items():
         scale, unit = SCALES.get(units[signal], (1.0, units[signal]))
@@ -65,7 +65,7 @@ def _repeats(repeats: Repeats, units: dict[str, str]) -> Iterator[RenderableType
     if not repeats.signals:
         return
     scale, unit = SCALES[units[repeats.signals[0]]]
-    distances = Titled(f"distance of each repeat to the others [{unit}]", ("repeat", "distance", ""))
+    distances = Titled(f"distance of each repeat from the median path [{unit}]", ("repeat", "distance", ""))
     for name, distance in repeats.distances.items():
         distances.add_row(name, f"{scale * distance:.4g}", "outlier, left out" if name in repeats.outliers else "")
     yield distances

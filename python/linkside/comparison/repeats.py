@@ -15,15 +15,7 @@ from linkside.statistics import rms
 
 from .alignment import sampled
 from .measures import MEAN, Difference
-
-LEAST = 5
-"""Repeats from which on one of them can be an outlier."""
-
-SCORE, RATIO = 3.5, 1.5
-"""Modified z-score of an outlier's distance (Iglewicz & Hoaglin 1993), and its least ratio to the usual distance."""
-
-NORMAL = 1.4826
-"""Standard deviation of a normal variable, in median absolute deviations."""
+from .outliers import apart, distances, outlying
 
 ORDERS = 5040
 """Orders of the repeats that a trend is tested against; of up to seven repeats these are all."""
@@ -41,7 +33,7 @@ class Repeats:
     signals : tuple of str
         Signals that are compared: ``tool``, or positions of joints ``q_<joint>``.
     distances : dict of str to float
-        Median distance of each repeat to the others, without a trend that all have, RMS over time.
+        Distance of each repeat from the median path, without a trend that all have, RMS over time.
     outliers : tuple of str
         Repeats far from the others; the rest is computed without them. Needs five repeats.
     mean : Difference
@@ -74,20 +66,20 @@ class Repeats:
         stacks = {signal: _stack(differences, signal) for signal in first.signals}
         common = [signal for signal, stack in stacks.items() if len(stack) == len(differences)]
         signals = tuple(s for s in common if s == "tool") or tuple(s for s in common if s.startswith("q_"))
-        distances, kept, p_value = np.zeros(len(differences)), np.ones(len(differences), bool), 1.0
+        away, kept, p_value = np.zeros(len(differences)), np.ones(len(differences), bool), 1.0
         if signals:
             paths = np.concatenate([stacks[signal] for signal in signals], axis=2)
             gram = _gram(paths)
             everyone = np.arange(len(gram))
             drifts = _chance(gram, everyone) < SIGNIFICANT  # or an outlier would be lost among what drifts
-            distances = _distances(_without_trend(gram, everyone) if drifts else gram)
-            kept = ~_outlying(distances)
+            deviations = apart(gram, everyone.astype(float) if drifts else None)
+            away, kept = distances(deviations), ~outlying(deviations)
             p_value = _chance(gram[np.ix_(kept, kept)], np.flatnonzero(kept))
         good = {s: stack[kept] if len(stack) == len(kept) else stack for s, stack in stacks.items()}
         names = [difference.name for difference in differences]
         return cls(
             signals,
-            dict(zip(names, distances.tolist(), strict=True)),
+            dict(zip(names, away.tolist(), strict=True)),
             tuple(name for name, fine in zip(names, kept, strict=True) if not fine),
             Difference(MEAN, first.t, 0.0, {s: stack.mean(axis=0) for s, stack in good.items()}),
             _sizes({s: stack.std(axis=0, ddof=1) for s, stack in good.items() if len(stack) > 1}),
@@ -108,29 +100,6 @@ def _gram(paths: FloatArray) -> FloatArray:
     known = paths[:, np.isfinite(paths).all(axis=(0, 2))]
     deviations = (known - known.mean(axis=0)).reshape(len(paths), -1) if known.size else np.zeros((len(paths), 1))
     return np.asarray(deviations @ deviations.T / max(known.shape[1], 1), np.float64)
-
-
-def _without_trend(gram: FloatArray, order: npt.NDArray[np.intp]) -> FloatArray:
-    """The same of deviations from the trend by least squares."""
-    steps = (order - order.mean())[:, None]
-    rest = np.eye(len(order)) - steps @ steps.T / float((steps**2).sum())
-    return np.asarray(rest @ gram @ rest)
-
-
-def _distances(gram: FloatArray) -> FloatArray:
-    """Median distance of each to the others, (R,)."""
-    size = np.diag(gram)
-    apart = np.sqrt(np.maximum(size[:, None] + size - 2 * gram, 0.0))
-    return np.array([np.median(np.delete(row, i)) for i, row in enumerate(apart)])
-
-
-def _outlying(distances: FloatArray) -> npt.NDArray[np.bool_]:
-    """Which are far from the others, as far as most can tell, (R,)."""
-    if len(distances) < LEAST:
-        return np.zeros(len(distances), bool)
-    usual = np.median(distances)
-    deviation = NORMAL * np.median(np.abs(distances - usual))
-    return np.asarray((distances > usual + SCORE * deviation) & (distances > RATIO * usual))
 
 
 def _chance(gram: FloatArray, order: npt.NDArray[np.intp]) -> float:

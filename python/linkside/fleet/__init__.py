@@ -7,7 +7,8 @@ changed.
 
 from .estimating import estimate
 from .manifest import Manifest
+from .mapped import mapped
 from .methods import METHODS, Options
 from .task import EstimateJob, Outcome
 
-__all__ = ["METHODS", "EstimateJob", "Manifest", "Options", "Outcome", "estimate"]
+__all__ = ["METHODS", "EstimateJob", "Manifest", "Options", "Outcome", "estimate", "mapped"]

@@ -1,7 +1,7 @@
-"""Estimating logs on Dask: processes of this machine, or the workers of any scheduler.
+"""Work for each log on Dask: on processes of this machine, or the workers of any scheduler.
 
-A task is one log. Its result is a whole file with the same bits wherever it runs, so that a task whose worker was lost
-can be repeated elsewhere, and a task that ran twice does no harm.
+A task is one log. Its result, a whole file or a few arrays, has the same bits wherever it runs, so that a task whose
+worker was lost can be repeated elsewhere, and a task that ran twice does no harm.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import Any
 
 from linkside.errors import EstimatorError, LinksideError, LinksideWarning
 from linkside.files.parts import clear
+from linkside.mapping import Map, Result, Task
 
 from .places import is_url
 from .provenance import installed
@@ -29,6 +30,10 @@ HERE = "dask"
 
 PATIENCE = 10.0
 """How long a scheduler may take to answer [s]."""
+
+
+class _Died(EstimatorError):
+    """A task that kills its workers."""
 
 
 def on_dask(
@@ -66,9 +71,7 @@ def on_dask(
     distributed = _distributed()
     pickled = distributed.protocol.pickle.dumps(recipe)
     outcomes: list[Outcome] = []
-    with _client(distributed, address, workers) as client:
-        if client.dashboard_link and find_spec("bokeh"):
-            note(f"dashboard: {client.dashboard_link}")
+    with _client(distributed, address, workers, note) as client:
         futures = {client.submit(_on_worker, pickled, job, keep, pure=False): job for job in jobs}
         try:
             for future in distributed.as_completed(list(futures)):
@@ -88,39 +91,84 @@ def on_dask(
 def _on_worker(pickled: bytes, job: EstimateJob, keep: bool) -> tuple[dict[str, Any], list[LinksideWarning]]:
     """Estimate a log; gives its outcome without the job, which the client has, and its warnings."""
     recipe = _recipe(pickled)
+    found, told = _heard(lambda: vars(run(recipe, job, lambda log, rows: None, keep=keep)))
+    return {name: value for name, value in found.items() if name != "job"}, told
+
+
+def _heard(work: Callable[[], Result]) -> tuple[Result, list[LinksideWarning]]:
+    """Do some work; gives its result and its warnings."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", LinksideWarning)
-        found = vars(run(recipe, job, lambda log, rows: None, keep=keep))
-    told = [one.message for one in caught if isinstance(one.message, LinksideWarning)]
-    return {name: value for name, value in found.items() if name != "job"}, told
+        found = work()
+    return found, [one.message for one in caught if isinstance(one.message, LinksideWarning)]
 
 
 @lru_cache(4)
 def _recipe(pickled: bytes) -> Recipe:
     """Unpack a recipe once a worker."""
     recipe: Recipe = pickle.loads(pickled)
-    if recipe.made_from.version != installed():
-        raise EstimatorError(
-            f"a worker has linkside {installed()}, expected {recipe.made_from.version}: results would not be the same"
-        )
+    _refuse_other(recipe.made_from.version)
     return recipe
+
+
+def _refuse_other(version: str) -> None:
+    if version != installed():
+        raise EstimatorError(f"a worker has linkside {installed()}, expected {version}: results would not be the same")
+
+
+@contextmanager
+def map_on_dask(address: str, workers: int, note: Callable[[str], None]) -> Iterator[Map]:
+    """Give a `Map` whose tasks run on a cluster, with parameters and errors as of `on_dask`."""
+    distributed = _distributed()
+    import dask
+
+    large = {"distributed.admin.large-graph-warning-threshold": "1TB"}  # a log in a task is meant
+    with dask.config.set(large), _client(distributed, address, workers, note) as client:
+
+        def run(function: Callable[[Task], Result], tasks: Sequence[Task], /) -> Iterator[Result]:
+            # In one piece, so that arrays are aligned in memory when they arrive. What all tasks have in common is a
+            # result itself, which goes to each worker once and is made again if its worker is lost.
+            packed, *sent = (distributed.protocol.pickle.dumps(own) for own in (function, *tasks))
+            shared = client.submit(bytes, packed, pure=False)
+            futures = [client.submit(_call, installed(), shared, task, pure=False) for task in sent]
+            try:
+                for future in futures:
+                    yield pickle.loads(_result(distributed, future))
+            except (CancelledError, OSError) as error:
+                raise EstimatorError(f"the scheduler {address} was lost: {error}") from error
+            finally:
+                client.cancel([*futures, shared])
+
+        yield run
+
+
+def _call(version: str, function: bytes, task: bytes) -> tuple[bytes, list[LinksideWarning]]:
+    _refuse_other(version)
+    return _heard(lambda: pickle.dumps(pickle.loads(function)(pickle.loads(task))))
+
+
+def _result(distributed: Any, future: Any) -> Any:
+    """Give a task's result, and its warnings."""
+    try:
+        found, told = future.result()
+    except distributed.scheduler.KilledWorker as error:
+        raise _Died(f"{error.allowed_failures + 1} workers died of this log; out of memory?") from error
+    for warning in told:
+        warnings.warn(warning, stacklevel=2)
+    return found
 
 
 def _outcome(distributed: Any, future: Any, job: EstimateJob) -> Outcome:
     try:
-        found, told = future.result()
-    except distributed.scheduler.KilledWorker as error:
-        lost = f"{job.log}: {error.allowed_failures + 1} workers died while they estimated this log; out of memory?"
-        return Outcome(job, error=EstimatorError(lost))
+        return Outcome(job, **_result(distributed, future))
+    except _Died as error:
+        return Outcome(job, error=EstimatorError(f"{job.log}: {error}"))
     except LinksideError as error:
         return Outcome(job, error=error)
-    for warning in told:
-        warnings.warn(warning, stacklevel=2)
-    return Outcome(job, **found)
 
 
 @contextmanager
-def _client(distributed: Any, address: str, workers: int) -> Iterator[Any]:
+def _client(distributed: Any, address: str, workers: int, note: Callable[[str], None]) -> Iterator[Any]:
     """Connect to a scheduler; that of this machine lives as long as its client."""
     if address != HERE:
         try:
@@ -128,6 +176,7 @@ def _client(distributed: Any, address: str, workers: int) -> Iterator[Any]:
         except (OSError, ValueError) as error:
             raise EstimatorError(f"no scheduler of Dask at {address}: {error}") from error
         with client:
+            _tell_dashboard(client, note)
             yield client
         return
     import dask
@@ -140,7 +189,13 @@ def _client(distributed: Any, address: str, workers: int) -> Iterator[Any]:
     with dask.config.set({"distributed.worker.profile.enabled": False, environment: kept}):
         cluster = distributed.LocalCluster(**settings, silence_logs=logging.CRITICAL)
     with cluster, distributed.Client(cluster) as client:
+        _tell_dashboard(client, note)
         yield client
+
+
+def _tell_dashboard(client: Any, note: Callable[[str], None]) -> None:
+    if client.dashboard_link and find_spec("bokeh"):
+        note(f"dashboard: {client.dashboard_link}")
 
 
 def clear_parts(jobs: Sequence[EstimateJob]) -> None:

@@ -11,11 +11,11 @@ import glob
 import hashlib
 import re
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
@@ -24,6 +24,9 @@ import pyarrow.parquet as pq
 
 from linkside.errors import EstimatorError, LinksideError, LogError, OutputError
 from linkside.files.parts import spill_folder
+from linkside.files.writing import check_writable
+
+Read = TypeVar("Read")
 
 OBJECTS = ("s3", "gs", "az")
 """Protocols of obstore."""
@@ -129,6 +132,22 @@ def check_store(place: str) -> None:
     with _answering(place, OutputError, "cannot be written"):
         store, path = _store(place)
         store.exists(path)
+
+
+def check_output(place: str, suffixes: tuple[str, ...]) -> None:
+    """Raise `OutputError` where a file could not be written, or its name ends in none of ``suffixes``."""
+    if not is_url(place):
+        check_writable(place, suffixes)
+    elif not place.lower().endswith(suffixes):
+        raise OutputError(f"{place}: a file that ends in {' or '.join(suffixes)} is expected")
+    else:
+        check_store(place)
+
+
+def from_anywhere(read: Callable[..., Read], place: str | Path, *args: Any) -> Read:
+    """Read a path or a URL by what reads a path."""
+    with local_copy(str(place)) as path:
+        return read(path, *args)
 
 
 def _matches(pattern: str) -> Sequence[str]:

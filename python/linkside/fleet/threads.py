@@ -10,6 +10,8 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from threading import get_ident
 
+from linkside.mapping import Map
+
 from .task import EstimateJob, Outcome, Progress, Recipe, run
 
 
@@ -94,6 +96,16 @@ def on_threads(
             interruption.stop()
             raise
     return outcomes
+
+
+@contextmanager
+def map_on_threads(workers: int) -> Iterator[Map]:
+    """Give a `Map` whose tasks run in as many threads; an error or an interruption ends those that have not begun."""
+    pool = ThreadPoolExecutor(workers)
+    try:
+        yield pool.map
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _as_completed(waiting: set[Future[Outcome]]) -> Iterator[Outcome]:
