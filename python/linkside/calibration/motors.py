@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -58,6 +59,21 @@ def motors(robot: Robot, log: Log, wider: float = 1.0) -> dict[str, FloatArray]:
     return {name: np.ascontiguousarray(array, dtype=np.float64) for name, array in arrays.items()}
 
 
+def measured_again(robot: Robot, log: Log, theta: FloatArray, rng: np.random.Generator) -> Log:
+    """Give ``log`` with what the motors' encoders might as well have read along ``theta`` (T, n).
+
+    Their steps begin elsewhere, so that they are passed at other times; noise beyond them is drawn anew, and so is
+    where links are for all that robot.yaml says: zeros and lost motion.
+    """
+    step, tolerances = robot.config.encoder.resolution, robot.config.tolerances
+    noise = np.array([_noise(x, 0.0) for x in _uniform(robot, log).T])
+    beyond = np.sqrt(np.maximum(noise**2 - step**2 / 12, 0.0))
+    begin = step * rng.uniform(-0.5, 0.5, robot.n)
+    off = np.hypot(tolerances.encoder_zero, tolerances.lost_motion) * rng.standard_normal(robot.n)
+    steps = np.round((theta + begin + beyond * rng.standard_normal(theta.shape)) / step)
+    return replace(log, theta=np.where(np.isnan(log.theta), np.nan, step * steps - begin + off))
+
+
 def unsettled(robot: Robot, log: Log) -> int:
     """Samples at either end of a log where how motors moved is known less well: a period of the lowest corner."""
     rate = 1 / log.period
@@ -83,7 +99,7 @@ def _corner(values: FloatArray, least: float, told: float, rate: float) -> float
 
     Noise whose acceleration is less than ``told`` [rad/s²] stays.
     """
-    noise = max(least, float(np.median(np.abs(np.diff(values, 4)))) / 0.6745 / FOURTH)
+    noise = _noise(values, least)
     high, low = CORNERS[0] * rate, CORNERS[1]
     lowest = high
     for corner in np.geomspace(high, low, max(2, round(PER_OCTAVE * np.log2(high / low)))).tolist():
@@ -95,6 +111,11 @@ def _corner(values: FloatArray, least: float, told: float, rate: float) -> float
             break
         lowest = corner
     return lowest
+
+
+def _noise(values: FloatArray, least: float) -> float:
+    """Standard deviation of one encoder's noise, at least ``least``, by what a motion cannot be."""
+    return max(least, float(np.median(np.abs(np.diff(values, 4)))) / 0.6745 / FOURTH)
 
 
 def _smooth(values: FloatArray, corner: float, rate: float) -> FloatArray:

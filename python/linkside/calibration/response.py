@@ -22,7 +22,7 @@ from linkside.robot.sensors import Lateness
 
 from .band import Band
 from .lag import Lag
-from .motors import motors
+from .motors import measured_again, motors
 from .parameters import NOISE, OF_LINK_ENCODERS, CoreName, Parameter, catalogue
 from .prepared import ZEROS, Prepared, kinds, width
 from .problem import HUBER, STATED, Evidence, bare
@@ -135,6 +135,21 @@ class ResponseProblem:
         """Give the same problem with motors' positions smoothed less, by this factor on the corner frequency."""
         smoother = [replace(r, motors=motors(self.robot, r.log, wider)) for r in self.recordings]
         return self._like(recordings=smoother)
+
+    def measured_again(self, z: FloatArray, wider: float, rng: np.random.Generator) -> ResponseProblem:
+        """Give the same problem with encoders that read the motors' positions anew, ``wider`` as in `smoothed`.
+
+        All other sensors read what they should at ``z``, so that the gradient there is due to the encoders alone.
+        """
+        again = [
+            replace(
+                r,
+                readings=predicted,
+                motors=motors(self.robot, measured_again(self.robot, r.log, r.motors["theta"], rng), wider),
+            )
+            for r, predicted in zip(self.recordings, self.predicted(z), strict=True)
+        ]
+        return self._like(recordings=again)
 
     def alone(self, index: int, z: FloatArray) -> ResponseProblem:
         """Give the same problem on one of its recordings."""
