@@ -135,7 +135,7 @@ def calibrate(
         contradictions=_contradictions(run.problem, run.z),
         notes=run.notes,
         foretold=foretold,
-        objections=objections(run.problem.free, run.z, found.std, foretold, gain),
+        objections=objections(run.problem.free, run.z, found.std, run.unit(run.problem.free), foretold, gain),
         evaluations=run.evaluations,
         seconds=time.perf_counter() - began,
         problem=run.problem,

@@ -226,9 +226,9 @@ def _heaviest(robot: Robot) -> str:
 
 
 def by_unit(robot: Robot, free: Sequence[Parameter], z: FloatArray) -> FloatArray:
-    """What the heaviest link pulls at all that is measured by its mass, if it weighs one tolerance more, (p,).
+    """By how much values change that are measured by the mass of the heaviest link if that is one tolerance off, (p,).
 
-    Estimates are drawn to robot.yaml's values, and those are not by that mass.
+    Their prior is wider by that, all of them together: robot.yaml's values are not by that mass.
     """
     if any(p.name == f"mass_scale_{_heaviest(robot)}" for p in free):
         return np.zeros(len(free))

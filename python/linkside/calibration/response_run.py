@@ -13,7 +13,7 @@ from linkside.recording.log import Log
 
 from .acceptance import Foretold, foretell, predictive
 from .change import Change, change
-from .parameters import NOISE, by_unit
+from .parameters import NOISE, Parameter, by_unit
 from .prepared import recordings
 from .problem import OF_SENSORS
 from .response import ResponseProblem
@@ -210,8 +210,11 @@ class ResponseRun(CalibrationRun[ResponseProblem]):
         z, problem, rng = self._at(free), self.problem.restricted(free), np.random.default_rng(0)
         drawn = [problem.measured_again(z, self.wider, rng).evidence(z) for _ in range(AGAIN)]
         again = [_step(found.information, found.gradient) / np.sqrt(AGAIN) for found in drawn]
-        unit = _step(self._with_considered().information, by_unit(problem.robot, free, z))
-        return np.stack([*again, unit], axis=1)
+        return np.stack([*again, _step(self._with_considered().information, self.unit(free))], axis=1)
+
+    def unit(self, free: Sequence[Parameter]) -> FloatArray:
+        """What ``free`` change with the mass that all else is measured by, in tolerances, (p,)."""
+        return by_unit(self.problem.robot, free, self._at(free))
 
     def _judge_noise(self) -> None:
         """Take sensors' noise from what is left."""

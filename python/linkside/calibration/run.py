@@ -76,6 +76,10 @@ class CalibrationRun(Generic[Objective]):
         """The same, how far to trust what is free, and then that; ``shifts`` as of `uncertainty`."""
         return uncertainty(self._with_considered(), min(log.period for log in self.problem.logs), shifts)
 
+    def unit(self, free: Sequence[Parameter]) -> FloatArray:
+        """What ``free`` change with the mass that all else is measured by, in tolerances, (p,)."""
+        return np.zeros(len(free))
+
     def _shifts(self) -> FloatArray | None:
         """What errors that residuals do not show make of estimates, in the same order, (p, k)."""
         return None
