@@ -16,7 +16,7 @@ from linkside.calibration import calibrate
 from linkside.calibration.acceptance import filters_gain, objections
 from linkside.calibration.band import Band
 from linkside.calibration.lag import Lag
-from linkside.calibration.motors import motors
+from linkside.calibration.motors import motors, quietest
 from linkside.calibration.parameters import by_unit, choose
 from linkside.calibration.prepared import recordings
 from linkside.calibration.products import products
@@ -163,7 +163,7 @@ def test_motors_are_smoothed_by_what_their_encoders_allow():
     log = Log.from_table(
         {"t": t, "theta_j": true + 1e-4 * rng.standard_normal(4000), "a_x": 0 * t, "a_y": 0 * t}, robot, check=False
     )
-    found = motors(robot, log)
+    found = motors(robot, log, quietest(robot, log))
     inner = slice(200, -200)
     assert np.std((found["theta"][:, 0] - true)[inner]) < 3e-5
     assert np.std((found["dtheta"][:, 0] - 2 * np.cos(4 * t))[inner]) < 0.01

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -35,25 +36,14 @@ SHARE = 0.3
 """Of the accelerometers' noise, what the encoders' may make of what they should read."""
 
 
-def motors(robot: Robot, log: Log, wider: float = 1.0) -> dict[str, FloatArray]:
+def motors(robot: Robot, log: Log, corners: Sequence[float]) -> dict[str, FloatArray]:
     """Give time, position, velocity and acceleration of all motors, nothing missing, as the core takes them.
 
     The smoother of a white jerk behind white noise is 1/(1 + (ω/ω_c)⁶), forwards and backwards a Butterworth filter of
-    third order. Of its corner the lowest is taken at which what it takes away is still the encoder's noise (V. A.
-    Morozov, Soviet Math. Dokl. 7, 1966), unless the acceleration of that noise is still far below what an accelerometer
-    at an arm's length of 1 m tells: motors' vibration may be hidden in the encoder's steps and show there.
-
-    Parameters
-    ----------
-    robot, log
-        A recording and its robot.
-    wider
-        A factor on the corners.
+    third order, with the ``corners`` of `quietest`, or near them [Hz].
     """
-    uniform = _uniform(robot, log)
-    rate = 1 / log.period
-    corners = _corners(robot, uniform, rate)
-    columns = [_smooth(x, wider * corner, rate) for x, corner in zip(uniform.T, corners, strict=True)]
+    pairs = zip(_uniform(robot, log).T, corners, strict=True)
+    columns = [_smooth(x, corner, 1 / log.period) for x, corner in pairs]
     spline = scipy.interpolate.CubicSpline(log.t, np.stack(columns, axis=1))
     arrays = {"t": log.t, "theta": spline(log.t), "dtheta": spline(log.t, 1), "ddtheta": spline(log.t, 2)}
     return {name: np.ascontiguousarray(array, dtype=np.float64) for name, array in arrays.items()}
@@ -74,10 +64,9 @@ def measured_again(robot: Robot, log: Log, theta: FloatArray, rng: np.random.Gen
     return replace(log, theta=np.where(np.isnan(log.theta), np.nan, step * steps - begin + off))
 
 
-def unsettled(robot: Robot, log: Log) -> int:
+def unsettled(log: Log, corners: Sequence[float]) -> int:
     """Samples at either end of a log where how motors moved is known less well: a period of the lowest corner."""
-    rate = 1 / log.period
-    return min(len(log) // SHARE_OF_ENDS, round(rate / min(_corners(robot, _uniform(robot, log), rate))))
+    return min(len(log) // SHARE_OF_ENDS, round(1 / (log.period * min(corners))))
 
 
 def _uniform(robot: Robot, log: Log) -> FloatArray:
@@ -87,11 +76,16 @@ def _uniform(robot: Robot, log: Log) -> FloatArray:
     return filled(theta)
 
 
-def _corners(robot: Robot, uniform: FloatArray, rate: float) -> list[float]:
-    """By which motors' positions (T, n) are smoothed [Hz]."""
+def quietest(robot: Robot, log: Log) -> tuple[float, ...]:
+    """Give the corner frequency for each motor's positions [Hz].
+
+    The lowest is taken at which what smoothing takes away is still the encoder's noise (V. A. Morozov, Soviet Math.
+    Dokl. 7, 1966), unless the acceleration of that noise is still far below what an accelerometer at an arm's length of
+    1 m tells: motors' vibration may be hidden in the encoder's steps and show there.
+    """
     told = min((sensor.noise_std for sensor in robot.accelerometers), default=0.0)
     least = robot.config.encoder.resolution / np.sqrt(12)
-    return [_corner(x, least, SHARE * told, rate) for x in uniform.T]
+    return tuple(_corner(x, least, SHARE * told, 1 / log.period) for x in _uniform(robot, log).T)
 
 
 def _corner(values: FloatArray, least: float, told: float, rate: float) -> float:

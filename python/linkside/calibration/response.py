@@ -22,7 +22,6 @@ from linkside.robot.sensors import Lateness
 
 from .band import Band
 from .lag import Lag
-from .motors import measured_again, motors
 from .parameters import NOISE, OF_LINK_ENCODERS, CoreName, Parameter, catalogue
 from .prepared import ZEROS, Prepared, kinds, width
 from .problem import HUBER, STATED, Evidence, bare
@@ -133,23 +132,15 @@ class ResponseProblem:
 
     def smoothed(self, wider: float) -> ResponseProblem:
         """Give the same problem with motors' positions smoothed less, by this factor on the corner frequency."""
-        smoother = [replace(r, motors=motors(self.robot, r.log, wider)) for r in self.recordings]
-        return self._like(recordings=smoother)
+        return self._like(recordings=[recording.smoothed(self.robot, wider) for recording in self.recordings])
 
-    def measured_again(self, z: FloatArray, wider: float, rng: np.random.Generator) -> ResponseProblem:
-        """Give the same problem with encoders that read the motors' positions anew, ``wider`` as in `smoothed`.
+    def measured_again(self, z: FloatArray, rng: np.random.Generator) -> ResponseProblem:
+        """Give the same problem with encoders that read the motors' positions anew.
 
         All other sensors read what they should at ``z``, so that the gradient there is due to the encoders alone.
         """
-        again = [
-            replace(
-                r,
-                readings=predicted,
-                motors=motors(self.robot, measured_again(self.robot, r.log, r.motors["theta"], rng), wider),
-            )
-            for r, predicted in zip(self.recordings, self.predicted(z), strict=True)
-        ]
-        return self._like(recordings=again)
+        pairs = zip(self.recordings, self.predicted(z), strict=True)
+        return self._like(recordings=[recording.measured_again(self.robot, x, rng) for recording, x in pairs])
 
     def alone(self, index: int, z: FloatArray) -> ResponseProblem:
         """Give the same problem on one of its recordings."""

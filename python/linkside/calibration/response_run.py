@@ -69,7 +69,6 @@ class ResponseRun(CalibrationRun[ResponseProblem]):
         self.resumed = bool(start)
         self.change: Change | None = None
         self.noise = [p for p in problem.free if p.kind in NOISE]
-        self.wider = 1.0
         nominal = np.zeros(len(told.free))
         self.before = Fit.of(told.settled(nominal).evidence(nominal, detail=True))
 
@@ -195,9 +194,8 @@ class ResponseRun(CalibrationRun[ResponseProblem]):
     def _smooth(self) -> None:
         """Smooth motors' positions as it explains what the other sensors read best."""
         z = self.z
-        tried = {wider: self.problem.smoothed(wider).settled(z, np.inf) for wider in WIDER}
-        self.wider = max(tried, key=lambda wider: tried[wider].log_likelihood(z))
-        self.problem = tried[self.wider]
+        tried = [self.problem.smoothed(wider).settled(z, np.inf) for wider in WIDER]
+        self.problem = max(tried, key=lambda problem: problem.log_likelihood(z))
 
     def _shifts(self) -> FloatArray:
         """By errors of the motors' positions, and of the mass that all else is measured by.
@@ -208,7 +206,7 @@ class ResponseRun(CalibrationRun[ResponseProblem]):
         """
         free = (*self.problem.free, *self.considered)
         z, problem, rng = self._at(free), self.problem.restricted(free), np.random.default_rng(0)
-        drawn = [problem.measured_again(z, self.wider, rng).evidence(z) for _ in range(AGAIN)]
+        drawn = [problem.measured_again(z, rng).evidence(z) for _ in range(AGAIN)]
         again = [_step(found.information, found.gradient) / np.sqrt(AGAIN) for found in drawn]
         return np.stack([*again, _step(self._with_considered().information, self.unit(free))], axis=1)
 
