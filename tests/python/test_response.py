@@ -16,8 +16,8 @@ from linkside.calibration import calibrate
 from linkside.calibration.acceptance import filters_gain, objections
 from linkside.calibration.band import Band
 from linkside.calibration.lag import Lag
-from linkside.calibration.motors import motors
-from linkside.calibration.parameters import choose
+from linkside.calibration.motors import motors, quietest
+from linkside.calibration.parameters import by_unit, choose
 from linkside.calibration.prepared import recordings
 from linkside.calibration.products import products
 from linkside.calibration.response import ResponseProblem
@@ -163,7 +163,7 @@ def test_motors_are_smoothed_by_what_their_encoders_allow():
     log = Log.from_table(
         {"t": t, "theta_j": true + 1e-4 * rng.standard_normal(4000), "a_x": 0 * t, "a_y": 0 * t}, robot, check=False
     )
-    found = motors(robot, log)
+    found = motors(robot, log, quietest(robot, log))
     inner = slice(200, -200)
     assert np.std((found["theta"][:, 0] - true)[inner]) < 3e-5
     assert np.std((found["dtheta"][:, 0] - 2 * np.cos(4 * t))[inner]) < 0.01
@@ -239,8 +239,21 @@ def test_a_filter_that_foretells_less_well_objects():
     worse = filters_gain(robot, [log[:800]], Noise(), free, np.array([1.5, -1.5]))
     assert worse < 0
     assert filters_gain(robot, [log[:800]], Noise(), free, np.zeros(2)) == 0
-    (reason,) = objections(free, np.zeros(2), np.zeros(2), None, worse)
+    (reason,) = objections(free, np.zeros(2), np.zeros(2), np.zeros(2), None, worse)
     assert "a Kalman filter predicts less well" in reason
+
+
+def test_three_tolerances_are_of_a_spring_over_the_mass_that_it_is_measured_by():
+    """A tolerance of 0.2 of the spring, and 0.1 of that mass, are 0.224 of their ratio."""
+    robot, _ = load(DATA / "arm2_square")
+    free = choose(robot, ["stiffness"], False, {})
+    unit = by_unit(robot, free, np.zeros(2))
+    np.testing.assert_allclose(unit, 0.1 / 0.2)
+    np.testing.assert_array_equal(by_unit(robot, choose(robot, ["stiffness", "mass_scale"], False, {}), np.zeros(4)), 0)
+    z = np.array([3.3, 3.4])
+    (reason,) = objections(free, z, np.zeros(2), unit, None, None)
+    assert "stiffness_axis3" in reason
+    assert len(objections(free, z, np.zeros(2), np.zeros(2), None, None)) == 2
 
 
 def wandering(seed, rows=2500):

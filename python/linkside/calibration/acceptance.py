@@ -133,11 +133,17 @@ def filters_gain(robot: Robot, logs: Sequence[Log], noise: Noise, free: Sequence
 
 
 def objections(
-    free: Sequence[Parameter], z: FloatArray, std: FloatArray, foretold: Foretold | None, gain: float | None
+    free: Sequence[Parameter],
+    z: FloatArray,
+    std: FloatArray,
+    unit: FloatArray,
+    foretold: Foretold | None,
+    gain: float | None,
 ) -> tuple[str, ...]:
     """Reasons not to trust an outcome, the most important first; ``gain`` is that of `filters_gain`.
 
-    Estimates ``z`` and their standard errors ``std`` are in tolerances.
+    Estimates ``z``, their standard errors ``std``, and what they change with the mass that they are measured by,
+    ``unit``, are in tolerances.
     """
     found = []
     if foretold is not None and not foretold.better:
@@ -152,13 +158,14 @@ def objections(
         found.append(
             f"a Kalman filter predicts less well with these values than with robot.yaml (log-likelihood {gain:+.1f})"
         )
-    for p, x, wide in zip(free, z.tolist(), std.tolist(), strict=True):
+    far = FAR * np.hypot(1.0, unit)
+    for p, x, wide, most in zip(free, z.tolist(), std.tolist(), far.tolist(), strict=True):
         if p.kind in NOISE:
             continue
         value = f"{p.name} = {p.value(x):.4g} {p.unit}".rstrip()
         if p.exceeds(x) and not p.exceeds(0.0) and (p.stated or x > 0):  # what is not stated may not be there
             found.append(f"{value} is at its bound")
-        elif abs(x) - WIDE * wide > FAR and p.stated:
+        elif abs(x) - WIDE * wide > most and p.stated:
             found.append(f"{value} is {abs(x):.1f} tolerances from {p.start:.4g}, its value in robot.yaml")
     return tuple(found)
 

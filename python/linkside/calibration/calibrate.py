@@ -141,7 +141,9 @@ def calibrate(
         contradictions=_contradictions(solved.problem, solved.z),
         notes=solved.notes,
         foretold=foretold,
-        objections=objections(solved.problem.free, solved.z, found.std, foretold, gain),
+        objections=objections(
+            solved.problem.free, solved.z, found.std, solved.unit(solved.problem.free), foretold, gain
+        ),
         evaluations=solved.evaluations,
         seconds=time.perf_counter() - began,
         problem=solved.problem,

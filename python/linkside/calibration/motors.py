@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -34,34 +36,37 @@ SHARE = 0.3
 """Of the accelerometers' noise, what the encoders' may make of what they should read."""
 
 
-def motors(robot: Robot, log: Log, wider: float = 1.0) -> dict[str, FloatArray]:
+def motors(robot: Robot, log: Log, corners: Sequence[float]) -> dict[str, FloatArray]:
     """Give time, position, velocity and acceleration of all motors, nothing missing, as the core takes them.
 
     The smoother of a white jerk behind white noise is 1/(1 + (ω/ω_c)⁶), forwards and backwards a Butterworth filter of
-    third order. Of its corner the lowest is taken at which what it takes away is still the encoder's noise (V. A.
-    Morozov, Soviet Math. Dokl. 7, 1966), unless the acceleration of that noise is still far below what an accelerometer
-    at an arm's length of 1 m tells: motors' vibration may be hidden in the encoder's steps and show there.
-
-    Parameters
-    ----------
-    robot, log
-        A recording and its robot.
-    wider
-        A factor on the corners.
+    third order, with the ``corners`` of `quietest`, or near them [Hz].
     """
-    uniform = _uniform(robot, log)
-    rate = 1 / log.period
-    corners = _corners(robot, uniform, rate)
-    columns = [_smooth(x, wider * corner, rate) for x, corner in zip(uniform.T, corners, strict=True)]
+    pairs = zip(_uniform(robot, log).T, corners, strict=True)
+    columns = [_smooth(x, corner, 1 / log.period) for x, corner in pairs]
     spline = scipy.interpolate.CubicSpline(log.t, np.stack(columns, axis=1))
     arrays = {"t": log.t, "theta": spline(log.t), "dtheta": spline(log.t, 1), "ddtheta": spline(log.t, 2)}
     return {name: np.ascontiguousarray(array, dtype=np.float64) for name, array in arrays.items()}
 
 
-def unsettled(robot: Robot, log: Log) -> int:
+def measured_again(robot: Robot, log: Log, theta: FloatArray, rng: np.random.Generator) -> Log:
+    """Give ``log`` with what the motors' encoders might as well have read along ``theta`` (T, n).
+
+    Their steps begin elsewhere, so that they are passed at other times; noise beyond them is drawn anew, and so is
+    where links are for all that robot.yaml says: zeros and lost motion.
+    """
+    step, tolerances = robot.config.encoder.resolution, robot.config.tolerances
+    noise = np.array([_noise(x, 0.0) for x in _uniform(robot, log).T])
+    beyond = np.sqrt(np.maximum(noise**2 - step**2 / 12, 0.0))
+    begin = step * rng.uniform(-0.5, 0.5, robot.n)
+    off = np.hypot(tolerances.encoder_zero, tolerances.lost_motion) * rng.standard_normal(robot.n)
+    steps = np.round((theta + begin + beyond * rng.standard_normal(theta.shape)) / step)
+    return replace(log, theta=np.where(np.isnan(log.theta), np.nan, step * steps - begin + off))
+
+
+def unsettled(log: Log, corners: Sequence[float]) -> int:
     """Samples at either end of a log where how motors moved is known less well: a period of the lowest corner."""
-    rate = 1 / log.period
-    return min(len(log) // SHARE_OF_ENDS, round(rate / min(_corners(robot, _uniform(robot, log), rate))))
+    return min(len(log) // SHARE_OF_ENDS, round(1 / (log.period * min(corners))))
 
 
 def _uniform(robot: Robot, log: Log) -> FloatArray:
@@ -71,11 +76,16 @@ def _uniform(robot: Robot, log: Log) -> FloatArray:
     return filled(theta)
 
 
-def _corners(robot: Robot, uniform: FloatArray, rate: float) -> list[float]:
-    """By which motors' positions (T, n) are smoothed [Hz]."""
+def quietest(robot: Robot, log: Log) -> tuple[float, ...]:
+    """Give the corner frequency for each motor's positions [Hz].
+
+    The lowest is taken at which what smoothing takes away is still the encoder's noise (V. A. Morozov, Soviet Math.
+    Dokl. 7, 1966), unless the acceleration of that noise is still far below what an accelerometer at an arm's length of
+    1 m tells: motors' vibration may be hidden in the encoder's steps and show there.
+    """
     told = min((sensor.noise_std for sensor in robot.accelerometers), default=0.0)
     least = robot.config.encoder.resolution / np.sqrt(12)
-    return [_corner(x, least, SHARE * told, rate) for x in uniform.T]
+    return tuple(_corner(x, least, SHARE * told, 1 / log.period) for x in _uniform(robot, log).T)
 
 
 def _corner(values: FloatArray, least: float, told: float, rate: float) -> float:
@@ -83,7 +93,7 @@ def _corner(values: FloatArray, least: float, told: float, rate: float) -> float
 
     Noise whose acceleration is less than ``told`` [rad/s²] stays.
     """
-    noise = max(least, float(np.median(np.abs(np.diff(values, 4)))) / 0.6745 / FOURTH)
+    noise = _noise(values, least)
     high, low = CORNERS[0] * rate, CORNERS[1]
     lowest = high
     for corner in np.geomspace(high, low, max(2, round(PER_OCTAVE * np.log2(high / low)))).tolist():
@@ -95,6 +105,11 @@ def _corner(values: FloatArray, least: float, told: float, rate: float) -> float
             break
         lowest = corner
     return lowest
+
+
+def _noise(values: FloatArray, least: float) -> float:
+    """Standard deviation of one encoder's noise, at least ``least``, by what a motion cannot be."""
+    return max(least, float(np.median(np.abs(np.diff(values, 4)))) / 0.6745 / FOURTH)
 
 
 def _smooth(values: FloatArray, corner: float, rate: float) -> FloatArray:

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from linkside.arrays import FloatArray
 from linkside.errors import EstimatorError
 from linkside.files.yaml_source import suggest
 from linkside.robot import Robot
@@ -99,6 +100,12 @@ WITHOUT_TORQUE = (*OF_LINK_ENCODERS, "link_friction", "link_coulomb", "half_gap"
 
 TORQUE_ONLY = ("motor_inertia", "viscous", "coulomb", "coupling", "torque_noise")
 """Kinds that are identifiable only from motor torques."""
+
+BY_MASS = (
+    *("stiffness", "cubic_stiffness", "damping", "mass_scale", "payload_mass"),
+    *("link_friction", "link_coulomb"),
+)
+"""Kinds that a motion shows in proportion to masses only."""
 
 BESIDE = ("half_gap", "mass_scale", "link_friction", "translation", "rotation", "scale")
 """Kinds of which little is sought, but robot.yaml is hardly right: held, they would make springs wrong."""
@@ -228,6 +235,18 @@ def _heaviest(robot: Robot) -> str:
     is what others are measured by."""
     masses = [robot.tree.joint(name).body.mass for name in robot.names]
     return robot.names[int(np.argmax(masses))]
+
+
+def by_unit(robot: Robot, free: Sequence[Parameter], z: FloatArray) -> FloatArray:
+    """By how much values change that are measured by the mass of the heaviest link if that is one tolerance off, (p,).
+
+    Their prior is wider by that, all of them together: robot.yaml's values are not by that mass.
+    """
+    if any(p.name == f"mass_scale_{_heaviest(robot)}" for p in free):
+        return np.zeros(len(free))
+    share = robot.config.tolerances.mass_scale
+    pairs = zip(free, z.tolist(), strict=True)
+    return np.array([share * p.value(x) / p.slope(x) if p.kind in BY_MASS else 0.0 for p, x in pairs])
 
 
 def _refuse_unknown(name: str, known: Sequence[str], torque: bool) -> None:

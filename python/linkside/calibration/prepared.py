@@ -15,7 +15,7 @@ from linkside.recording.log import Log
 from linkside.robot import Robot
 
 from .band import MISSING
-from .motors import motors, unsettled
+from .motors import measured_again, motors, quietest, unsettled
 from .signals import filled, without_spikes
 
 KINDS = ("acceleration", "rate", "q", "torque", "dq", "position")
@@ -50,6 +50,8 @@ class Prepared:
         sensors of `ZEROS` read too much.
     every : int
         Of how many samples of the log there is one here.
+    corners : (n,)
+        Frequencies by which motors' positions are smoothed [Hz].
     """
 
     log: Log
@@ -58,6 +60,7 @@ class Prepared:
     missing: npt.NDArray[np.bool_]
     offset: FloatArray
     every: int = 1
+    corners: Sequence[float] = ()
 
     @property
     def period(self) -> float:
@@ -68,11 +71,13 @@ class Prepared:
     def of(cls, robot: Robot, log: Log, kinds: Sequence[str]) -> Prepared:
         """Prepare ``log``."""
         readings = np.concatenate([_readings(robot, log, kind) for kind in kinds], axis=1)
-        missing, ends = np.isnan(readings), unsettled(robot, log)
+        corners = quietest(robot, log)
+        missing, ends = np.isnan(readings), unsettled(log, corners)
         missing[:ends] = missing[len(missing) - ends :] = True
         readings[:, missing.all(axis=0)] = 0.0
         zeros = sum(width(robot, kind) for kind in kinds if kind in ZEROS)
-        return cls(log, motors(robot, log), filled(readings), missing, np.zeros(2 * robot.n + zeros))
+        start = np.zeros(2 * robot.n + zeros)
+        return cls(log, motors(robot, log, corners), filled(readings), missing, start, corners=corners)
 
     def coarser(self, corner: float) -> Prepared:
         """Give a few samples a period of what is below ``corner`` [Hz] instead of all, if the log has many more.
@@ -94,6 +99,16 @@ class Prepared:
         return Prepared(
             self.log, {"t": self.motors["t"][::every].copy()} | moved, readings, missing, self.offset, every
         )
+
+    def smoothed(self, robot: Robot, wider: float) -> Prepared:
+        """Smooth motors' positions less, by this factor on the corner frequencies."""
+        corners = [wider * corner for corner in self.corners]
+        return replace(self, motors=motors(robot, self.log, corners), corners=corners)
+
+    def measured_again(self, robot: Robot, predicted: FloatArray, rng: np.random.Generator) -> Prepared:
+        """Let encoders read the motors' positions anew, and all other sensors what is ``predicted`` (T, m)."""
+        log = measured_again(robot, self.log, self.motors["theta"], rng)
+        return replace(self, motors=motors(robot, log, self.corners), readings=predicted)
 
     def without(self, stretches: Sequence[slice]) -> Prepared:
         """Leave out what sensors read in some stretches."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from linkside._core import Likelihood
 from linkside.arrays import FloatArray
+from linkside.errors import NumericalError
 from linkside.kalman.noise import Noise
 from linkside.recording.log import Log
 from linkside.robot import Robot
@@ -31,6 +32,10 @@ OF_SENSORS = (
 
 STATED = ("mass_scale", "payload_mass", "payload_xyz", "bias", "scale", "time_constant", "delay")
 """Kinds that the core takes as parameters even where they are not free."""
+
+
+MOST = float(1 / np.finfo(np.float64).eps)
+"""Information that a prior of one is lost beside: the derivatives of a filter that diverges grow without end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,6 +229,8 @@ def _blind(robot: Robot) -> Robot:
 
 def _positive(information: FloatArray) -> FloatArray:
     """Information without directions of negative curvature, which the difference of two samples' sums may have."""
+    if not np.abs(information).max(initial=0.0) < MOST:
+        raise NumericalError("calibration: the filter's derivatives diverge with these values; one of them is far off")
     values, vectors = np.linalg.eigh(information)
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, fields, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
 from operator import methodcaller
 from typing import Any, TypeVar
@@ -26,7 +26,6 @@ from linkside.robot.sensors import Lateness
 
 from .band import Band
 from .lag import Lag
-from .motors import motors
 from .parameters import NOISE, OF_LINK_ENCODERS, CoreName, Parameter, catalogue
 from .prepared import ZEROS, Prepared, kinds, width
 from .problem import HUBER, STATED, Evidence, bare
@@ -137,9 +136,15 @@ class ResponseProblem:
 
     def smoothed(self, wider: float) -> ResponseProblem:
         """Give the same problem with motors' positions smoothed less, by this factor on the corner frequency."""
-        moved = self.run(partial(motors, self.robot, wider=wider), self.logs)
-        pairs = zip(self.recordings, moved, strict=True)
-        return self._like(recordings=[replace(recording, motors=own) for recording, own in pairs])
+        return self._like(recordings=list(self.run(methodcaller("smoothed", self.robot, wider), self.recordings)))
+
+    def measured_again(self, z: FloatArray, rng: np.random.Generator) -> ResponseProblem:
+        """Give the same problem with encoders that read the motors' positions anew.
+
+        All other sensors read what they should at ``z``, so that the gradient there is due to the encoders alone.
+        """
+        pairs = zip(self.recordings, self.predicted(z), strict=True)
+        return self._like(recordings=[recording.measured_again(self.robot, x, rng) for recording, x in pairs])
 
     def alone(self, index: int, z: FloatArray) -> ResponseProblem:
         """Give the same problem on one of its recordings."""

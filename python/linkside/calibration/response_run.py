@@ -13,7 +13,7 @@ from linkside.recording.log import Log
 
 from .acceptance import Foretold, foretell, predictive
 from .change import Change, change
-from .parameters import NOISE
+from .parameters import NOISE, Parameter, by_unit
 from .prepared import recordings
 from .problem import OF_SENSORS
 from .response import ResponseProblem
@@ -39,6 +39,9 @@ FIRST = ("stiffness", "damping", "bias")
 
 OF_SPRINGS = ("stiffness", "cubic_stiffness", "damping")
 """Kinds that one sensor alone must find as the others do."""
+
+AGAIN = 8
+"""How often motors' encoders are drawn anew."""
 
 WIDER = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8)
 """Factors that are tried on the corner frequencies by which motors' positions are smoothed."""
@@ -196,9 +199,31 @@ class ResponseRun(CalibrationRun[ResponseProblem]):
         tried = [self.problem.smoothed(wider).settled(z, np.inf) for wider in WIDER]
         self.problem = max(tried, key=lambda problem: problem.log_likelihood(z))
 
+    def _shifts(self) -> FloatArray:
+        """By errors of the motors' positions, and of the mass that all else is measured by.
+
+        The former by a parametric bootstrap (B. Efron and R. J. Tibshirani 1993, chapter 6), a step of Gauss and
+        Newton's method each: what they do to the residuals is large where links ring, lasts as long, and is no more
+        independent of what a damping does there than one ringing is of another.
+        """
+        free = (*self.problem.free, *self.considered)
+        z, problem, rng = self._at(free), self.problem.restricted(free), np.random.default_rng(0)
+        drawn = [problem.measured_again(z, rng).evidence(z) for _ in range(AGAIN)]
+        again = [_step(found.information, found.gradient) / np.sqrt(AGAIN) for found in drawn]
+        return np.stack([*again, _step(self._with_considered().information, self.unit(free))], axis=1)
+
+    def unit(self, free: Sequence[Parameter]) -> FloatArray:
+        """What ``free`` change with the mass that all else is measured by, in tolerances, (p,)."""
+        return by_unit(self.problem.robot, free, self._at(free))
+
     def _judge_noise(self) -> None:
         """Take sensors' noise from what is left."""
         self.problem = self.problem.settled(self.z)
         seen = [p for p in self.noise if p.kind == "sensor_noise"]
         self.at |= {p.name: p.z(self.problem.noise_of(p)) for p in seen}
         self.problem = self.problem.restricted([*self.problem.free, *seen])
+
+
+def _step(information: FloatArray, gradient: FloatArray) -> FloatArray:
+    """By how much a gradient moves the most probable parameters, with a prior of one."""
+    return np.asarray(np.linalg.solve(information + np.eye(len(gradient)), gradient))

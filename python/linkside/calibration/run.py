@@ -60,7 +60,7 @@ class CalibrationRun(Generic[Objective]):
 
     def after(self) -> tuple[Fit, Uncertainty]:
         """How well the outcome explains the recordings, and how uncertain it is."""
-        found = self._spread().of(len(self.problem.free))
+        found = self._spread(self._shifts()).of(len(self.problem.free))
         floor = np.array([self.flat.get(p.name, 0.0) for p in self.problem.free])
         return Fit.of(self.problem.evidence(self.z, detail=True)), found.at_least(floor)
 
@@ -72,9 +72,17 @@ class CalibrationRun(Generic[Objective]):
             self._seen = (at, self.problem.restricted(free).evidence(self._at(free), detail=True))
         return self._seen[1]
 
-    def _spread(self) -> Uncertainty:
-        """The same, how far to trust what is free, and then that."""
-        return uncertainty(self._with_considered(), min(log.period for log in self.problem.logs))
+    def _spread(self, shifts: FloatArray | None = None) -> Uncertainty:
+        """The same, how far to trust what is free, and then that; ``shifts`` as of `uncertainty`."""
+        return uncertainty(self._with_considered(), min(log.period for log in self.problem.logs), shifts)
+
+    def unit(self, free: Sequence[Parameter]) -> FloatArray:
+        """What ``free`` change with the mass that all else is measured by, in tolerances, (p,)."""
+        return np.zeros(len(free))
+
+    def _shifts(self) -> FloatArray | None:
+        """What errors that residuals do not show make of estimates, in the same order, (p, k)."""
+        return None
 
     def _at(self, free: Sequence[Parameter]) -> FloatArray:
         return np.array([self.at.get(p.name, 0.0) for p in free])

@@ -120,20 +120,24 @@ class Untold:
     considered: frozenset[str]
 
 
-def uncertainty(evidence: Evidence, period: float) -> Uncertainty:
+def uncertainty(evidence: Evidence, period: float, shifts: FloatArray | None = None) -> Uncertainty:
     """Standard errors from the information, widened where errors last.
 
     C = (H + 1)⁻¹ is right if the model is. If it is not, errors last from sample to sample and the variance of the
     gradient is its long-run variance J in place of H, so that C (J + 1) C takes its place (H. White, Econometrica 50,
-    1982; W. K. Newey and K. D. West, Econometrica 55, 1987). Of the two, the larger is reported.
+    1982; W. K. Newey and K. D. West, Econometrica 55, 1987). Of the two, the larger is reported. To it are added errors
+    that residuals do not show, one standard deviation of each in a column of ``shifts`` (p, k).
     """
     p = len(evidence.gradient)
     plain = np.linalg.inv(evidence.information + np.eye(p))
     slow = sum((long_run(scores, round(MEMORY / period)) for scores in evidence.scores), np.zeros((p, p)))
     robust = plain @ (slow + np.eye(p)) @ plain
     widening = np.sqrt(np.maximum(1.0, np.diag(robust) / np.diag(plain)))
-    std = np.sqrt(np.diag(plain))
-    return Uncertainty(std * widening, plain / np.outer(std, std), widening)
+    covariance = plain * np.outer(widening, widening)
+    if shifts is not None:
+        covariance = covariance + shifts @ shifts.T
+    std = np.sqrt(np.diag(covariance))
+    return Uncertainty(std, covariance / np.outer(std, std), std / np.sqrt(np.diag(plain)))
 
 
 def long_run(scores: FloatArray, lags: int) -> FloatArray:

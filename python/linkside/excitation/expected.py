@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkside.arrays import FloatArray
-from linkside.calibration.motors import motors
+from linkside.calibration.motors import motors, quietest
 from linkside.calibration.parameters import BY_LINK_ENCODERS, NOISE, Parameter, choose
 from linkside.calibration.prepared import Prepared, kinds
 from linkside.calibration.problem import Evidence
@@ -149,7 +149,7 @@ class Sensing:
 
 def motion_of(robot: Robot, log: Log) -> MotorMotion:
     """Give how motors moved in a recording."""
-    return MotorMotion(**motors(robot, log))
+    return MotorMotion(**motors(robot, log, quietest(robot, log)))
 
 
 def expect(sensing: Sensing, motions: Sequence[MotorMotion]) -> ExpectedErrors:
