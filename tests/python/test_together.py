@@ -164,9 +164,9 @@ def test_the_variance_between_logs_is_the_most_probable_one():
         found, freedom = variances(
             (information * values)[:, None],
             information[:, None, None],
-            np.ones((12, 1, 1)),
-            np.zeros((1, 1)),
-            np.zeros(1),
+            information[:, None, None],
+            np.array([information @ values]),
+            np.array([[information.sum()]]),
         )
         sought = minimize_scalar(unlikely, bounds=(0.0, 5.0), method="bounded", options={"xatol": 1e-9}).x
         assert found[0] == pytest.approx(sought, rel=1e-4)

@@ -15,23 +15,27 @@ LEAST_FREEDOM = 2.0
 
 
 def variances(
-    gradients: FloatArray, informations: FloatArray, shares: FloatArray, prior: FloatArray, at: FloatArray
+    gradients: FloatArray,
+    informations: FloatArray,
+    slopes: FloatArray,
+    gradient: FloatArray,
+    curvature: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Variances between logs, (c,), by restricted maximum likelihood, and their degrees of freedom.
 
-    A log's estimate of c parameters is what all logs share, and an effect of that log, N(0, B) with a diagonal B, and
-    the noise that its information foretells: errors of a model differ with the motion. Effects and shared values
-    follow from Henderson's equations, and each variance from the squares of effects over the degrees of freedom that
-    are left to them (D. A. Harville, J. American Statistical Association 72, 1977).
+    A log's estimate of c parameters is what all logs have in common, and an effect of that log, N(0, B) with a diagonal
+    B, and the noise that its information foretells: errors of a model differ with the motion. Effects and common
+    values follow from Henderson's equations, and each variance from the squares of effects over the degrees of freedom
+    that are left to them (D. A. Harville, J. American Statistical Association 72, 1977).
 
     Parameters
     ----------
     gradients, informations
-        Of each log's likelihood at the shared values, (N, c) and (N, c, c).
-    shares
-        Derivatives of each log's parameters in what is shared, (N, c, d).
-    prior, at
-        Information of the prior of what is shared, (d, d), and where that is now, (d,), the prior's mean at zero.
+        Of each log's likelihood in its own parameters, (N, c) and (N, c, c).
+    slopes
+        Of the negative gradients in what logs have in common, (N, c, d).
+    gradient, curvature
+        Of the posterior in what logs have in common, (d,) and (d, d).
     """
     found = 1 / np.maximum(np.mean(np.diagonal(informations, axis1=1, axis2=2), axis=0), LEAST)
     freedom = np.ones_like(found)
@@ -39,14 +43,11 @@ def variances(
         root = np.sqrt(found)
         left = np.linalg.inv(np.eye(len(root)) + root[:, None] * informations * root)
         spread = root[:, None] * left * root
-        taken = informations @ spread
-        seen = (informations - taken @ informations) @ shares
-        curvature = prior + np.einsum("nca,ncb->ab", shares, seen)
-        slope = np.einsum("nca,nc->a", shares, gradients - np.einsum("ncd,nd->nc", taken, gradients)) - prior @ at
-        step = np.linalg.solve(curvature, slope)
-        effects = np.einsum("ncd,nd->nc", spread, gradients - informations @ shares @ step)
-        by = np.swapaxes(taken, 1, 2) @ shares
-        unknown = np.diagonal(spread, axis1=1, axis2=2) + np.einsum("nca,ab,ncb->nc", by, np.linalg.inv(curvature), by)
+        follow = spread @ slopes
+        covariance = np.linalg.inv(curvature - np.einsum("nca,ncb->ab", slopes, follow))
+        step = covariance @ (gradient - np.einsum("nca,nc->a", follow, gradients))
+        effects = np.einsum("ncd,nd->nc", spread, gradients - slopes @ step)
+        unknown = np.diagonal(spread, axis1=1, axis2=2) + np.einsum("nca,ab,ncb->nc", follow, covariance, follow)
         freedom = np.maximum(np.sum(1 - unknown / found, axis=0), 1.0)
         found = np.maximum(np.sum(effects**2, axis=0) / freedom, LEAST)
     return np.asarray(found), np.asarray(freedom)

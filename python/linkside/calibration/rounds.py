@@ -248,8 +248,10 @@ class Rounds:
         """
         rests = [self._rest(found, own) for found, own in zip(self.here.found, self.here.own, strict=True)]
         plain = np.asarray(np.linalg.inv(self._curvature(rests)), np.float64)
-        held, own_held = self._of_held(plain, rests)
-        larger = [plain @ (spread + np.eye(len(plain))) @ plain for spread in self._spreads(rests, len(plain))]
+        with_held = self._with_held()
+        held, own_held = self._of_held(plain, rests, with_held)
+        spreads = self._lasting(rests), self._between(rests, with_held)
+        larger = [plain @ (spread + np.eye(len(plain))) @ plain for spread in spreads]
         variance = np.max([np.diag(plain), *(np.diag(one) for one in larger)], axis=0)
         wider = np.sqrt(variance / np.diag(plain))
         covariance = plain * np.outer(wider, wider)
@@ -266,33 +268,51 @@ class Rounds:
         std = np.minimum(np.hypot(single, common), np.maximum(single, 1.0))
         return SharedUncertainty(std, np.minimum(common, std), of_logs)
 
-    def _spreads(self, rests: Sequence[_Rest], count: int) -> tuple[FloatArray, FloatArray]:
-        """Variances of the gradient in what logs share: by its course within logs, and by logs' differences."""
-        own, common = self.layout.own, self.layout.common
-        lasting, between = np.zeros((count, count)), np.zeros((count, count))
-        found, freedom = variances(
-            np.array([rest.gradient for rest in rests]),
-            np.array([rest.information for rest in rests]),
-            np.array(self.layout.by),
-            np.eye(count),
-            self.here.a,
-        )
-        effects = widened(found, freedom)
+    def _lasting(self, rests: Sequence[_Rest]) -> FloatArray:
+        """Variance of the gradient in what logs share, by its course within logs, (d, d)."""
+        own, common, d = self.layout.own, self.layout.common, len(self.here.a)
+        lasting = np.zeros((d, d))
         for evidence, rest, by in zip(self.here.found, rests, self.layout.by, strict=True):
             effective = np.zeros((len(common), len(self.layout.free)))
             effective[:, common], effective[:, own] = np.eye(len(common)), -rest.follow.T
             lasting += by.T @ effective @ evidence.lasting @ effective.T @ by
-            between += by.T @ (rest.information + rest.information * effects @ rest.information) @ by
-        return lasting, between
+        return lasting
 
-    def _of_held(self, plain: FloatArray, rests: Sequence[_Rest]) -> tuple[FloatArray, list[FloatArray]]:
-        """How estimates follow the parameters that are held, in tolerances: (d, h), and (o, h) of each log."""
-        own, common, p = self.layout.own, self.layout.common, len(self.layout.free)
+    def _between(self, rests: Sequence[_Rest], with_held: Sequence[LogEvidence]) -> FloatArray:
+        """The same by how much logs differ, beyond what held parameters make of their motions, (d, d)."""
+        own, common, d = self.layout.own, self.layout.common, len(self.here.a)
+        held = list(range(len(self.layout.free), len(self.layout.free) + len(self.held)))
+        size = d + len(held)
+        gradient, curvature, slopes = np.zeros(size), np.eye(size), []
+        gradient[:d] = -self.here.a
+        for found, rest, x, by in zip(with_held, rests, self.here.own, self.layout.by, strict=True):
+            cross = found.information[np.ix_(own, held)]
+            of_held = found.information[np.ix_(common, held)] - rest.follow.T @ cross
+            slope = found.gradient[held] - cross.T @ rest.within @ (found.gradient[own] - x)
+            gradient += np.concatenate([by.T @ rest.gradient, slope])
+            slopes.append(np.concatenate([rest.information @ by, of_held], axis=1))
+            curvature[:d, :d] += by.T @ rest.information @ by
+            curvature[:d, d:] += by.T @ of_held
+            curvature[d:, :d] += of_held.T @ by
+            curvature[d:, d:] += found.information[np.ix_(held, held)] - cross.T @ rest.within @ cross
+        each = [np.array(values) for values in zip(*((r.gradient, r.information) for r in rests), strict=True)]
+        effects = widened(*variances(each[0], each[1], np.array(slopes), gradient, curvature))
+        parts = [r.information + r.information * effects @ r.information for r in rests]
+        return np.asarray(np.sum([by.T @ part @ by for part, by in zip(parts, self.layout.by, strict=True)], axis=0))
+
+    def _with_held(self) -> list[LogEvidence]:
+        """What logs say where what is held were free."""
         zeros = np.zeros(len(self.held))
         at = [np.append(self.layout.z(i, self.here.a, x), zeros) for i, x in enumerate(self.here.own)]
-        every = partial(evaluate, self.robot, (*self.layout.free, *self.held))
-        crosses = [found.information[:, p:] for found in self._found(every, at, np.inf)]
-        slope = np.zeros((len(self.here.a), len(zeros)))
+        return self._found(partial(evaluate, self.robot, (*self.layout.free, *self.held)), at, np.inf)
+
+    def _of_held(
+        self, plain: FloatArray, rests: Sequence[_Rest], with_held: Sequence[LogEvidence]
+    ) -> tuple[FloatArray, list[FloatArray]]:
+        """How estimates follow the parameters that are held, in tolerances: (d, h), and (o, h) of each log."""
+        own, common, p = self.layout.own, self.layout.common, len(self.layout.free)
+        crosses = [found.information[:, p:] for found in with_held]
+        slope = np.zeros((len(self.here.a), len(self.held)))
         for cross, rest, by in zip(crosses, rests, self.layout.by, strict=True):
             slope += by.T @ (cross[common] - rest.follow.T @ cross[own])
         shared = -plain @ slope
