@@ -39,10 +39,11 @@ ZERO = 3e-4
 
 @dataclass(frozen=True)
 class Specimen:
-    """What is known of a robot, what its sensors read, where its links were (rows, n), and its URDF, text or file."""
+    """What is known of a robot, the robot, what its sensors read, where links were (rows, n), and its URDF."""
 
     name: str
     robot: Robot
+    true: Robot
     log: Log
     q: Array
     urdf: str
@@ -135,7 +136,12 @@ def drawn(seed: int) -> Specimen:
     q, log = _recorded(robot, true, torque, rng, rough=rough)
     kind = f"{Path(urdf).stem if public else 'chain'}, {robot.n} joints"
     return Specimen(
-        f"{kind}, {'rough' if rough else 'smooth'}, {'with' if seen else 'no'} accelerometers", robot, log, q, urdf
+        f"{kind}, {'rough' if rough else 'smooth'}, {'with' if seen else 'no'} accelerometers",
+        robot,
+        true,
+        log,
+        q,
+        urdf,
     )
 
 
