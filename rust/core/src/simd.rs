@@ -29,6 +29,15 @@ pub trait Kernel {
     const LANES: bool = false;
     /// The work.
     fn run(self) -> Self::Output;
+
+    /// The same where registers hold two numbers and are sixteen: what a kernel keeps in them has to be less.
+    #[inline(always)]
+    fn run_narrow(self) -> Self::Output
+    where
+        Self: Sized,
+    {
+        self.run()
+    }
 }
 
 /// The level in use: the machine's widest, or the environment variable `LINKSIDE_SIMD`: `baseline`, or `avx2` at most.
@@ -104,7 +113,7 @@ pub fn dispatch_lanes<K: Kernel>(level: Level, kernel: K) -> K::Output {
 
 #[inline(never)]
 fn baseline<K: Kernel>(kernel: K) -> K::Output {
-    kernel.run()
+    if cfg!(target_arch = "x86_64") { kernel.run_narrow() } else { kernel.run() }
 }
 
 #[cfg(all(target_arch = "x86_64", not(one_level)))]

@@ -25,6 +25,7 @@ mod elastic;
 mod elastic_measurement;
 mod elastic_process;
 mod elastic_sensitivity;
+mod exponential;
 mod filter;
 mod findings;
 mod fixed_lag;
