@@ -29,6 +29,15 @@ pub trait Kernel {
     const LANES: bool = false;
     /// The work.
     fn run(self) -> Self::Output;
+
+    /// The same where registers hold two numbers and are sixteen: what a kernel keeps in them has to be less.
+    #[inline(always)]
+    fn run_narrow(self) -> Self::Output
+    where
+        Self: Sized,
+    {
+        self.run()
+    }
 }
 
 /// The level in use: the machine's widest, or the environment variable `LINKSIDE_SIMD`: `baseline`, or `avx2` at most.
@@ -109,7 +118,7 @@ pub fn dispatch_lanes<K: Kernel>(level: Level, kernel: K) -> K::Output {
 trait Compiled: Kernel + Sized {
     #[inline(never)]
     fn baseline(self) -> Self::Output {
-        self.run()
+        if cfg!(target_arch = "x86_64") { self.run_narrow() } else { self.run() }
     }
 
     /// # Safety

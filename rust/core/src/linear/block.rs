@@ -6,6 +6,11 @@
 
 use super::LANES;
 
+/// How many registers of a row a block has: twelve sums of four numbers stay in sixteen registers of as many, four where these hold
+/// but two.
+pub(super) const WIDE: usize = 3;
+pub(super) const NARROW: usize = 1;
+
 /// What one vector register holds.
 pub(super) type Lane = [f64; LANES];
 
@@ -45,8 +50,8 @@ pub(super) trait Width: Copy {
     /// Row `j` of them.
     fn row<'a>(self, rows: Self::Rows<'a>, j: usize) -> &'a [Lane];
 
-    /// Its register `c`.
-    fn at<'a>(self, rows: Self::Rows<'a>, j: usize, c: usize) -> &'a Lane;
+    /// One after the other.
+    fn each<'a>(self, rows: Self::Rows<'a>) -> impl Iterator<Item = &'a [Lane]>;
 
     /// L rows of `values` from the `i`-th on, to be written.
     fn block_mut<const L: usize>(self, values: &mut [f64], i: usize) -> [&mut [Lane]; L];
@@ -75,8 +80,8 @@ impl<const R: usize> Width for KnownWidth<R> {
     }
 
     #[inline(always)]
-    fn at<'a>(self, rows: Self::Rows<'a>, j: usize, c: usize) -> &'a Lane {
-        &rows[j][c]
+    fn each<'a>(self, rows: Self::Rows<'a>) -> impl Iterator<Item = &'a [Lane]> {
+        rows.iter().map(|row| &row[..])
     }
 
     #[inline(always)]
@@ -109,8 +114,8 @@ impl Width for Any {
     }
 
     #[inline(always)]
-    fn at<'a>(self, rows: Self::Rows<'a>, j: usize, c: usize) -> &'a Lane {
-        &rows[j * self.0 + c]
+    fn each<'a>(self, rows: Self::Rows<'a>) -> impl Iterator<Item = &'a [Lane]> {
+        rows.chunks_exact(self.0)
     }
 
     #[inline(always)]
@@ -140,23 +145,26 @@ macro_rules! by_width {
 }
 pub(super) use by_width;
 
-/// Calls `$body` with `$w` = 3 registers from `$c` on, the last two or four by twos, up to `$to`.
+/// Calls `$body` with `$w` registers from `$c` on, `$most` at once, which is 1 or 3, the last two or four by twos, up to `$to`.
 macro_rules! by_columns {
-    ($from:expr, $to:expr, |$c:ident, $w:ident| $body:expr) => {
+    ($most:expr, $from:expr, $to:expr, |$c:ident, $w:ident| $body:expr) => {
         let (mut $c, to) = ($from, $to);
-        while $c + 3 <= to && $c + 4 != to {
-            const $w: usize = 3;
-            $body;
-            $c += 3;
+        if $most == WIDE {
+            while $c + 3 <= to && $c + 4 != to {
+                const $w: usize = 3;
+                $body;
+                $c += 3;
+            }
+            while $c + 2 <= to {
+                const $w: usize = 2;
+                $body;
+                $c += 2;
+            }
         }
-        while $c + 2 <= to {
-            const $w: usize = 2;
-            $body;
-            $c += 2;
-        }
-        if $c < to {
+        while $c < to {
             const $w: usize = 1;
             $body;
+            $c += 1;
         }
     };
 }
@@ -200,8 +208,9 @@ pub(super) fn product_block<const L: usize, const W: usize, X: Width>(
 ) -> Block<L, W> {
     let (left, c) = (left.map(|row| &row[..inner]), inside::<W>(width, c));
     let mut sums = [[[0.0; LANES]; W]; L];
+    let mut rows = width.each(right);
     for j in 0..inner {
-        let row = width.row(right, j);
+        let Some(row) = rows.next() else { break };
         for l in 0..L {
             for w in 0..W {
                 accumulate(&mut sums[l][w], left[l][j], &row[c + w]);
@@ -211,22 +220,20 @@ pub(super) fn product_block<const L: usize, const W: usize, X: Width>(
     sums
 }
 
-/// Four rows from register `r` of `a` on, by W registers of `b` from `c` on, of Σᵢ aᵢ bᵢᵀ over the first `inner` rows.
+/// Four rows from register `r` of `a` on, by W registers of `b` from `c` on, of Σᵢ aᵢ bᵢᵀ over the first rows that both have.
 #[inline(always)]
 pub(super) fn outer_block<const W: usize, X: Width, Y: Width>(
     (wide, a): (X, X::Rows<'_>),
     (width, b): (Y, Y::Rows<'_>),
-    inner: usize,
     r: usize,
     c: usize,
 ) -> Block<LANES, W> {
     let (r, c) = (inside::<1>(wide, r), inside::<W>(width, c));
     let mut sums = [[[0.0; LANES]; W]; LANES];
-    for i in 0..inner {
-        let (left, right) = (wide.at(a, i, r), width.row(b, i));
+    for (left, right) in wide.each(a).zip(width.each(b)) {
         for l in 0..LANES {
             for w in 0..W {
-                accumulate(&mut sums[l][w], left[l], &right[c + w]);
+                accumulate(&mut sums[l][w], left[r][l], &right[c + w]);
             }
         }
     }

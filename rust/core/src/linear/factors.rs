@@ -5,7 +5,7 @@
 
 use super::LANES;
 use super::block::{
-    Any, Block, Lane, Width, accumulate, add, by_columns, by_width, inside, outer_block, product_block,
+    Any, Block, Lane, NARROW, WIDE, Width, accumulate, add, by_columns, by_width, inside, outer_block, product_block,
 };
 use crate::simd::{self, Kernel};
 use core::hint::black_box;
@@ -29,13 +29,18 @@ impl Kernel for Forward<'_> {
 
     #[inline(always)]
     fn run(self) {
-        by_width!(self.stride, |width| self.run_with(width));
+        by_width!(self.stride, |width| self.run_with::<WIDE>(width));
+    }
+
+    #[inline(always)]
+    fn run_narrow(self) {
+        by_width!(self.stride, |width| self.run_with::<NARROW>(width));
     }
 }
 
 impl Forward<'_> {
     #[inline(always)]
-    fn run_with(self, width: impl Width) {
+    fn run_with<const MOST: usize>(self, width: impl Width) {
         let Self { upper, size, b, stride } = self;
         let tall = Any(size / LANES);
         for r in 0..b.len() / (LANES * stride) {
@@ -45,8 +50,8 @@ impl Forward<'_> {
             let triangle: [Lane; LANES] = core::array::from_fn(|s| tall.row(above.1, i + s)[r]);
             let inverse = core::array::from_fn(|s| inverse(triangle[s][s]));
             let done = (width, width.rows(done, i));
-            by_columns!(0, width.registers(), |c, W| {
-                let sums = outer_block::<W, _, _>(above, done, i, r, c);
+            by_columns!(MOST, 0, width.registers(), |c, W| {
+                let sums = outer_block::<W, _, _>(above, done, r, c);
                 substitute(&sums, (&triangle, &inverse), width.block_mut(own, 0), inside::<W>(width, c));
             });
         }
@@ -105,6 +110,18 @@ impl Kernel for Backward<'_> {
 
     #[inline(always)]
     fn run(self) {
+        self.run_with::<WIDE>();
+    }
+
+    #[inline(always)]
+    fn run_narrow(self) {
+        self.run_with::<NARROW>();
+    }
+}
+
+impl Backward<'_> {
+    #[inline(always)]
+    fn run_with<const MOST: usize>(self) {
         let Self { upper, size, b, stride } = self;
         let (rows, width) = (b.len() / stride, Any(stride / LANES));
         for i in (0..rows).step_by(LANES).rev() {
@@ -112,7 +129,7 @@ impl Kernel for Backward<'_> {
             let (own, below) = (&mut own[i * stride..], rows - i - LANES);
             let factors = core::array::from_fn(|l| &upper[(i + l) * size + i + LANES..][..below]);
             let done = (width, width.rows(done, below));
-            by_columns!(0, width.registers(), |c, W| {
+            by_columns!(MOST, 0, width.registers(), |c, W| {
                 let sums = product_block::<LANES, W, _>(factors, done, below, c);
                 add(-1.0, &sums, width.block_mut(own, 0), c);
             });
@@ -149,13 +166,18 @@ impl Kernel for UpperFactor<'_> {
 
     #[inline(always)]
     fn run(self) {
-        by_width!(self.stride, |width| self.run_with(width));
+        by_width!(self.stride, |width| self.run_with::<WIDE>(width));
+    }
+
+    #[inline(always)]
+    fn run_narrow(self) {
+        by_width!(self.stride, |width| self.run_with::<NARROW>(width));
     }
 }
 
 impl UpperFactor<'_> {
     #[inline(always)]
-    fn run_with(self, width: impl Width) {
+    fn run_with<const MOST: usize>(self, width: impl Width) {
         let Self { a, n, stride } = self;
         // A pivot that is smaller than this part of what it was is rounding: the row depends on those above it.
         let lost = (n as f64) * f64::EPSILON;
@@ -164,10 +186,10 @@ impl UpperFactor<'_> {
             let (done, own) = a.split_at_mut(i * stride);
             let done = (width, width.rows(done, i));
             // That both sides are the same rows is not for the compiler to know: it would compute each sum once, and shuffle.
-            let sums = outer_block::<1, _, _>(done, done, i, black_box(r), r);
+            let sums = outer_block::<1, _, _>(done, done, black_box(r), r);
             let (triangle, scale) = pivots(&sums, width.block_mut(own, 0), inside::<1>(width, r), lost);
-            by_columns!(r + 1, width.registers(), |c, W| {
-                let sums = outer_block::<W, _, _>(done, done, i, r, c);
+            by_columns!(MOST, r + 1, width.registers(), |c, W| {
+                let sums = outer_block::<W, _, _>(done, done, r, c);
                 substitute(&sums, (&triangle, &scale), width.block_mut(own, 0), inside::<W>(width, c));
             });
         }

@@ -12,7 +12,10 @@ mod products;
 mod tests;
 
 pub(crate) use factors::{backward, forward, upper_factor};
-pub(crate) use products::{add_outer, add_squares, add_symmetric, congruence, mirror, product};
+pub(crate) use products::{
+    Part, add_outer, add_squares, add_symmetric, add_symmetric_part, congruence, mirror, product, product_part,
+    transpose,
+};
 
 use crate::scalar::Scalar;
 

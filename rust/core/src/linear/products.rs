@@ -4,14 +4,55 @@
 
 use super::LANES;
 use super::block::{
-    Any, Block, Width, add, by_columns, by_rows, by_width, inside, outer_block, product_block, put, transposed,
+    Any, Block, NARROW, WIDE, Width, add, by_columns, by_rows, by_width, inside, outer_block, product_block, put,
+    transposed,
 };
 use crate::simd::{self, Kernel};
+
+/// Calls `$body` with the [`Width`] of a [`Part`]'s rows and how many registers of them belong to it: where these are all, the
+/// compiler knows both.
+macro_rules! by_part {
+    ($part:expr, |$width:ident, $to:ident| $body:expr) => {{
+        let part: Part = $part;
+        if part.registers() * LANES == part.stride {
+            by_width!(part.stride, |$width| {
+                let $to = $width.registers();
+                $body
+            });
+        } else {
+            let ($width, $to) = (Any(part.stride / LANES), part.registers());
+            $body;
+        }
+    }};
+}
 
 /// `out[i] = Σⱼ left[i][j] · right[j]`: `left` has rows of `width` numbers, of which the first meet the rows of `right`, each
 /// of `stride`.
 pub(crate) fn product(left: &[f64], width: usize, right: &[f64], stride: usize, out: &mut [f64]) {
-    simd::phase(Product { left, width, right, stride, out });
+    product_part(left, width, right, Part::whole(stride), out);
+}
+
+/// Of [`product`] the columns of that part of `right`.
+pub(crate) fn product_part(left: &[f64], width: usize, right: &[f64], part: Part, out: &mut [f64]) {
+    simd::phase(Product { left, width, right, part, out });
+}
+
+/// The first columns of a matrix whose rows are `stride` numbers apart.
+#[derive(Clone, Copy)]
+pub(crate) struct Part {
+    pub(crate) stride: usize,
+    pub(crate) columns: usize,
+}
+
+impl Part {
+    fn whole(stride: usize) -> Self {
+        Self { stride, columns: stride }
+    }
+
+    /// As registers.
+    fn registers(self) -> usize {
+        self.columns.div_ceil(LANES)
+    }
 }
 
 /// [`product`], to be compiled for each instruction set.
@@ -19,7 +60,7 @@ struct Product<'a> {
     left: &'a [f64],
     width: usize,
     right: &'a [f64],
-    stride: usize,
+    part: Part,
     out: &'a mut [f64],
 }
 
@@ -28,19 +69,24 @@ impl Kernel for Product<'_> {
 
     #[inline(always)]
     fn run(self) {
-        by_width!(self.stride, |columns| self.run_with(columns));
+        by_part!(self.part, |columns, to| self.run_with::<WIDE>(columns, to));
+    }
+
+    #[inline(always)]
+    fn run_narrow(self) {
+        by_part!(self.part, |columns, to| self.run_with::<NARROW>(columns, to));
     }
 }
 
 impl Product<'_> {
     #[inline(always)]
-    fn run_with(self, columns: impl Width) {
-        let Self { left, width, right, stride, out } = self;
+    fn run_with<const MOST: usize>(self, columns: impl Width, to: usize) {
+        let Self { left, width, right, part: Part { stride, .. }, out } = self;
         let inner = width.min(right.len() / stride);
         let right = (columns, columns.rows(right, inner));
         by_rows!(left.len() / width, |i, L| {
             let left = left_rows::<L>(&left[i * width..], width);
-            by_columns!(0, columns.registers(), |c, W| put(
+            by_columns!(MOST, 0, to, |c, W| put(
                 &product_block::<L, W, _>(left, right, inner, c),
                 columns.block_mut(out, i),
                 c
@@ -75,20 +121,25 @@ impl Kernel for AddOuter<'_> {
 
     #[inline(always)]
     fn run(self) {
-        by_width!(self.stride, |columns| self.run_with(columns));
+        by_width!(self.stride, |columns| self.run_with::<WIDE>(columns));
+    }
+
+    #[inline(always)]
+    fn run_narrow(self) {
+        by_width!(self.stride, |columns| self.run_with::<NARROW>(columns));
     }
 }
 
 impl AddOuter<'_> {
     #[inline(always)]
-    fn run_with(self, columns: impl Width) {
+    fn run_with<const MOST: usize>(self, columns: impl Width) {
         let Self { factor, a, width, b, stride, out } = self;
         let (inner, wide) = (b.len() / stride, Any(width / LANES));
         let (a, b) = ((wide, wide.rows(a, inner)), (columns, columns.rows(b, inner)));
         for r in 0..wide.registers() {
-            by_columns!(0, columns.registers(), |c, W| add(
+            by_columns!(MOST, 0, columns.registers(), |c, W| add(
                 factor,
-                &outer_block::<W, _, _>(a, b, inner, r, c),
+                &outer_block::<W, _, _>(a, b, r, c),
                 columns.block_mut(out, r * LANES),
                 c
             ));
@@ -100,12 +151,17 @@ impl AddOuter<'_> {
 ///
 /// `p` is square with rows of `stride`, `a` has one row of `stride` for each i.
 pub(crate) fn add_squares(factor: f64, a: &[f64], stride: usize, p: &mut [f64]) {
-    simd::phase(AddSymmetric { factor, a, b: a, stride, p });
+    simd::phase(AddSymmetric { factor, a, b: a, part: Part::whole(stride), p });
 }
 
 /// `p += Σᵢ aᵢ bᵢᵀ` where that sum is symmetric, otherwise as [`add_squares`].
 pub(crate) fn add_symmetric(a: &[f64], b: &[f64], stride: usize, p: &mut [f64]) {
-    simd::phase(AddSymmetric { factor: 1.0, a, b, stride, p });
+    add_symmetric_part(a, b, Part::whole(stride), p);
+}
+
+/// Of [`add_symmetric`] that part of the columns, and as many rows.
+pub(crate) fn add_symmetric_part(a: &[f64], b: &[f64], part: Part, p: &mut [f64]) {
+    simd::phase(AddSymmetric { factor: 1.0, a, b, part, p });
 }
 
 /// [`add_squares`] and [`add_symmetric`], likewise.
@@ -113,7 +169,7 @@ struct AddSymmetric<'a> {
     factor: f64,
     a: &'a [f64],
     b: &'a [f64],
-    stride: usize,
+    part: Part,
     p: &'a mut [f64],
 }
 
@@ -122,38 +178,43 @@ impl Kernel for AddSymmetric<'_> {
 
     #[inline(always)]
     fn run(self) {
-        by_width!(self.stride, |width| self.run_with(width));
+        by_part!(self.part, |width, to| self.run_with::<WIDE>(width, to));
+    }
+
+    #[inline(always)]
+    fn run_narrow(self) {
+        by_part!(self.part, |width, to| self.run_with::<NARROW>(width, to));
     }
 }
 
 impl AddSymmetric<'_> {
     #[inline(always)]
-    fn run_with(self, width: impl Width) {
-        let Self { factor, a, b, stride, p } = self;
+    fn run_with<const MOST: usize>(self, width: impl Width, to: usize) {
+        let Self { factor, a, b, part: Part { stride, .. }, p } = self;
         let inner = a.len() / stride;
         let (a, b) = ((width, width.rows(a, inner)), (width, width.rows(b, inner)));
-        for r in 0..width.registers() {
-            by_columns!(r, width.registers(), |c, W| add(
+        for r in 0..to {
+            by_columns!(MOST, r, to, |c, W| add(
                 factor,
-                &outer_block::<W, _, _>(a, b, inner, r, c),
+                &outer_block::<W, _, _>(a, b, r, c),
                 width.block_mut(p, r * LANES),
                 c
             ));
         }
-        mirror_with(width, p);
+        mirror_with(width, to, p);
     }
 }
 
 /// Copies the upper triangle of a square matrix with rows of `stride` onto the lower.
 #[inline(always)]
 pub(crate) fn mirror(p: &mut [f64], stride: usize) {
-    by_width!(stride, |width| mirror_with(width, p));
+    by_width!(stride, |width| mirror_with(width, width.registers(), p));
 }
 
-/// Four rows of a register each, turned, at a time.
+/// Four rows of a register each, turned, at a time, `to` registers of each row.
 #[inline(always)]
-fn mirror_with(width: impl Width, p: &mut [f64]) {
-    for r in 0..width.registers() {
+fn mirror_with(width: impl Width, to: usize, p: &mut [f64]) {
+    for r in 0..to {
         let own = width.block_mut::<LANES>(p, r * LANES);
         let r = inside::<1>(width, r);
         let block: Block<LANES, 1> = core::array::from_fn(|l| [own[l][r]]);
@@ -161,11 +222,32 @@ fn mirror_with(width: impl Width, p: &mut [f64]) {
         for k in 0..LANES {
             own[k][r] = core::array::from_fn(|l| if l < k { turned[k][0][l] } else { block[k][0][l] });
         }
-        for c in r + 1..width.registers() {
+        for c in r + 1..to {
             let own = width.block_mut::<LANES>(p, r * LANES);
             let block = core::array::from_fn(|l| [own[l][c]]);
             put(&transposed(&block), width.block_mut::<LANES>(p, c * LANES), r);
         }
+    }
+}
+
+/// `out` ← `matrix`ᵀ, square with rows of `stride`.
+pub(crate) fn transpose(matrix: &[f64], stride: usize, out: &mut [f64]) {
+    simd::phase(Transpose { matrix, stride, out });
+}
+
+/// [`transpose`], likewise.
+struct Transpose<'a> {
+    matrix: &'a [f64],
+    stride: usize,
+    out: &'a mut [f64],
+}
+
+impl Kernel for Transpose<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        by_width!(self.stride, |width| turn_with(width, |_| 0, self.matrix, self.out));
     }
 }
 
@@ -197,27 +279,32 @@ impl Kernel for Congruence<'_> {
 
     #[inline(always)]
     fn run(self) {
-        by_width!(self.stride, |width| self.run_with(width));
+        by_width!(self.stride, |width| self.run_with::<WIDE>(width));
+    }
+
+    #[inline(always)]
+    fn run_narrow(self) {
+        by_width!(self.stride, |width| self.run_with::<NARROW>(width));
     }
 }
 
 impl Congruence<'_> {
     #[inline(always)]
-    fn run_with(self, width: impl Width) {
+    fn run_with<const MOST: usize>(self, width: impl Width) {
         let Self { upper, matrix, stride, turned, scratch, out } = self;
         let (step, product) = (width.registers(), &mut scratch[..LANES * stride]);
-        turn_upper(width, upper, turned);
+        turn_with(width, |r| r, upper, turned); // zero above the diagonal
         // Rows i and further of U begin at column i, and columns k and further of Uᵀ at row k.
         for r in 0..step {
             let i = r * LANES;
             let (left, inner) = (left_rows::<LANES>(&upper[i * stride..], stride).map(|row| &row[i..]), stride - i);
             let right = (width, width.rows(&matrix[i * stride..], inner));
-            by_columns!(0, step, |c, W| put(
+            by_columns!(MOST, 0, step, |c, W| put(
                 &product_block::<LANES, W, _>(left, right, inner, c),
                 width.block_mut(product, 0),
                 c
             ));
-            by_columns!(r, step, |c, W| {
+            by_columns!(MOST, r, step, |c, W| {
                 let (k, inner) = (c * LANES, stride - c * LANES);
                 let left = left_rows::<LANES>(product, stride).map(|row| &row[k..]);
                 let right = (width, width.rows(&turned[k * stride..], inner));
@@ -227,12 +314,12 @@ impl Congruence<'_> {
     }
 }
 
-/// Uᵀ of an upper triangular U, zero above the diagonal.
+/// The transpose of a matrix of whose rows all is zero before some register.
 #[inline(always)]
-fn turn_upper(width: impl Width, upper: &[f64], turned: &mut [f64]) {
-    let rows = width.rows(upper, width.registers() * LANES);
+fn turn_with(width: impl Width, first: impl Fn(usize) -> usize, matrix: &[f64], turned: &mut [f64]) {
+    let rows = width.rows(matrix, width.registers() * LANES);
     for r in 0..width.registers() {
-        for c in r..width.registers() {
+        for c in first(r)..width.registers() {
             let block = core::array::from_fn(|l| [width.row(rows, r * LANES + l)[c]]);
             put(&transposed(&block), width.block_mut::<LANES>(turned, c * LANES), r);
         }

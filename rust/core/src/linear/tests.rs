@@ -1,7 +1,8 @@
 //! Kernels on padded rows against plain loops.
 
 use super::{
-    LANES, add_outer, add_squares, add_symmetric, backward, congruence, forward, mirror, product, upper_factor,
+    LANES, Part, add_outer, add_squares, add_symmetric, add_symmetric_part, backward, congruence, forward, mirror,
+    product, product_part, transpose, upper_factor,
 };
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -67,6 +68,21 @@ proptest! {
     }
 
     #[test]
+    fn a_part_of_a_product_is_its_first_columns(
+        (left, right, columns, part) in (1_usize..11, 1_usize..14, 1_usize..14).prop_flat_map(|(rows, inner, columns)| {
+            (matrix(rows, inner), matrix(inner, columns), Just(columns), 1..=columns)
+        })
+    ) {
+        let inner = right.len();
+        let (right_rows, stride) = padded(&right, columns);
+        let mut out = vec![7.0; left.len() * stride];
+        product_part(&left.concat(), inner, &right_rows, Part { stride, columns: part }, &mut out);
+        let whole = gram(&transposed(&left, inner), &right, left.len(), columns);
+        agree(&out, stride, &whole, |_, j| j < part)?;
+        prop_assert!(out.chunks_exact(stride).all(|row| row[part.next_multiple_of(LANES)..].iter().all(|x| *x == 7.0)));
+    }
+
+    #[test]
     fn outer_products_are_added_times_a_factor(
         (a, b, rows, columns) in (1_usize..9, 1_usize..11, 1_usize..14).prop_flat_map(|(inner, rows, columns)| {
             (matrix(inner, rows), matrix(inner, columns), Just(rows), Just(columns))
@@ -106,6 +122,20 @@ proptest! {
         let mut out = vec![0.0; stride * stride];
         add_symmetric(&left, &right, stride, &mut out);
         agree(&out, stride, &gram(&a, &product, n, n), ALL)?;
+        for columns in 1..=n {
+            let mut out = vec![0.0; stride * stride];
+            add_symmetric_part(&left, &right, Part { stride, columns }, &mut out);
+            agree(&out, stride, &gram(&a, &product, n, n), |i, j| i.max(j) < columns)?;
+        }
+    }
+
+    #[test]
+    fn rows_become_columns((a, n) in (1_usize..14).prop_flat_map(|n| (matrix(n, n), Just(n)))) {
+        let (mut rows, stride) = padded(&a, n);
+        rows.resize(stride * stride, 0.0);
+        let mut out = vec![f64::NAN; stride * stride];
+        transpose(&rows, stride, &mut out);
+        agree(&out, stride, &transposed(&a, n), ALL)?;
     }
 
     #[test]

@@ -19,6 +19,8 @@ pub(super) struct Bank {
     windows: Vec<Window>,
     /// Σ and s of a unit fault of each channel that began with each window.
     sensitivity: Sensitivity,
+    /// Scratch: one window's weights (channels).
+    readings: Vec<Weighed>,
     /// s of each reading over the variance of its noise, in multiples of the filter's.
     weighted: Vec<f64>,
     /// Σ s r and Σ s² of each channel (windows × channels, padded).
@@ -60,6 +62,7 @@ impl Bank {
                 .iter()
                 .map(|&length| Window { length, age: 0, excess: 0.0, noise: vec![1.0; channels] })
                 .collect(),
+            readings: vec![Weighed::default(); channels],
             weighted: vec![0.0; sensitivity.signatures.len()],
             sensitivity,
             score: vec![0.0; windows * stride],
@@ -127,7 +130,7 @@ impl Bank {
             }
             *age += 1;
         }
-        let Self { windows, sensitivity, weighted, score, information, channels, stride, .. } = self;
+        let Self { windows, sensitivity, readings, weighted, score, information, channels, stride, .. } = self;
         let (p, stride) = (sensitivity.stride, *stride);
         model.carry_noise_free(&mut sensitivity.columns, p, dt);
         // A fault is in its own reading, and by way of the state in those of all others.
@@ -136,18 +139,19 @@ impl Bank {
             (0..windows.len()).for_each(|w| row[w * stride + c] = 1.0);
         }
         sensitivity.update(model, correction);
-        let rows = sensitivity.signatures.chunks_exact(p).zip(weighted.chunks_exact_mut(p));
-        for (i, ((signature, weighted), innovation)) in rows.zip(&correction.innovations).enumerate() {
-            let parts = signature.chunks_exact(stride).zip(weighted.chunks_exact_mut(stride));
-            let sums = score.chunks_exact_mut(stride).zip(information.chunks_exact_mut(stride));
-            for ((window, (signature, weighted)), (score, information)) in windows.iter_mut().zip(parts).zip(sums) {
+        for (w, window) in windows.iter_mut().enumerate() {
+            for (i, innovation) in correction.innovations.iter().enumerate() {
                 // A coarse encoder's readings are one as long as they are the same: their error is that of its step.
                 let noise = window.noise[i] * runs[i];
-                let news = innovation.value - known[i];
-                weigh(1.0 / noise, news, signature, weighted, (score, information));
+                (readings[i].precision, readings[i].news) = (1.0 / noise, innovation.value - known[i]);
                 if innovation.is_used() {
                     window.excess += residuals[i] * residuals[i] / noise - 1.0;
                 }
+            }
+            for at in (w * stride..(w + 1) * stride).step_by(linear::LANES) {
+                let part = at..at + linear::LANES;
+                let sums = (&mut score[part.clone()], &mut information[part]);
+                weigh(readings, (&sensitivity.signatures[at..], &mut weighted[at..]), p, sums);
             }
         }
         if let Some(consider) = consider {
@@ -192,21 +196,38 @@ impl Bank {
     }
 }
 
-/// One reading's signatures over the variance of its noise, and these times the reading and times themselves into the sums.
+/// Signatures of some faults over the variance of each reading's noise, and these times the reading and times themselves into
+/// the sums, which stay in registers meanwhile; a row of `stride` for each reading.
 #[inline(always)]
 fn weigh(
-    precision: f64,
-    news: f64,
-    signature: &[f64],
-    weighted: &mut [f64],
+    readings: &[Weighed],
+    (signatures, weighted): (&[f64], &mut [f64]),
+    stride: usize,
     (score, information): (&mut [f64], &mut [f64]),
 ) {
-    let sums = score.iter_mut().zip(information);
-    for ((s, weighted), (score, information)) in signature.iter().zip(weighted).zip(sums) {
-        *weighted = s * precision;
-        *score += news * *weighted;
-        *information += *weighted * s;
+    let [mut scores, mut squares] = [[0.0; linear::LANES]; 2];
+    scores.copy_from_slice(score);
+    squares.copy_from_slice(information);
+    for (i, &Weighed { precision, news }) in readings.iter().enumerate() {
+        let signature = &signatures[i * stride..][..linear::LANES];
+        let weighted = &mut weighted[i * stride..][..linear::LANES];
+        for l in 0..linear::LANES {
+            weighted[l] = signature[l] * precision;
+            scores[l] += news * weighted[l];
+            squares[l] += weighted[l] * signature[l];
+        }
     }
+    score.copy_from_slice(&scores);
+    information.copy_from_slice(&squares);
+}
+
+/// A reading as a window weighs it.
+#[derive(Clone, Copy, Debug, Default)]
+struct Weighed {
+    /// One over the variance of its noise, in multiples of the filter's.
+    precision: f64,
+    /// Its innovation less what known faults add, in standard deviations.
+    news: f64,
 }
 
 /// What there is to know of each channel at a sample beside its innovation.

@@ -120,13 +120,10 @@ impl ConsiderBack {
     ) {
         let (p, size) = (self.stride, self.lambda.len());
         let (states, n) = (size / p, self.joints);
-        for r in 0..rows.max(2 * n) {
-            let own = &mut self.columns[r * p..][..p];
-            own.copy_from_slice(&history.columns[i * size + r * p..][..p]);
-            for (x, lambda) in predicted[r * width..][..states].iter().zip(self.lambda.chunks_exact(p)) {
-                linear::add_scaled(own, *x, lambda);
-            }
-        }
+        let most = rows.max(2 * n);
+        let columns = &mut self.columns[..most * p];
+        linear::product(&predicted[..most * width], width, &self.lambda[..states * p], p, columns);
+        linear::add_scaled(columns, 1.0, &history.columns[i * size..]);
         if let Some(moment) = &self.moment {
             let swings = &history.swings[i * n..][..n];
             spread_of(&self.columns, swings, moment, rows, &mut self.wide, &mut self.total);

@@ -10,6 +10,7 @@ use super::model::Model;
 use crate::estimate::Status;
 use crate::linear;
 use crate::scalar::log;
+use core::ops::Range;
 
 /// A sensor that was left out so many samples in a row is no longer: either it or the estimate is wrong for good, and outliers
 /// are not that many.
@@ -145,9 +146,9 @@ impl Correction {
             }
         }
         linear::product(&self.rows[..m * stride], stride, &self.turned, own, &mut self.shares[..m * own]);
-        for (shares, projection) in self.shares.chunks_exact_mut(own).zip(self.rows.chunks_exact(stride)) {
-            for (share, bias) in shares.iter_mut().zip(model.biases()) {
-                *share += bias.map_or(0.0, |b| projection[b]);
+        for (channels, first) in bias_runs(model.biases()) {
+            for (shares, projection) in self.shares.chunks_exact_mut(own).zip(self.rows.chunks_exact(stride)).take(m) {
+                linear::add_scaled(&mut shares[channels.clone()], 1.0, &projection[first..]);
             }
         }
     }
@@ -352,11 +353,22 @@ impl Correction {
 #[inline(always)]
 pub(super) fn observe(model: &impl Model, x: &[f64], stride: usize, out: &mut [f64]) {
     linear::product(model.linearised().jacobian, model.dense(), x, stride, out);
-    for (out, bias) in out.chunks_exact_mut(stride).zip(model.biases()) {
-        if let Some(b) = *bias {
-            linear::add_scaled(out, 1.0, &x[b * stride..][..stride]);
-        }
+    for (channels, first) in bias_runs(model.biases()) {
+        linear::add_scaled(&mut out[channels.start * stride..channels.end * stride], 1.0, &x[first * stride..]);
     }
+}
+
+/// Channels in a row whose biases are states in a row, and the first of these.
+#[inline(always)]
+fn bias_runs(biases: &[Option<usize>]) -> impl Iterator<Item = (Range<usize>, usize)> {
+    let mut next = 0;
+    core::iter::from_fn(move || {
+        let start = next + biases[next..].iter().position(Option::is_some)?;
+        let first = biases[start]?;
+        let run = biases[start..].iter().zip(first..).take_while(|(bias, state)| **bias == Some(*state)).count();
+        next = start + run;
+        Some((start..next, first))
+    })
 }
 
 /// ln 2π.

@@ -2,6 +2,7 @@
 
 use super::gaussian::{Gaussian, Symmetric};
 use crate::estimate::bias::bias_step;
+use core::ops::Range;
 
 /// What is known of the channels' biases: the state that each is, and how it moves.
 #[derive(Clone, Copy, Debug)]
@@ -33,10 +34,10 @@ impl Biases<'_> {
     #[inline(always)]
     pub(super) fn predict(&self, belief: &mut Gaussian, dt: f64) {
         let Gaussian { mean, covariance } = belief;
+        // Diagonal in biases: F scales their rows and columns, so that the dense part of the state is not touched.
+        self.scale(covariance, dt);
         for (b, decay, variance) in self.steps(dt) {
-            // Diagonal in biases: F scales one row and one column, so that the dense part of the state is not touched.
             mean[b] *= decay;
-            scale(covariance, b, decay);
             covariance.data[b * covariance.stride + b] += variance;
         }
     }
@@ -44,10 +45,22 @@ impl Biases<'_> {
     /// The adjoint of [`predict`](Self::predict), without the noise.
     #[inline(always)]
     pub(super) fn retreat(&self, lambda: &mut [f64], information: &mut Symmetric, dt: f64) {
+        self.scale(information, dt);
+        self.steps(dt).for_each(|(b, decay, _)| lambda[b] *= decay);
+    }
+
+    /// Rows and columns of the biases times their decay, those that follow each other and decay alike at once.
+    #[inline(always)]
+    fn scale(&self, p: &mut Symmetric, dt: f64) {
+        let (mut run, mut factor) = (0..0, 1.0);
         for (b, decay, _) in self.steps(dt) {
-            lambda[b] *= decay;
-            scale(information, b, decay);
+            if b != run.end || decay != factor {
+                scale(p, run, factor);
+                (run, factor) = (b..b, decay);
+            }
+            run.end = b + 1;
         }
+        scale(p, run, factor);
     }
 
     /// Columns (states × `stride`) through the step: each bias' row decays. It is its own adjoint.
@@ -73,16 +86,14 @@ impl Biases<'_> {
     }
 }
 
-/// Row and column `b` times `factor`.
+/// Rows and columns of these states times `factor`.
 #[inline(always)]
-fn scale(p: &mut Symmetric, b: usize, factor: f64) {
+fn scale(p: &mut Symmetric, states: Range<usize>, factor: f64) {
     if factor == 1.0 {
         return;
     }
-    for k in 0..p.n {
-        p.data[b * p.stride + k] *= factor;
-    }
-    for k in 0..p.n {
-        p.data[k * p.stride + b] *= factor;
+    p.data[states.start * p.stride..states.end * p.stride].iter_mut().for_each(|x| *x *= factor);
+    for row in p.data.chunks_exact_mut(p.stride).take(p.n) {
+        row[states.clone()].iter_mut().for_each(|x| *x *= factor);
     }
 }

@@ -8,9 +8,10 @@
 
 use super::jerk::{JerkModel, JerkNoise};
 use super::jerk_process::JerkProcess;
-use super::model::{Linearised, Measurement, Paired, Report};
+use super::model::{Linearised, Measurement, Report};
 use super::motor_velocity::MotorVelocity;
 use super::output::FilterOutput;
+use super::paired::Paired;
 use super::recording::{KalmanRecording, KalmanSample};
 use super::tolerances::Tolerances;
 use super::uncertain::{MotorsAt, Tolerance};

@@ -193,7 +193,7 @@ impl Process for ElasticProcess {
 
     #[inline(always)]
     fn carry(&mut self, columns: &mut [f64], stride: usize, dt: f64) {
-        self.transition.carry(columns, stride);
+        self.transition.exponential.carry(columns, stride);
         self.drift().carry(columns, stride, dt);
     }
 
@@ -205,7 +205,7 @@ impl Process for ElasticProcess {
     #[inline(always)]
     fn carry_back(&mut self, memory: &[f64], columns: &mut [f64], stride: usize, dt: f64) {
         self.drift().carry(columns, stride, dt);
-        self.transition.carry_back(memory, columns, stride);
+        self.transition.exponential.carry_back(memory, columns, stride);
     }
 
     fn memory(&self) -> usize {
@@ -215,13 +215,13 @@ impl Process for ElasticProcess {
     /// The transition to this sample with its noise.
     #[inline(always)]
     fn remember(&self, memory: &mut Vec<f64>) {
-        self.transition.remember(memory);
+        self.transition.exponential.remember(memory);
     }
 
     #[inline(always)]
     fn noise_rows(&mut self, memory: &[f64], dt: f64, rows: &mut [f64], stride: usize) {
         let rest = self.drift().noise_rows(rows, stride, dt);
-        self.transition.noise_rows(memory, rest, stride);
+        self.transition.exponential.noise_rows(memory, rest, stride);
     }
 
     fn bridged(&self) -> bool {
@@ -234,6 +234,6 @@ impl Process for ElasticProcess {
     #[inline(always)]
     fn retreat(&mut self, memory: &[f64], dt: f64, lambda: &mut [f64], big: &mut Symmetric) {
         self.drift().retreat(lambda, big, dt);
-        self.transition.retreat(memory, lambda, big);
+        self.transition.exponential.retreat(memory, lambda, big);
     }
 }

@@ -72,6 +72,17 @@ impl Symmetric {
         linear::mirror(&mut self.data, self.stride);
     }
 
+    /// Copies rows from the `first` on, up to the diagonal, onto the columns.
+    #[inline(always)]
+    pub(crate) fn turn_rows(&mut self, first: usize) {
+        for i in first..self.n {
+            let (above, own) = self.data.split_at_mut(i * self.stride);
+            for (row, x) in above.chunks_exact_mut(self.stride).zip(own) {
+                row[i] = *x;
+            }
+        }
+    }
+
     /// `self += factor · Σᵢ aᵢ aᵢᵀ`, one padded row of `a` for each i.
     #[inline(always)]
     pub(crate) fn add_squares(&mut self, factor: f64, a: &[f64]) {

@@ -17,6 +17,8 @@ pub(super) struct Information {
     pub(super) matrix: Symmetric,
     /// Rows of the root of a step's noise, at most one a state (states, padded).
     pub(super) noise: Vec<f64>,
+    /// What is in them: row, column, value.
+    entries: Vec<(usize, usize, f64)>,
     /// Λ g of each row of noise, then what Λ loses by it.
     projections: Vec<f64>,
     /// U with Uᵀ U = P.
@@ -37,6 +39,7 @@ impl Information {
         let square = || vec![0.0; matrix.stride * matrix.stride];
         Self {
             noise: square(),
+            entries: Vec::with_capacity(matrix.stride * matrix.stride),
             projections: square(),
             root: square(),
             turned: square(),
@@ -63,19 +66,23 @@ impl Information {
     /// As a filter takes all its readings at once: Λ − (G Λ)ᵀ (1 + G Λ Gᵀ)⁻¹ G Λ, by the root C of the matrix in between.
     #[inline(always)]
     pub(super) fn blur(&mut self) {
-        let Self { matrix, noise, projections, gram, .. } = self;
+        let Self { matrix, noise, entries, projections, turned, gram, .. } = self;
         let Symmetric { n, stride, .. } = *matrix;
+        let row = |i: usize| i * stride..(i + 1) * stride;
         projections.fill(0.0);
         gram.fill(0.0);
-        // Rows of G have a few entries each.
+        // Rows of G have a few entries each: G Λ, and above the diagonal 1 + G (G Λ)ᵀ.
+        entries.clear();
         for (c, g) in noise.chunks_exact(stride).enumerate().take(n) {
-            for (k, x) in g.iter().enumerate().filter(|(_, x)| **x != 0.0) {
-                linear::add_scaled(&mut projections[c * stride..][..stride], *x, &matrix.data[k * stride..][..stride]);
-                for i in 0..c {
-                    gram[i * stride + c] += projections[i * stride + k] * x;
-                }
-            }
-            gram[c * stride + c] = 1.0 + linear::dot(g, &projections[c * stride..][..stride]);
+            entries.extend(g.iter().enumerate().filter(|(_, x)| **x != 0.0).map(|(k, x)| (c, k, *x)));
+        }
+        for &(c, k, x) in &*entries {
+            linear::add_scaled(&mut projections[row(c)], x, &matrix.data[row(k)]);
+        }
+        linear::transpose(projections, stride, turned);
+        (0..n).for_each(|c| gram[c * stride + c] = 1.0);
+        for &(c, k, x) in &*entries {
+            linear::add_scaled(&mut gram[row(c)][c..], x, &turned[row(k)][c..]);
         }
         linear::upper_factor(gram, n, stride);
         // Where noise is that much larger than what is known, the difference has no digits: row by row, by products.

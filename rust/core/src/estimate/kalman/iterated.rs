@@ -9,13 +9,14 @@
 //! not a square divides R by a weight (A. Y. Aravkin et al. 2014). A step that does not lower the sum is halved until it does.
 
 use super::filter::ExtendedKalmanFilter;
+use super::history::History;
 use super::loss::SensorLosses;
 use super::misfit::Misfit;
 use super::output::{FilterOutput, Keep};
 use super::path::StatePath;
 use super::phases::Phases;
 use super::recording::KalmanRecording;
-use super::smoother::{History, Smoother};
+use super::smoother::Smoother;
 use crate::error::RunError;
 use crate::estimate::Status;
 use crate::interrupt::Watch;

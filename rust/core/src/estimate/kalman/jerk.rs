@@ -168,13 +168,16 @@ impl JerkModel {
         }
         let p = &mut belief.covariance;
         advance_rows(p, n, dt, half);
-        for row in p.data.chunks_exact_mut(p.stride) {
+        // Above the diagonal, columns of accelerations and biases stay as they are.
+        for (i, row) in p.data.chunks_exact_mut(p.stride).take(2 * n).enumerate() {
             let (q, rest) = row.split_at_mut(n);
-            let (dq, rest) = rest.split_at_mut(n);
-            for j in 0..n {
-                q[j] += dt * dq[j] + half * rest[j];
-                dq[j] += dt * rest[j];
+            let (dq, ddq) = rest.split_at_mut(n);
+            if i < n {
+                for ((q, dq), ddq) in q.iter_mut().zip(&*dq).zip(&*ddq) {
+                    *q += dt * dq + half * ddq;
+                }
             }
+            linear::add_scaled(dq, dt, ddq);
         }
         self.add_process_noise(p, noise, dt);
         p.mirror();

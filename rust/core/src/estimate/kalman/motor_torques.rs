@@ -92,7 +92,7 @@ impl MotorTorques {
                 let (state, walk) = (first + j, disturbance_walk[j]);
                 // The disturbance carries the outage: it is a state, so that what it grew to is estimated while the
                 // torque is gone.
-                transition.noise.set_density(state, (walk * walk + wander * wander).sqrt());
+                transition.exponential.noise.set_density(state, (walk * walk + wander * wander).sqrt());
                 if gone && *age == 0.0 {
                     outage[j] = (belief.mean[state], belief.covariance.at(state, state));
                 } else if !gone && *age > 0.0 && torque_walk[j] > 0.0 {

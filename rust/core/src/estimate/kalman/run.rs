@@ -2,12 +2,13 @@
 
 use super::filter::ExtendedKalmanFilter;
 use super::gaussian::Gaussian;
+use super::history::History;
 use super::iterated::IteratedSmoother;
 use super::monitor::Monitor;
 use super::output::{FilterOutput, Keep};
 use super::phases::{Phases, WriteReport};
 use super::recording::{KalmanRecording, KalmanSample};
-use super::smoother::{History, Smoother};
+use super::smoother::Smoother;
 use crate::error::RunError;
 use crate::estimate::Status;
 use crate::interrupt::Watch;
