@@ -51,7 +51,7 @@ use std::sync::Arc;
 /// })?;
 /// // In a control loop: once a period. Here the arm stands still, its motor at 0.1 rad.
 /// for _ in 0..100 {
-///     observer.step(ObserverSample { theta: &[0.1], tau: &[0.0], acceleration: &[0.0, 0.0, 9.81] })?;
+///     observer.step(ObserverSample { theta: &[0.1], tau: &[0.0], acceleration: &[0.0, 0.0, 9.81], dtheta: &[] })?;
 /// }
 /// assert!((observer.q()[0] - 0.1).abs() < 1e-9 && observer.dq()[0].abs() < 1e-9);
 /// assert_eq!(observer.status(), 0);
@@ -237,9 +237,11 @@ impl AccelerationObserver {
 
     /// Refuses a sample before anything has changed.
     fn check(&self, sample: ObserverSample<'_>) -> Result<(), DesignError> {
-        let ObserverSample { theta, tau, acceleration } = sample;
+        let ObserverSample { theta, tau, acceleration, dtheta } = sample;
         let (n, m) = (self.joints(), self.channels());
-        for (what, values, expected) in [("theta", theta, n), ("tau", tau, n), ("acceleration", acceleration, m)] {
+        let speeds = if dtheta.is_empty() { 0 } else { n };
+        let all = [("theta", theta, n), ("tau", tau, n), ("acceleration", acceleration, m), ("dtheta", dtheta, speeds)];
+        for (what, values, expected) in all {
             expect_length(what, values.len(), expected)?;
             refuse_infinite(what, values)?;
         }
@@ -305,7 +307,7 @@ impl AccelerationObserver {
         let look = ObserverView { robot, models, map, state, links, measured, torque: loaded, innovations };
         if let Some(deviations) = deviations {
             simd::phase(Deviate { deviations, look: &look, sample, first });
-            if deviations.is_stuck() {
+            if deviations.is_faulty() {
                 self.status |= Status::CONTRADICTED | Status::FAULTY;
             }
         }
