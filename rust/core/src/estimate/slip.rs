@@ -249,6 +249,7 @@ impl SlipCheck {
 }
 
 #[cfg(test)]
+#[allow(clippy::disallowed_methods)] // what a test moves may depend on the platform
 mod tests {
     use super::*;
     use proptest::prelude::*;
