@@ -17,10 +17,12 @@ from linkside.kalman.elastic_joint import (
 )
 from linkside.kalman.jerk_driven import (
     CubatureKalmanFilter,
+    CubatureSmoother,
     ExtendedKalmanFilter,
     IteratedSmoother,
     RauchTungStriebelSmoother,
     UnscentedKalmanFilter,
+    UnscentedSmoother,
 )
 from linkside.kalman.linearisation import Linearisation
 from linkside.kalman.losses import Loss
@@ -99,8 +101,8 @@ def _filter(method: type[ExtendedKalmanFilter], robot: Robot, options: Options) 
     return method(robot, options.tuning, **options.of_filters).run_pieces
 
 
-def _smoother(robot: Robot, options: Options) -> Run:
-    smoother = RauchTungStriebelSmoother(robot, options.tuning, **options.of_filters)
+def _smoother(method: type[RauchTungStriebelSmoother], robot: Robot, options: Options) -> Run:
+    smoother = method(robot, options.tuning, **options.of_filters)
     return partial(smooth_pieces, smoother, folder=options.spill)
 
 
@@ -113,8 +115,9 @@ def _elastic_filter(linearisation: Linearisation, robot: Robot, options: Options
     return ElasticJointFilter(robot, options.tuning, **settings).run_pieces
 
 
-def _elastic_smoother(robot: Robot, options: Options) -> Run:
-    return partial(map, ElasticJointSmoother(robot, options.tuning, **options.of_filters).run)
+def _elastic_smoother(linearisation: Linearisation, robot: Robot, options: Options) -> Run:
+    settings = options.of_filters | {"linearisation": linearisation}
+    return partial(map, ElasticJointSmoother(robot, options.tuning, **settings).run)
 
 
 def _elastic_map(robot: Robot, options: Options) -> Run:
@@ -153,7 +156,15 @@ METHODS = {
     ),
     "ukf": Method("ekf with sigma points in place of derivatives", OF_FILTERS, partial(_filter, UnscentedKalmanFilter)),
     "ckf": Method("ukf without the central point", OF_FILTERS, partial(_filter, CubatureKalmanFilter)),
-    "smoother": Method("as ekf, but each row from all samples, later ones too", OF_FILTERS, _smoother),
+    "smoother": Method(
+        "as ekf, but each row from all samples, later ones too",
+        OF_FILTERS,
+        partial(_smoother, RauchTungStriebelSmoother),
+    ),
+    "ukf-smoother": Method(
+        "smoother with sigma points in place of derivatives", OF_FILTERS, partial(_smoother, UnscentedSmoother)
+    ),
+    "ckf-smoother": Method("ukf-smoother without the central point", OF_FILTERS, partial(_smoother, CubatureSmoother)),
     "map": Method(
         "the most probable motion, found by iterations of smoother; --loss huber or student-t for outliers",
         OF_FILTERS,
@@ -181,7 +192,21 @@ METHODS = {
     "elastic-smoother": Method(
         "as elastic-ekf, but each row from all samples, later ones too",
         OF_FILTERS,
-        _elastic_smoother,
+        partial(_elastic_smoother, "derivatives"),
+        whole=lambda _: True,
+        read_tuning=ElasticNoise.read,
+    ),
+    "elastic-ukf-smoother": Method(
+        "elastic-smoother with sigma points in place of derivatives",
+        OF_FILTERS,
+        partial(_elastic_smoother, "unscented"),
+        whole=lambda _: True,
+        read_tuning=ElasticNoise.read,
+    ),
+    "elastic-ckf-smoother": Method(
+        "elastic-ukf-smoother without the central point",
+        OF_FILTERS,
+        partial(_elastic_smoother, "cubature"),
         whole=lambda _: True,
         read_tuning=ElasticNoise.read,
     ),

@@ -369,6 +369,25 @@ class RauchTungStriebelSmoother(JerkDriven):
     _way = "smooth"
 
 
+class UnscentedSmoother(RauchTungStriebelSmoother):
+    """`RauchTungStriebelSmoother` with sigma points in place of derivatives, as `UnscentedKalmanFilter`.
+
+    S. Särkkä, "Unscented Rauch–Tung–Striebel smoother", IEEE Trans. Automatic Control 53 (2008). Parameters as of
+    `ExtendedKalmanFilter`.
+    """
+
+    _default: Linearisation = "unscented"
+
+    def __init__(self, robot: Robot, noise: Noise | None = None, **settings: Any) -> None:
+        super().__init__(robot, noise, **{"linearisation": self._default} | settings)
+
+
+class CubatureSmoother(UnscentedSmoother):
+    """`UnscentedSmoother` without its centre: the backward pass of `CubatureKalmanFilter`."""
+
+    _default = "cubature"
+
+
 class IteratedSmoother(JerkDriven):
     """Smoother that finds the most probable motion: linearised at its own estimate, and robust with a ``loss``.
 

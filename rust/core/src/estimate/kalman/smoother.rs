@@ -8,6 +8,7 @@
 use super::consider::Consider;
 use super::consider_back::{ConsiderBack, ConsiderHistory};
 use super::correction::Correction;
+use super::dependence::DependenceHistory;
 use super::effect::{EffectBack, EffectHistory};
 use super::filter::ExtendedKalmanFilter;
 use super::gaussian::{Gaussian, Innovation};
@@ -44,6 +45,8 @@ pub(super) struct History {
     innovations: Vec<Innovation>,
     /// Variance of each reading's own noise.
     variances: Vec<f64>,
+    /// How the errors of readings depend on each other; empty without sigma points.
+    dependence: DependenceHistory,
     /// What the model remembers.
     memories: Vec<f64>,
     /// Sensitivities to parameters; empty where nothing is uncertain.
@@ -66,6 +69,7 @@ impl History {
             corrections: room(count, m * stride)?,
             innovations: room(count, m)?,
             variances: room(count, m)?,
+            dependence: DependenceHistory::with_capacity(count, model)?,
             memories: room(count, model.memory())?,
             consider: ConsiderHistory::default(),
             effect: EffectHistory::default(),
@@ -111,6 +115,7 @@ impl History {
         self.corrections.extend_from_slice(correction.rows());
         self.innovations.extend_from_slice(&correction.innovations);
         self.variances.extend_from_slice(&correction.variances);
+        self.dependence.push(model, correction, &mut self.variances);
         model.remember(&mut self.memories);
     }
 }
@@ -283,7 +288,11 @@ impl<M: Phases> Smoother<M> {
     pub fn stretch(&self) -> usize {
         let (states, stride) = (self.mean.len(), self.lambda.len());
         let model = &self.filter.model;
-        let numbers = states * (stride + 1) + model.channels() * (model.dense() + stride + 3) + model.memory() + 1;
+        let numbers = states * (stride + 1)
+            + model.channels() * (model.dense() + stride + 3)
+            + DependenceHistory::size(model)
+            + model.memory()
+            + 1;
         (STRETCH / (8 * numbers)).max(1)
     }
 
@@ -383,12 +392,13 @@ impl<M: Phases> Smoother<M> {
             && self.effect.counts(&history.effect, i, m, history.covariance(i), &self.smoothed, stride)
     }
 
-    /// Whole rows of H at sample `i`, and each over √r; zero where a reading was not used. Returns how many.
+    /// Whole rows of H at sample `i`, of readings with independent errors, and each over √r; zero where a reading was not used.
+    /// Returns how many.
     #[inline(always)]
     pub(super) fn load_rows(&mut self, history: &History, i: usize) -> usize {
         let Self { filter: ExtendedKalmanFilter { model, .. }, rows, whitened, lambda, .. } = self;
         let (m, d, stride) = (model.channels(), model.dense(), lambda.len());
-        for (c, (row, white)) in rows.chunks_exact_mut(stride).zip(whitened.chunks_exact_mut(stride)).enumerate() {
+        for (c, row) in rows.chunks_exact_mut(stride).enumerate() {
             row.fill(0.0);
             let at = i * m + c;
             // A gated or missing reading said nothing: a row of zeros leaves λ and Λ alone.
@@ -398,8 +408,11 @@ impl<M: Phases> Smoother<M> {
                     row[b] = 1.0;
                 }
             }
-            let factor = 1.0 / history.variances[at].sqrt();
-            for (white, h) in white.iter_mut().zip(row.iter()) {
+        }
+        history.dependence.separate(i, m, rows);
+        for (c, (row, white)) in rows.chunks_exact(stride).zip(whitened.chunks_exact_mut(stride)).enumerate() {
+            let factor = 1.0 / history.variances[i * m + c].sqrt();
+            for (white, h) in white.iter_mut().zip(row) {
                 *white = factor * h;
             }
         }
