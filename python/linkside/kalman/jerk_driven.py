@@ -124,10 +124,12 @@ class JerkDriven(KalmanMethod):
         link_disturbance: Wanted = "auto",
         loss: Losses = "squares",
         linearisation: Linearisation = "derivatives",
+        exclude_faulty: bool = False,
     ) -> None:
         refuse_unsupported(robot, "a filter on the jerk-driven model")
         wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
-        super().__init__(robot, wanted, biases, gate, iterations, start, link_disturbance, loss, linearisation)
+        also = link_disturbance, loss, linearisation, exclude_faulty
+        super().__init__(robot, wanted, biases, gate, iterations, start, *also)
         self.noise = noise or Noise()
         self._damping = damping
         self._uncertain = considered(robot) if tolerances else []
@@ -275,6 +277,10 @@ class ExtendedKalmanFilter(
     linearisation
         ``"derivatives"`` at the estimate; or values at points about it, ``"unscented"`` or ``"cubature"``: see
         `UnscentedKalmanFilter`.
+    exclude_faulty
+        Whether `run` goes on without a channel that it finds faulty: its readings are left out from the row where the
+        fault began, and the recording is estimated once more, until no other channel is found; ``findings`` has all.
+        Not in `step`, nor in pieces.
 
     Raises
     ------
@@ -325,6 +331,7 @@ class ExtendedKalmanFilter(
         Bit-identical to `run` when ``noise.jerk`` is given; otherwise the scale of jerk is estimated from the first
         piece. The first piece also decides whether disturbance torques are estimated.
         """
+        self.refuse_pieces()
 
         def start(piece: Log, first: Readings) -> tuple[_core.ExtendedKalmanFilter, tuple[str, ...]]:
             kinds, law = self.kinds(piece), self.law(piece)
