@@ -23,6 +23,7 @@ from .errors import (
 )
 from .kalman import (
     CubatureKalmanFilter,
+    CubatureSmoother,
     ElasticJointFilter,
     ElasticJointIteratedSmoother,
     ElasticJointSmoother,
@@ -37,6 +38,7 @@ from .kalman import (
     Noise,
     RauchTungStriebelSmoother,
     UnscentedKalmanFilter,
+    UnscentedSmoother,
     smooth_file,
 )
 from .observability import sensors
@@ -51,6 +53,7 @@ __all__ = [
     "AccelerationObserver",
     "ConfigError",
     "CubatureKalmanFilter",
+    "CubatureSmoother",
     "ElasticJointFilter",
     "ElasticJointIteratedSmoother",
     "ElasticJointSmoother",
@@ -89,6 +92,7 @@ __all__ = [
     "Simulation",
     "Status",
     "UnscentedKalmanFilter",
+    "UnscentedSmoother",
     "VelocityEstimate",
     "control",
     "controllers",

@@ -53,6 +53,8 @@ class Fault:
         The same in standard deviations; repetitions of a value that is stuck.
     kind : str
         What the readings look like: one of `CAUSES`.
+    left_out : bool
+        Whether the estimate goes on without the channel, as ``exclude_faulty`` asks.
     """
 
     channel: str | None
@@ -61,6 +63,7 @@ class Fault:
     size: float
     deviations: float
     kind: str
+    left_out: bool = False
 
     @property
     def causes(self) -> tuple[str, ...]:
@@ -81,7 +84,8 @@ class Fault:
         )
         words = {"step": "contradicts the other channels", "drift": "contradicts its motor's velocity"}
         word = words.get(self.kind, f"looks {self.kind}")
-        return f"{where}: '{self.channel}' {word}, {by}. Likely: {causes}"
+        after = "; left out from there on" if self.left_out else ""
+        return f"{where}: '{self.channel}' {word}, {by}{after}. Likely: {causes}"
 
 
 def named(found: Iterable[CoreFinding], columns: tuple[str, ...]) -> tuple[Fault, ...]:

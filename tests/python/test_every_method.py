@@ -30,6 +30,7 @@ from linkside import (
     Robot,
     Status,
     UnscentedKalmanFilter,
+    UnscentedSmoother,
 )
 from linkside.kalman.start import WINDOW
 
@@ -71,6 +72,7 @@ METHODS = {
     "ekf": kalman(ExtendedKalmanFilter, tolerances=False),
     "ukf": kalman(UnscentedKalmanFilter, tolerances=False),
     "smoother": kalman(RauchTungStriebelSmoother, tolerances=False),
+    "ukf-smoother": kalman(UnscentedSmoother, tolerances=False),
     "map": kalman(IteratedSmoother, tolerances=False),
     "elastic-ekf": lambda robot, start: ElasticJointFilter(robot, tolerances=False, start=start),
     "elastic-ckf": lambda robot, start: ElasticJointFilter(

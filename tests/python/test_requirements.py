@@ -23,6 +23,7 @@ from linkside import (
     Robot,
     Sensor,
     UnscentedKalmanFilter,
+    UnscentedSmoother,
     simulate,
 )
 from linkside.calibration import calibrate
@@ -148,6 +149,7 @@ METHODS = {
     "ekf": lambda robot, log: ExtendedKalmanFilter(robot, NOISE).run(log).q,
     "ukf": lambda robot, log: UnscentedKalmanFilter(robot, NOISE).run(log).q,
     "smoother": lambda robot, log: RauchTungStriebelSmoother(robot, NOISE).run(log).q,
+    "ukf-smoother": lambda robot, log: UnscentedSmoother(robot, NOISE).run(log).q,
     "map": lambda robot, log: IteratedSmoother(robot, NOISE).run(log).q,
     "fixed-lag": fixed_lag,
     "particle": lambda robot, log: ParticleFilter(robot, NOISE, particles=20).run(log[:20]).q,
@@ -172,7 +174,10 @@ SENSOR, SPRING = (
     {"cubic_stiffness", "soft_windup", "stiffness_table", "stiffness: unknown", "backlash", "hysteresis", "ripple"},
 )
 BEHIND_GEARS = {key for key in DECLARED if "." in key}
-JERK_DRIVEN = ("ekf", "ukf", "smoother", "map", "fixed-lag", "particle", "marginalized", "motor-ekf", "motor-smoother")
+JERK_DRIVEN = (
+    *("ekf", "ukf", "smoother", "ukf-smoother", "map", "fixed-lag", "particle", "marginalized"),
+    *("motor-ekf", "motor-smoother"),
+)
 UNCONCERNED = {
     **dict.fromkeys(("reduced-order", "nicosia-tomei", "residual"), SENSOR | SPRING | BEHIND_GEARS),
     **dict.fromkeys(

@@ -1,4 +1,4 @@
-"""Unscented and cubature filters: against filterpy, SciPy's integration of the points, and the linear filter."""
+"""Unscented and cubature filters and smoothers: against filterpy, points in NumPy and SciPy, and the linear ones."""
 
 import dataclasses
 
@@ -7,19 +7,26 @@ import pytest
 from filterpy.kalman import MerweScaledSigmaPoints
 from filterpy.kalman import UnscentedKalmanFilter as Peer
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 from linkside import (
     CubatureKalmanFilter,
+    CubatureSmoother,
     ElasticJointFilter,
+    ElasticJointIteratedSmoother,
+    ElasticJointSmoother,
     ElasticNoise,
+    Estimate,
     EstimatorError,
     ExtendedKalmanFilter,
     FixedLagSmoother,
+    IteratedSmoother,
     Log,
-    RauchTungStriebelSmoother,
     Robot,
     Status,
     UnscentedKalmanFilter,
+    UnscentedSmoother,
+    smooth_file,
 )
 
 from . import test_elastic_filter as elastic
@@ -30,6 +37,7 @@ from .drawn import jerk_noise
 BOTH = pytest.mark.parametrize(
     ("method", "beta"), [(UnscentedKalmanFilter, 2.0), (CubatureKalmanFilter, 0.0)], ids=["unscented", "cubature"]
 )
+SMOOTHERS = {UnscentedKalmanFilter: UnscentedSmoother, CubatureKalmanFilter: CubatureSmoother}
 
 
 def readings(seed=3, size=1.0):
@@ -37,6 +45,13 @@ def readings(seed=3, size=1.0):
     rng = np.random.default_rng(seed)
     x = swinging.states(size * rng.standard_normal((swinging.ROWS, 3)))
     return swinging.read(x) + rng.standard_normal((swinging.ROWS, 3)) * swinging.STD
+
+
+def agree(ours, mean, covariance, part):
+    """States and covariances are these, to a part of standard deviations."""
+    std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    assert np.abs((ours.state - mean) / std).max() < part
+    assert np.abs((ours.covariance - covariance) / (std[:, :, None] * std[:, None, :])).max() < part
 
 
 @BOTH
@@ -55,13 +70,16 @@ def test_on_a_pendulum_it_is_filterpys(method, beta):
         peer.update(reading)
         mean.append(peer.x)
         covariance.append(peer.P)
+    mean, covariance = np.array(mean), np.array(covariance)
     robot = swinging.pendulum()
     ours = method(robot, swinging.NOISE, start=swinging.START, **swinging.SETTINGS).run(
         swinging.log_of(robot, columns), covariance=True
     )
-    std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    assert np.abs((ours.state - mean) / std).max() < 1e-6
-    assert np.abs((ours.covariance - covariance) / (std[:, :, None] * std[:, None, :])).max() < 1e-6
+    agree(ours, mean, covariance, 1e-6)
+    smoothed = SMOOTHERS[method](robot, swinging.NOISE, start=swinging.START, **swinging.SETTINGS).run(
+        swinging.log_of(robot, columns), covariance=True
+    )
+    agree(smoothed, *peer.rts_smoother(mean, covariance)[:2], 1e-6)
     plain = ExtendedKalmanFilter(robot, swinging.NOISE, start=swinging.START, **swinging.SETTINGS)
     apart = plain.run(swinging.log_of(robot, columns)).q - ours.q
     assert np.abs(apart / ours.q_std).max() > 1e-3  # there is something to agree on
@@ -84,6 +102,9 @@ def test_on_a_linear_robot_it_is_the_textbooks_filter(method, beta):
     for i in range(len(log)):
         last = lagged.step(dt=1e-3, theta=log.theta[i], acceleration=log.acceleration[i], dtheta=log.dtheta[i])
     np.testing.assert_allclose(last.state, book["xs"][0], rtol=0, atol=1e-9)
+    smoothed = SMOOTHERS[method](robot, linear.NOISE, start="rest", tolerances=False).run(log, covariance=True)
+    np.testing.assert_allclose(smoothed.state, book["xs"], rtol=0, atol=1e-12)
+    linear.close(smoothed.covariance, book["ps"], book["ps"], 1e-9)
 
 
 def ours_name(method):
@@ -94,12 +115,11 @@ def ours_name(method):
 def test_on_a_linear_elastic_joint_it_is_the_plain_filter(linearisation):
     robot, columns = elastic.slide(), elastic.wandering(np.random.default_rng(1))
     log, settings = Log.from_table(columns, robot), {"start": "rest", "tolerances": False}
-    ours = ElasticJointFilter(robot, elastic.NOISE, linearisation=linearisation, **settings).run(log, covariance=True)
-    plain = ElasticJointFilter(robot, elastic.NOISE, **settings).run(log, covariance=True)
-    std = np.sqrt(np.diagonal(plain.covariance, axis1=1, axis2=2))
-    # Points go by the rule of Runge and Kutta, derivatives by the exponential.
-    assert np.abs((ours.state - plain.state) / std).max() < 1e-4
-    assert np.abs((ours.covariance - plain.covariance) / (std[:, :, None] * std[:, None, :])).max() < 1e-4
+    for method in (ElasticJointFilter, ElasticJointSmoother):
+        ours = method(robot, elastic.NOISE, linearisation=linearisation, **settings).run(log, covariance=True)
+        plain = method(robot, elastic.NOISE, **settings).run(log, covariance=True)
+        # Points go by the rule of Runge and Kutta, derivatives by the exponential.
+        agree(ours, plain.state, plain.covariance, 1e-4)
 
 
 @pytest.mark.parametrize(("linearisation", "centre"), [("unscented", 2.0), ("cubature", 0.0)])
@@ -180,6 +200,130 @@ def test_a_linearisation_that_is_none_is_refused(bad):
         ExtendedKalmanFilter(linear.slide(), linearisation=bad)
 
 
-def test_a_smoother_of_whole_recordings_refuses_points():
-    with pytest.raises(EstimatorError, match="FixedLagSmoother"):
-        RauchTungStriebelSmoother(linear.slide(), linearisation="unscented")
+@pytest.mark.parametrize("method", [IteratedSmoother, ElasticJointIteratedSmoother])
+def test_the_most_probable_motion_refuses_points(method):
+    with pytest.raises(EstimatorError, match="derivatives"):
+        method(linear.slide(), linearisation="unscented")
+
+
+HARD, ROWS, STEP = 5e9, 60, 1e-3
+"""Of a cart on a hardening spring [N/m³], and of its recording."""
+CARTS_NOISE = ElasticNoise(
+    link_acceleration=2.0,
+    motor_acceleration=5.0,
+    torque=1e-9,
+    disturbance=1e-9,
+    disturbance_walk=0.0,
+    transmission=1e-4,
+)
+CARTS_START = np.array([0.0, 0.1, 2e-3, -0.2, 0.0]), np.diag([2e-3, 0.2, 2e-3, 0.3, 1e-6]) ** 2
+
+
+def rates(x):
+    """The cart's ẋ at columns of states, under a constant torque."""
+    q, dq, theta, dtheta, disturbance = x
+    spring = elastic.K * (theta - q) + HARD * (theta - q) ** 3 + elastic.D * (dtheta - dq)
+    ddtheta = (250.0 + disturbance - elastic.F * dtheta - spring) / elastic.B
+    return np.stack([dq, spring / elastic.M - elastic.GRAVITY, dtheta, ddtheta, 0.0 * q])
+
+
+def after(x, substeps=8):
+    """The same a step later, by the classical rule."""
+    h = STEP / substeps
+    for _ in range(substeps):
+        a = rates(x)
+        b = rates(x + 0.5 * h * a)
+        c = rates(x + 0.5 * h * b)
+        x = x + h / 6 * (a + 2 * b + 2 * c + rates(x + h * c))
+    return x
+
+
+def process_noise(x):
+    """C. F. Van Loan's (1978) integral of the cart's noise over a step that begins at ``x``."""
+    middle = 0.5 * (x + after(x))
+    a = np.stack([rates(middle + 1e-30j * unit).imag / 1e-30 for unit in np.eye(5)], axis=1)
+    density = np.diag([0, CARTS_NOISE.link_acceleration, 0, CARTS_NOISE.motor_acceleration, 0]) ** 2
+    block = expm(STEP * np.block([[-a, density], [np.zeros((5, 5)), a.T]]))
+    return block[5:, 5:].T @ block[:5, 5:]
+
+
+def plain_smoother(readings, variance, centre):
+    """Särkkä's (2008) smoother of the cart; the cross-covariance of consecutive states is a sum over the points."""
+    x, p = CARTS_START
+    kept = []
+    for i, reading in enumerate(readings):
+        if i:
+            points = np.concatenate([sign * np.sqrt(5) * np.linalg.cholesky(p) for sign in (1, -1)], axis=1)
+            ends = after(x[:, None] + points)
+            mean = ends.mean(axis=1)
+            off = after(x) - mean
+            spread = (ends - mean[:, None]) @ (ends - mean[:, None]).T / 10 + centre * np.outer(off, off)
+            spread += process_noise(x)
+            kept.append((x, p, mean, spread, points @ (ends - mean[:, None]).T / 10))
+            x, p = mean, spread
+        if not np.isnan(reading):
+            gain = p[:, 2] / (p[2, 2] + variance)
+            x, p = x + gain * (reading - x[2]), p - np.outer(gain, p[2])
+    means, covariances = [x], [p]
+    for x, p, mean, spread, cross in reversed(kept):
+        gain = np.linalg.solve(spread, cross.T).T
+        means.append(x + gain @ (means[-1] - mean))
+        covariances.append(p + gain @ (covariances[-1] - spread) @ gain.T)
+    return np.array(means[::-1]), np.array(covariances[::-1])
+
+
+@pytest.mark.parametrize(("linearisation", "centre"), [("unscented", 2.0), ("cubature", 0.0)])
+def test_on_a_hardening_spring_it_is_a_plain_smoother_in_numpy(linearisation, centre):
+    robot = Robot.from_urdf(
+        elastic.SLIDE, joints=[elastic.DRIVE | {"cubic_stiffness": HARD}], encoder={"resolution": 1e-6}
+    )
+    rng = np.random.default_rng(1)
+    x, theta = CARTS_START[0], []
+    for _ in range(ROWS):
+        theta.append(x[2] + CARTS_NOISE.transmission * rng.standard_normal())
+        x = after(x)
+    theta = np.array(theta)
+    theta[20:45] = np.nan
+    log = Log.from_table(
+        {"t": np.arange(ROWS) * STEP, "theta_x": theta, "tau_x": np.full(ROWS, 250.0)}, robot, check=False
+    )
+    settings = {"start": CARTS_START, "tolerances": False, "accelerations": False, "dtheta": False}
+    ours = ElasticJointSmoother(robot, CARTS_NOISE, linearisation=linearisation, **settings).run(log, covariance=True)
+    expected = plain_smoother(theta, 1e-12 / 12 + CARTS_NOISE.transmission**2, centre)
+    agree(ours, *expected, 5e-4)
+    plain = ElasticJointSmoother(robot, CARTS_NOISE, **settings).run(log)
+    assert np.abs((plain.q[:, 0] - expected[0][:, 0]) / ours.q_std[:, 0]).max() > 0.5  # there is something to agree on
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        UnscentedSmoother,
+        CubatureSmoother,
+        lambda robot: ElasticJointSmoother(robot, linearisation="unscented"),
+        lambda robot: ElasticJointSmoother(robot, linearisation="cubature"),
+    ],
+    ids=["unscented", "cubature", "elastic unscented", "elastic cubature"],
+)
+@pytest.mark.parametrize("lost", ["accelerometer", "all"])
+def test_it_is_honest_through_dropouts(method, lost):
+    robot, log = linear.recording("arm2_square")
+    acceleration, theta = log.acceleration.copy(), log.theta.copy()
+    acceleration[600:1000] = np.nan
+    if lost == "all":
+        theta[600:700] = np.nan
+    gaps = dataclasses.replace(log, acceleration=acceleration, theta=theta)[:1600]
+    found = method(robot).run(gaps)
+    truth = Estimate.read(linear.DATA / "arm2_square" / "truth.parquet")
+    error = np.abs(found.q - truth.q[np.searchsorted(truth.t, found.t - 1e-9)])
+    assert (error < 3 * found.q_std).all()
+    assert not (found.status & (Status.CONTRADICTED | Status.FAULTY)).any()
+    assert (found.q_std[650] > method(robot).run(log[:1600]).q_std[650]).all()
+
+
+def test_from_file_to_file_it_is_the_smoother_of_the_whole(tmp_path):
+    robot, log = linear.recording("arm2_square")
+    smoother = UnscentedSmoother(robot, linear.Noise(jerk=15.0))
+    log[:1000].write(tmp_path / "log.parquet")
+    smooth_file(smoother, tmp_path / "log.parquet", robot, tmp_path / "out.parquet", rows=300)
+    np.testing.assert_array_equal(Estimate.read(tmp_path / "out.parquet").q, smoother.run(log[:1000]).q)

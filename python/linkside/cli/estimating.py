@@ -95,6 +95,7 @@ class Poles(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
     show_default=True,
     help="Cost of an error of a reading: squares for Gaussian noise, huber or student-t for outliers.",
 )
+@click.option("--exclude-faulty", is_flag=True, help="Go on without a channel found faulty, from its fault on.")
 @click.option("--particles", type=int, default=1000, show_default=True, help="Number of particles.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random numbers of a particle filter.")
 @click.option("--gain", type=float, default=100, show_default=True, help="Gain of a velocity observer [1/s].")

@@ -123,7 +123,7 @@ def recipe(robot: str, method: str, *, rate: float | None, check: bool, out: str
     make = partial(own.build, loaded, chosen)
     with naming(robot):
         make()  # what is wrong with the robot or the options is said before any log is read
-    rows = WHOLE if own.whole(loaded) else ROWS
+    rows = WHOLE if own.whole or chosen.exclude_faulty else ROWS
     return Recipe(loaded, make, rows, own.uneven, rate, check, MadeFrom.of(files, settings))
 
 

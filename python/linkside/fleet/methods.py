@@ -17,10 +17,12 @@ from linkside.kalman.elastic_joint import (
 )
 from linkside.kalman.jerk_driven import (
     CubatureKalmanFilter,
+    CubatureSmoother,
     ExtendedKalmanFilter,
     IteratedSmoother,
     RauchTungStriebelSmoother,
     UnscentedKalmanFilter,
+    UnscentedSmoother,
 )
 from linkside.kalman.linearisation import Linearisation
 from linkside.kalman.losses import Loss
@@ -50,6 +52,7 @@ class Options:
     gate: float | None = None
     link_disturbance: Literal["auto", "on", "off"] = "auto"
     loss: Loss = "squares"
+    exclude_faulty: bool = False
     particles: int = 1000
     seed: int = 0
     gain: float = 100.0
@@ -59,7 +62,8 @@ class Options:
     def of_filters(self) -> dict[str, Any]:
         """Settings of Kalman filters and smoothers."""
         disturbance = {"auto": "auto", "on": True, "off": False}[self.link_disturbance]
-        return {"gate": self.gate, "link_disturbance": disturbance, "loss": self.loss}
+        settings = {"gate": self.gate, "link_disturbance": disturbance, "loss": self.loss}
+        return settings | {"exclude_faulty": self.exclude_faulty}
 
 
 @dataclass(frozen=True)
@@ -77,7 +81,7 @@ class Method:
     uneven
         Whether steps of time may be of any length.
     whole
-        Whether it takes a log as one piece, for a robot.
+        Whether it takes a log as one piece in any case; with ``exclude_faulty`` all that know it do.
     read_tuning
         Reads the file that ``--tuning`` names.
     """
@@ -86,7 +90,7 @@ class Method:
     takes: tuple[str, ...]
     build: Callable[[Robot, Options], Run]
     uneven: bool = True
-    whole: Callable[[Robot], bool] = lambda _: False
+    whole: bool = False
     read_tuning: Callable[[str], Any] = Noise.read
 
 
@@ -96,12 +100,18 @@ def _observer(robot: Robot, options: Options) -> Run:
 
 
 def _filter(method: type[ExtendedKalmanFilter], robot: Robot, options: Options) -> Run:
-    return method(robot, options.tuning, **options.of_filters).run_pieces
+    return _in_pieces(method(robot, options.tuning, **options.of_filters), options)
 
 
-def _smoother(robot: Robot, options: Options) -> Run:
-    smoother = RauchTungStriebelSmoother(robot, options.tuning, **options.of_filters)
-    return partial(smooth_pieces, smoother, folder=options.spill)
+def _in_pieces(method: ExtendedKalmanFilter | ElasticJointFilter | MotorJerkFilter, options: Options) -> Run:
+    return partial(map, method.run) if options.exclude_faulty else method.run_pieces
+
+
+def _smoother(method: type[RauchTungStriebelSmoother], robot: Robot, options: Options) -> Run:
+    smoother = method(robot, options.tuning, **options.of_filters)
+    return (
+        partial(map, smoother.run) if options.exclude_faulty else partial(smooth_pieces, smoother, folder=options.spill)
+    )
 
 
 def _map(robot: Robot, options: Options) -> Run:
@@ -110,11 +120,12 @@ def _map(robot: Robot, options: Options) -> Run:
 
 def _elastic_filter(linearisation: Linearisation, robot: Robot, options: Options) -> Run:
     settings = options.of_filters | {"linearisation": linearisation}
-    return ElasticJointFilter(robot, options.tuning, **settings).run_pieces
+    return _in_pieces(ElasticJointFilter(robot, options.tuning, **settings), options)
 
 
-def _elastic_smoother(robot: Robot, options: Options) -> Run:
-    return partial(map, ElasticJointSmoother(robot, options.tuning, **options.of_filters).run)
+def _elastic_smoother(linearisation: Linearisation, robot: Robot, options: Options) -> Run:
+    settings = options.of_filters | {"linearisation": linearisation}
+    return partial(map, ElasticJointSmoother(robot, options.tuning, **settings).run)
 
 
 def _elastic_map(robot: Robot, options: Options) -> Run:
@@ -122,7 +133,7 @@ def _elastic_map(robot: Robot, options: Options) -> Run:
 
 
 def _motor_filter(robot: Robot, options: Options) -> Run:
-    return MotorJerkFilter(robot, options.tuning, **options.of_filters).run_pieces
+    return _in_pieces(MotorJerkFilter(robot, options.tuning, **options.of_filters), options)
 
 
 def _motor_smoother(robot: Robot, options: Options) -> Run:
@@ -137,7 +148,7 @@ def _velocity(method: type[ReducedOrderObserver], robot: Robot, options: Options
     return method(robot, options.gain).run_pieces
 
 
-OF_FILTERS = ("tuning", "gate", "link_disturbance", "loss")
+OF_FILTERS = ("tuning", "gate", "link_disturbance", "loss", "exclude_faulty")
 """Options of Kalman filters and smoothers."""
 
 METHODS = {
@@ -153,12 +164,20 @@ METHODS = {
     ),
     "ukf": Method("ekf with sigma points in place of derivatives", OF_FILTERS, partial(_filter, UnscentedKalmanFilter)),
     "ckf": Method("ukf without the central point", OF_FILTERS, partial(_filter, CubatureKalmanFilter)),
-    "smoother": Method("as ekf, but each row from all samples, later ones too", OF_FILTERS, _smoother),
+    "smoother": Method(
+        "as ekf, but each row from all samples, later ones too",
+        OF_FILTERS,
+        partial(_smoother, RauchTungStriebelSmoother),
+    ),
+    "ukf-smoother": Method(
+        "smoother with sigma points in place of derivatives", OF_FILTERS, partial(_smoother, UnscentedSmoother)
+    ),
+    "ckf-smoother": Method("ukf-smoother without the central point", OF_FILTERS, partial(_smoother, CubatureSmoother)),
     "map": Method(
         "the most probable motion, found by iterations of smoother; --loss huber or student-t for outliers",
         OF_FILTERS,
         _map,
-        whole=lambda _: True,
+        whole=True,
     ),
     "elastic-ekf": Method(
         "Kalman filter on the elastic-joint dynamics, driven by the motor torques; needs no accelerometer",
@@ -181,15 +200,29 @@ METHODS = {
     "elastic-smoother": Method(
         "as elastic-ekf, but each row from all samples, later ones too",
         OF_FILTERS,
-        _elastic_smoother,
-        whole=lambda _: True,
+        partial(_elastic_smoother, "derivatives"),
+        whole=True,
+        read_tuning=ElasticNoise.read,
+    ),
+    "elastic-ukf-smoother": Method(
+        "elastic-smoother with sigma points in place of derivatives",
+        OF_FILTERS,
+        partial(_elastic_smoother, "unscented"),
+        whole=True,
+        read_tuning=ElasticNoise.read,
+    ),
+    "elastic-ckf-smoother": Method(
+        "elastic-ukf-smoother without the central point",
+        OF_FILTERS,
+        partial(_elastic_smoother, "cubature"),
+        whole=True,
         read_tuning=ElasticNoise.read,
     ),
     "elastic-map": Method(
         "the most probable motion on the elastic-joint dynamics",
         OF_FILTERS,
         _elastic_map,
-        whole=lambda _: True,
+        whole=True,
         read_tuning=ElasticNoise.read,
     ),
     "motor-ekf": Method(
@@ -202,7 +235,7 @@ METHODS = {
         "motor-ekf using all samples, later ones included",
         OF_FILTERS,
         _motor_smoother,
-        whole=lambda _: True,
+        whole=True,
         read_tuning=MotorJerkNoise.read,
     ),
     "particle": Method(

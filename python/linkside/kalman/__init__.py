@@ -6,10 +6,12 @@ from .filtering import KalmanEstimate
 from .fixed_lag import FixedLagSmoother
 from .jerk_driven import (
     CubatureKalmanFilter,
+    CubatureSmoother,
     ExtendedKalmanFilter,
     IteratedSmoother,
     RauchTungStriebelSmoother,
     UnscentedKalmanFilter,
+    UnscentedSmoother,
 )
 from .motor_jerk import MotorJerkFilter, MotorJerkNoise, MotorJerkSmoother
 from .noise import Noise
@@ -18,6 +20,7 @@ from .stretches import smooth_file, smooth_pieces
 __all__ = [
     "Bound",
     "CubatureKalmanFilter",
+    "CubatureSmoother",
     "ElasticJointFilter",
     "ElasticJointIteratedSmoother",
     "ElasticJointSmoother",
@@ -32,6 +35,7 @@ __all__ = [
     "Noise",
     "RauchTungStriebelSmoother",
     "UnscentedKalmanFilter",
+    "UnscentedSmoother",
     "bound",
     "smooth_file",
     "smooth_pieces",

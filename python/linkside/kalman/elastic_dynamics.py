@@ -118,6 +118,7 @@ class LiveOnElasticDynamics(OnElasticDynamics, DecidingFilter[_core.ElasticJoint
         The first piece decides whether disturbance torques are estimated, and the scale of jerk where ``noise`` does
         not give one that the model has.
         """
+        self.refuse_pieces()
 
         def start(piece: Log, first: Readings) -> tuple[_core.ElasticJointFilter, tuple[str, ...]]:
             kinds = self.kinds(piece)

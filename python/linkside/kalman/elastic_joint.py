@@ -113,10 +113,12 @@ class ElasticJoint(OnElasticDynamics):
         link_disturbance: Wanted = "auto",
         loss: Losses = "squares",
         linearisation: Linearisation = "derivatives",
+        exclude_faulty: bool = False,
     ) -> None:
         wanted = {"acceleration": accelerations, "dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
         refuse_unsupported(robot, "a filter on the elastic-joint model")
-        super().__init__(robot, wanted, biases, gate, iterations, start, link_disturbance, loss, linearisation)
+        also = link_disturbance, loss, linearisation, exclude_faulty
+        super().__init__(robot, wanted, biases, gate, iterations, start, *also)
         one_of("transition", transition, ("exact", "first-order"))
         one_of("motor_torque", motor_torque, ("sampled", "held"))
         self.noise = noise or ElasticNoise()
@@ -215,7 +217,7 @@ class ElasticJointFilter(ElasticJoint, LiveOnElasticDynamics, Compiles):
     transition
         How the covariance is propagated over a step: ``"exact"``, with the matrix exponential of A h, or
         ``"first-order"``, with 1 + A h, as in the paper.
-    gate, iterations, tolerances, start, link_disturbance, loss, linearisation
+    gate, iterations, tolerances, start, link_disturbance, loss, linearisation, exclude_faulty
         As of `ExtendedKalmanFilter`; sigma points are also propagated over the time step. With
         ``link_disturbance=True``, motor torques alone determine a disturbance, as accurately as the motor friction is
         known.

@@ -23,6 +23,7 @@ from linkside.robot.compiled import period_of
 
 from .cleaning import cleaned
 from .disturbance_evidence import explains, is_seen, is_suspicious, looks_broken, of_estimate, of_load
+from .exclusion import excluding
 from .late_sensors import sensors
 from .linearisation import Linearisation, checked
 from .link_disturbance import LinkDisturbance, Outside, Wanted, check, given_law
@@ -135,8 +136,10 @@ class KalmanMethod(Described, ABC):
         link_disturbance: Wanted = False,
         loss: Losses = "squares",
         linearisation: Linearisation = "derivatives",
+        exclude_faulty: bool = False,
     ) -> None:
         super().__init__()
+        self._exclude_faulty = exclude_faulty
         self._linearisation = checked(linearisation, self._way)
         self._losses = by_kind(loss)
         self._link_disturbance = check(link_disturbance)
@@ -164,6 +167,7 @@ class KalmanMethod(Described, ABC):
             "link_disturbance": self._link_disturbance,
             "loss": self._described_losses(),
             "linearisation": self._linearisation,
+            "exclude_faulty": self._exclude_faulty,
         }
 
     @property
@@ -206,12 +210,29 @@ class KalmanMethod(Described, ABC):
         """
         logs = [log] if isinstance(log, Log) else log
         try:
-            found: list[KalmanEstimate] = self._run_each(logs, self._job, covariance, innovations)
-            if self._link_disturbance is not False:
-                found = [self._disturbed(*pair, covariance, innovations) for pair in zip(logs, found, strict=True)]
+            found = self._run_logs(logs, covariance, innovations)
+            if self._exclude_faulty:
+                found = [self._excluding(*pair, covariance, innovations) for pair in zip(logs, found, strict=True)]
             return found[0] if isinstance(log, Log) else found
         except NumericalError as error:
             raise blame_settings(error, self.robot, self.noise) from None
+
+    def _run_logs(self, logs: Sequence[Log], covariance: bool, innovations: bool) -> list[KalmanEstimate]:
+        """Estimates with all channels, and with disturbance torques where there are some."""
+        found: list[KalmanEstimate] = self._run_each(logs, self._job, covariance, innovations)
+        if self._link_disturbance is False:
+            return found
+        return [self._disturbed(*pair, covariance, innovations) for pair in zip(logs, found, strict=True)]
+
+    def _excluding(self, log: Log, plain: KalmanEstimate, covariance: bool, innovations: bool) -> KalmanEstimate:
+        """The estimate without channels that are faulty, else ``plain``."""
+        signals = [CHANNELS[kind].signal for kind in self.kinds(log)]
+        return excluding(log, plain, signals, lambda rest: self._run_logs([rest], covariance, innovations)[0])
+
+    def refuse_pieces(self) -> None:
+        """Refuse a recording that comes in pieces where it is read more than once."""
+        if self._exclude_faulty:
+            raise EstimatorError("exclude_faulty: a recording is estimated several times; use run, not pieces of it")
 
     def _run_each(
         self, log: Any, job: Callable[[Log], Job[KalmanEstimate]], covariance: bool, innovations: bool

@@ -124,20 +124,13 @@ class JerkDriven(KalmanMethod):
         link_disturbance: Wanted = "auto",
         loss: Losses = "squares",
         linearisation: Linearisation = "derivatives",
+        exclude_faulty: bool = False,
     ) -> None:
         refuse_unsupported(robot, "a filter on the jerk-driven model")
         wanted = {"dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
-        super().__init__(
-            with_expected_damping(robot) if tolerances else robot,
-            wanted,
-            biases,
-            gate,
-            iterations,
-            start,
-            link_disturbance,
-            loss,
-            linearisation,
-        )
+        also = link_disturbance, loss, linearisation, exclude_faulty
+        known = with_expected_damping(robot) if tolerances else robot
+        super().__init__(known, wanted, biases, gate, iterations, start, *also)
         self.noise = noise or Noise()
         self._damping = damping
         self._uncertain = considered(self.robot) if tolerances else []
@@ -286,6 +279,10 @@ class ExtendedKalmanFilter(
     linearisation
         ``"derivatives"`` at the estimate; or values at points about it, ``"unscented"`` or ``"cubature"``: see
         `UnscentedKalmanFilter`.
+    exclude_faulty
+        Whether `run` goes on without a channel that it finds faulty: its readings are left out from the row where the
+        fault began, and the recording is estimated once more, until no other channel is found; ``findings`` has all.
+        Not in `step`, nor in pieces.
 
     Raises
     ------
@@ -336,6 +333,7 @@ class ExtendedKalmanFilter(
         Bit-identical to `run` when ``noise.jerk`` is given; otherwise the scale of jerk is estimated from the first
         piece. The first piece also decides whether disturbance torques are estimated.
         """
+        self.refuse_pieces()
 
         def start(piece: Log, first: Readings) -> tuple[_core.ExtendedKalmanFilter, tuple[str, ...]]:
             kinds, law = self.kinds(piece), self.law(piece)
@@ -378,6 +376,25 @@ class RauchTungStriebelSmoother(JerkDriven):
     """
 
     _way = "smooth"
+
+
+class UnscentedSmoother(RauchTungStriebelSmoother):
+    """`RauchTungStriebelSmoother` with sigma points in place of derivatives, as `UnscentedKalmanFilter`.
+
+    S. Särkkä, "Unscented Rauch–Tung–Striebel smoother", IEEE Trans. Automatic Control 53 (2008). Parameters as of
+    `ExtendedKalmanFilter`.
+    """
+
+    _default: Linearisation = "unscented"
+
+    def __init__(self, robot: Robot, noise: Noise | None = None, **settings: Any) -> None:
+        super().__init__(robot, noise, **{"linearisation": self._default} | settings)
+
+
+class CubatureSmoother(UnscentedSmoother):
+    """`UnscentedSmoother` without its centre: the backward pass of `CubatureKalmanFilter`."""
+
+    _default = "cubature"
 
 
 class IteratedSmoother(JerkDriven):

@@ -14,9 +14,8 @@ Linearisation: TypeAlias = Literal["derivatives", "unscented", "cubature"]
 def checked(linearisation: Linearisation, way: str) -> Linearisation:
     """Check what a user says, for a filter or a smoother."""
     one_of("linearisation", linearisation, ("derivatives", "unscented", "cubature"))
-    if linearisation != "derivatives" and way != "filter":
+    if linearisation != "derivatives" and way == "iterate":
         raise EstimatorError(
-            f"linearisation is {linearisation!r}: smoothers of whole recordings go by derivatives, expected "
-            f"'derivatives', or a FixedLagSmoother"
+            f"linearisation is {linearisation!r}: the most probable motion goes by derivatives, expected 'derivatives'"
         )
     return linearisation

@@ -109,21 +109,14 @@ class MotorJerk(OnElasticDynamics):
         link_disturbance: Wanted = "auto",
         loss: Losses = "squares",
         linearisation: Linearisation = "derivatives",
+        exclude_faulty: bool = False,
     ) -> None:
         wanted = {"acceleration": accelerations, "dtheta": dtheta, "rate": rate, "q": q, "torque": torque, "dq": dq}
         wanted["tau"] = tau
         refuse_unsupported(robot, PURPOSE)
-        super().__init__(
-            with_expected_damping(robot) if tolerances else robot,
-            wanted,
-            biases,
-            gate,
-            iterations,
-            start,
-            link_disturbance,
-            loss,
-            linearisation,
-        )
+        also = link_disturbance, loss, linearisation, exclude_faulty
+        known = with_expected_damping(robot) if tolerances else robot
+        super().__init__(known, wanted, biases, gate, iterations, start, *also)
         self.noise = noise or MotorJerkNoise()
         # Of a motor nothing counts whose torque is not read: without such readings these columns are zero.
         self._uncertain = considered(self.robot, motors=tau is not False) if tolerances else []
@@ -214,7 +207,7 @@ class MotorJerkFilter(MotorJerk, LiveOnElasticDynamics):
     biases
         Kinds of channels with a bias state: any of ``"motor"``, ``"acceleration"``, ``"rate"``,
         ``"position"``, ``"tau"``.
-    gate, iterations, tolerances, start, link_disturbance, loss, linearisation
+    gate, iterations, tolerances, start, link_disturbance, loss, linearisation, exclude_faulty
         As of `ElasticJointFilter`.
 
     Raises

@@ -110,6 +110,7 @@ def smooth_pieces(
     folder
         Where a temporary directory is made, which is always removed at the end; by default the system's.
     """
+    smoother.refuse_pieces()
     with _spill_folder(folder) as spill:
         starts, columns = _forward(smoother, pieces, spill)
         found = named(starts.pop().findings, columns) if starts else ()

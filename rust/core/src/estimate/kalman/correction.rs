@@ -45,6 +45,8 @@ pub(super) struct Correction {
     runs: Vec<u32>,
     /// Variance of each channel's noise as it was used (channels).
     pub(super) variances: Vec<f64>,
+    /// Whether channels were used one by one, each with all of what a regression leaves in its own variance.
+    pub(super) sharp: bool,
     /// Channels left out at this sample by the gate.
     pub(super) gated: Vec<bool>,
     /// Flags, normalised innovation squared, readings used and log-likelihood of the sample.
@@ -78,6 +80,7 @@ impl Correction {
             weights: vec![1.0; m],
             runs: vec![0; m],
             variances: vec![0.0; m],
+            sharp: false,
             gated: vec![false; m],
             status: 0,
             nis: 0.0,
@@ -98,7 +101,8 @@ impl Correction {
         }
         self.project(model, belief);
         self.read(model, belief, readings);
-        if self.is_sharp(model) {
+        self.sharp = self.is_sharp(model);
+        if self.sharp {
             // One by one, each must have its own: no less than that in any combination of channels.
             for (i, variance) in self.variances.iter_mut().enumerate() {
                 *variance += model.residual().map_or(0.0, |left| left.row(i).iter().map(|x| x.abs()).sum());

@@ -163,7 +163,8 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
 
     /// From now on goes by values at sigma points in place of derivatives: it is then the unscented or the cubature Kalman filter
     /// (S. J. Julier and J. K. Uhlmann 2004; I. Arasaratnam and S. Haykin 2009), and with several
-    /// [`iterations`](FilterSettings::iterations) the iterated posterior linearisation (Á. F. García-Fernández et al. 2015).
+    /// [`iterations`](FilterSettings::iterations) the iterated posterior linearisation (Á. F. García-Fernández et al. 2015). A
+    /// [`Smoother`](super::Smoother) of it is the unscented or the cubature one (S. Särkkä 2008).
     ///
     /// None: by derivatives. Sensors that are late are predicted by derivatives in any case.
     pub fn set_points(&mut self, rule: Option<SigmaRule>) {

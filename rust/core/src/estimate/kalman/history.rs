@@ -3,6 +3,7 @@
 use super::consider::Consider;
 use super::consider_back::ConsiderHistory;
 use super::correction::Correction;
+use super::dependence::DependenceHistory;
 use super::effect::EffectHistory;
 use super::gaussian::{Gaussian, Innovation};
 use super::model::Model;
@@ -29,6 +30,8 @@ pub(super) struct History {
     pub(super) innovations: Vec<Innovation>,
     /// Variance of each reading's own noise.
     pub(super) variances: Vec<f64>,
+    /// How the errors of readings depend on each other; empty without sigma points.
+    pub(super) dependence: DependenceHistory,
     /// What the model remembers.
     memories: Vec<f64>,
     /// Sensitivities to parameters; empty where nothing is uncertain.
@@ -51,6 +54,7 @@ impl History {
             corrections: room(count, m * stride)?,
             innovations: room(count, m)?,
             variances: room(count, m)?,
+            dependence: DependenceHistory::with_capacity(count, model)?,
             memories: room(count, model.memory())?,
             consider: ConsiderHistory::default(),
             effect: EffectHistory::default(),
@@ -96,6 +100,7 @@ impl History {
         self.corrections.extend_from_slice(correction.rows());
         self.innovations.extend_from_slice(&correction.innovations);
         self.variances.extend_from_slice(&correction.variances);
+        self.dependence.push(model, correction, &mut self.variances);
         model.remember(&mut self.memories);
     }
 }

@@ -46,9 +46,11 @@ pub struct IteratedSmoother<M> {
 }
 
 impl<M: Phases> IteratedSmoother<M> {
-    /// A smoother on `filter`'s model, noise, losses and settings; it starts from rest at a recording's first sample.
+    /// A smoother on `filter`'s model, noise, losses and settings; it starts from rest at a recording's first sample, and goes by
+    /// derivatives whatever the filter goes by.
     pub fn new(filter: &ExtendedKalmanFilter<M>) -> Self {
         let mut filter = filter.clone();
+        filter.set_points(None);
         filter.reset();
         Self { filter }
     }

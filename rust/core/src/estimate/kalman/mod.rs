@@ -10,13 +10,14 @@
 //! | motors | measure the links through springs | are states | are states that links follow |
 //! | from | Axelsson, Karlsson and Norrlöf 2012 | Ulrich and Sasiadek 2011 | both |
 //!
-//! Either may go by values at [sigma points](SigmaRule) in place of derivatives. What else may be in it, for either: sensors that are late ([`Lateness`]), numbers known to a tolerance only
+//! Filter and smoother may go by values at [sigma points](SigmaRule) in place of derivatives, on any of them. What else may be in it, for either: sensors that are late ([`Lateness`]), numbers known to a tolerance only
 //! ([`Tolerance`]), and a judge of the innovations ([`Finding`]).
 
 mod bank;
 mod consider;
 mod consider_back;
 mod correction;
+mod dependence;
 mod disturbance;
 mod drift;
 mod driven;

@@ -6,6 +6,7 @@
 //! P⁻ − P⁻Λ̂P⁻, is the difference of two numbers that agree in all digits after a long time without readings.
 
 use super::consider_back::ConsiderBack;
+use super::dependence::DependenceHistory;
 use super::effect::EffectBack;
 use super::filter::ExtendedKalmanFilter;
 use super::gaussian::Innovation;
@@ -189,7 +190,11 @@ impl<M: Phases> Smoother<M> {
     pub fn stretch(&self) -> usize {
         let (states, stride) = (self.mean.len(), self.lambda.len());
         let model = &self.filter.model;
-        let numbers = states * (stride + 1) + model.channels() * (model.dense() + stride + 3) + model.memory() + 1;
+        let numbers = states * (stride + 1)
+            + model.channels() * (model.dense() + stride + 3)
+            + DependenceHistory::size(model)
+            + model.memory()
+            + 1;
         (STRETCH / (8 * numbers)).max(1)
     }
 
@@ -289,12 +294,13 @@ impl<M: Phases> Smoother<M> {
             && self.effect.counts(&history.effect, i, m, history.covariance(i), &self.smoothed, stride)
     }
 
-    /// Whole rows of H at sample `i`, and each over √r; zero where a reading was not used. Returns how many.
+    /// Whole rows of H at sample `i`, of readings with independent errors, and each over √r; zero where a reading was not used.
+    /// Returns how many.
     #[inline(always)]
     pub(super) fn load_rows(&mut self, history: &History, i: usize) -> usize {
         let Self { filter: ExtendedKalmanFilter { model, .. }, rows, whitened, lambda, .. } = self;
         let (m, d, stride) = (model.channels(), model.dense(), lambda.len());
-        for (c, (row, white)) in rows.chunks_exact_mut(stride).zip(whitened.chunks_exact_mut(stride)).enumerate() {
+        for (c, row) in rows.chunks_exact_mut(stride).enumerate() {
             row.fill(0.0);
             let at = i * m + c;
             // A gated or missing reading said nothing: a row of zeros leaves λ and Λ alone.
@@ -304,8 +310,11 @@ impl<M: Phases> Smoother<M> {
                     row[b] = 1.0;
                 }
             }
-            let factor = 1.0 / history.variances[at].sqrt();
-            for (white, h) in white.iter_mut().zip(row.iter()) {
+        }
+        history.dependence.separate(i, m, rows);
+        for (c, (row, white)) in rows.chunks_exact(stride).zip(whitened.chunks_exact_mut(stride)).enumerate() {
+            let factor = 1.0 / history.variances[i * m + c].sqrt();
+            for (white, h) in white.iter_mut().zip(row) {
                 *white = factor * h;
             }
         }
