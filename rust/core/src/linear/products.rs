@@ -251,8 +251,8 @@ impl Kernel for Transpose<'_> {
     }
 }
 
-/// The upper triangle of U M Uᵀ into `out`, for upper U and M with rows of `stride`; `turned` receives Uᵀ and `scratch` some
-/// rows of U M.
+/// The upper triangle of U M Uᵀ into `out`, for upper U and M with rows of `stride`; `turned`, which is zero above its diagonal
+/// before as well, receives Uᵀ and `scratch` some rows of U M.
 pub(crate) fn congruence(
     upper: &[f64],
     matrix: &[f64],
@@ -293,7 +293,7 @@ impl Congruence<'_> {
     fn run_with<const MOST: usize>(self, width: impl Width) {
         let Self { upper, matrix, stride, turned, scratch, out } = self;
         let (step, product) = (width.registers(), &mut scratch[..LANES * stride]);
-        turn_with(width, |r| r, upper, turned); // zero above the diagonal
+        turn_with(width, |r| r, upper, turned);
         // Rows i and further of U begin at column i, and columns k and further of Uᵀ at row k.
         for r in 0..step {
             let i = r * LANES;

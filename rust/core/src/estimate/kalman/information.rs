@@ -23,7 +23,7 @@ pub(super) struct Information {
     projections: Vec<f64>,
     /// U with Uᵀ U = P.
     root: Vec<f64>,
-    /// Scratch: Uᵀ, and some rows of U Λ.
+    /// Scratch: Uᵀ, zero above its diagonal, and some rows of U Λ, or (G Λ)ᵀ.
     turned: Vec<f64>,
     product: Vec<f64>,
     /// 1 + U Λ Uᵀ or 1 + G Λ Gᵀ, then its root.
@@ -66,7 +66,7 @@ impl Information {
     /// As a filter takes all its readings at once: Λ − (G Λ)ᵀ (1 + G Λ Gᵀ)⁻¹ G Λ, by the root C of the matrix in between.
     #[inline(always)]
     pub(super) fn blur(&mut self) {
-        let Self { matrix, noise, entries, projections, turned, gram, .. } = self;
+        let Self { matrix, noise, entries, projections, product, gram, .. } = self;
         let Symmetric { n, stride, .. } = *matrix;
         let row = |i: usize| i * stride..(i + 1) * stride;
         projections.fill(0.0);
@@ -79,10 +79,10 @@ impl Information {
         for &(c, k, x) in &*entries {
             linear::add_scaled(&mut projections[row(c)], x, &matrix.data[row(k)]);
         }
-        linear::transpose(projections, stride, turned);
+        linear::transpose(projections, stride, product);
         (0..n).for_each(|c| gram[c * stride + c] = 1.0);
         for &(c, k, x) in &*entries {
-            linear::add_scaled(&mut gram[row(c)][c..], x, &turned[row(k)][c..]);
+            linear::add_scaled(&mut gram[row(c)][c..], x, &product[row(k)][c..]);
         }
         linear::upper_factor(gram, n, stride);
         // Where noise is that much larger than what is known, the difference has no digits: row by row, by products.
