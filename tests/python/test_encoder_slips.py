@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from linkside import (
-    AccelerationObserver,
-    Estimate,
     ExtendedKalmanFilter,
     Log,
     MarginalizedParticleFilter,
@@ -20,7 +18,7 @@ from linkside.control.controllers import JointPD
 from linkside.recording.estimate import Status
 from linkside.simulation import Sensor, simulate
 
-from .robots import ARM, DATA, spring
+from .robots import ARM, spring
 
 RATE, ROW = 500.0, 600
 
@@ -127,21 +125,3 @@ def test_steps_judge_as_the_run_does(robot: Robot, run: Any) -> None:
 def whole_noise(robot: Robot, log: Log) -> Any:
     """The noise that a run reads off the recording."""
     return ExtendedKalmanFilter(robot).noise.for_log(log, robot)
-
-
-@pytest.mark.parametrize("joint", [0, 1])
-def test_the_observer_says_so_as_well(joint: int) -> None:
-    robot = Robot.load(DATA / "arm2_square" / "robot.yaml")
-    log = Log.read(DATA / "arm2_square" / "log.parquet", robot)
-    truth = Estimate.read(DATA / "arm2_square" / "truth.parquet")
-    assert (AccelerationObserver(robot).run(log).status == Status.GOOD).all()
-    drifts = spoiled(log, "drift", joint, 1e-2)
-    estimate, blind = (AccelerationObserver(robot).run(one) for one in (drifts, replace(drifts, dtheta=None)))
-    off = (np.abs(estimate.q - truth.q) > 3 * estimate.q_std).any(axis=1)
-    assert (off & (blind.status == Status.GOOD)).mean() > 0.1
-    assert (off & (estimate.status == Status.GOOD)).mean() < 0.05
-    (whole,) = AccelerationObserver(robot).run([drifts])
-    observer = AccelerationObserver(robot)
-    signals = zip(log.t, drifts.theta, drifts.tau, drifts.acceleration, drifts.dtheta, strict=True)
-    live = [observer.step(theta=a, tau=b, acceleration=c, dtheta=d).status for _, a, b, c, d in signals]
-    np.testing.assert_array_equal(live, whole.status)

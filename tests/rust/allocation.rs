@@ -118,7 +118,7 @@ fn a_step_allocates_nothing() {
         for source in [AccelerationSource::Sensors, AccelerationSource::Joints] {
             let mut observer = observer(form, source);
             let mut step = |theta: &[f64], acceleration: &[f64]| {
-                observer.step(ObserverSample { theta, tau: &[1.0; 6], acceleration, dtheta: &[] }).unwrap();
+                observer.step(ObserverSample { theta, tau: &[1.0; 6], acceleration }).unwrap();
             };
             step(&theta, &[0.5; 6]);
             let missing = [f64::NAN; 6];

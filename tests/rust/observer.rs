@@ -500,7 +500,6 @@ impl Signals {
             theta: &self.theta[rows.clone()],
             tau: &self.tau[rows.clone()],
             acceleration: &self.acceleration[rows],
-            dtheta: &[],
         }
     }
 
@@ -633,7 +632,6 @@ fn a_start_needs_every_motor_position() {
         theta: &[0.0, f64::NAN, 0.0],
         tau: &signals.tau[..3],
         acceleration: &signals.acceleration[..3],
-        dtheta: &[],
     };
     assert_eq!(observer(|_| ()).unwrap().step(sample), Err(RunError::Design(DesignError::NoStart { joint: 1 })));
 }

@@ -24,7 +24,7 @@ def variances(
     """Variances between logs, (c,), by restricted maximum likelihood, and their degrees of freedom.
 
     A log's estimate of c parameters is what all logs have in common, and an effect of that log, N(0, B) with a diagonal
-    B, and the noise that its information foretells: errors of a model differ with the motion. Effects and common
+    B, and the noise that its information predicts: errors of a model differ with the motion. Effects and common
     values follow from Henderson's equations, and each variance from the squares of effects over the degrees of freedom
     that are left to them (D. A. Harville, J. American Statistical Association 72, 1977).
 

@@ -52,7 +52,7 @@ def motors(robot: Robot, log: Log, corners: Sequence[float]) -> dict[str, FloatA
 def measured_again(robot: Robot, log: Log, theta: FloatArray, rng: np.random.Generator) -> Log:
     """Give ``log`` with what the motors' encoders might as well have read along ``theta`` (T, n).
 
-    Their steps begin elsewhere, so that they are passed at other times; noise beyond them is drawn anew, and so is
+    Their steps begin elsewhere, so that they are passed at other times; noise beyond them is drawn again, and so is
     where links are for all that robot.yaml says: zeros and lost motion.
     """
     step, tolerances = robot.config.encoder.resolution, robot.config.tolerances

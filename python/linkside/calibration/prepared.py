@@ -106,7 +106,7 @@ class Prepared:
         return replace(self, motors=motors(robot, self.log, corners), corners=corners)
 
     def measured_again(self, robot: Robot, predicted: FloatArray, rng: np.random.Generator) -> Prepared:
-        """Let encoders read the motors' positions anew, and all other sensors what is ``predicted`` (T, m)."""
+        """Let encoders read the motors' positions again, and all other sensors what is ``predicted`` (T, m)."""
         log = measured_again(robot, self.log, self.motors["theta"], rng)
         return replace(self, motors=motors(robot, log, self.corners), readings=predicted)
 

@@ -139,7 +139,7 @@ class ResponseProblem:
         return self._like(recordings=list(self.run(methodcaller("smoothed", self.robot, wider), self.recordings)))
 
     def measured_again(self, z: FloatArray, rng: np.random.Generator) -> ResponseProblem:
-        """Give the same problem with encoders that read the motors' positions anew.
+        """Give the same problem with encoders that read the motors' positions again.
 
         All other sensors read what they should at ``z``, so that the gradient there is due to the encoders alone.
         """

@@ -41,7 +41,7 @@ OF_SPRINGS = ("stiffness", "cubic_stiffness", "damping")
 """Kinds that one sensor alone must find as the others do."""
 
 AGAIN = 8
-"""How often motors' encoders are drawn anew."""
+"""How often motors' encoders are drawn again."""
 
 WIDER = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8)
 """Factors that are tried on the corner frequencies by which motors' positions are smoothed."""

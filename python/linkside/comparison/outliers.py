@@ -58,7 +58,7 @@ def distances(deviations: FloatArray) -> FloatArray:
 
 
 def outlying(deviations: FloatArray) -> npt.NDArray[np.bool_]:
-    """Which repeats are further from the path than chance has one of so many, (R,).
+    """Which repeats are further from the path than one of this number is by chance, (R,).
 
     Logarithms of distances are compared with their median, in units of their spread above it. An outlier is also
     further from the next repeat than the tail of the others goes on: beyond a high quantile, logarithms of what has

@@ -120,7 +120,7 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         poles = " to ".join(dict.fromkeys((sizes[0], sizes[-1])))
         return {"poles": f"{poles} rad/s", "form": self.form, "accelerations": self.accelerations}
 
-    def step(self, *, theta: Signal, tau: Signal, acceleration: Signal, dtheta: Signal | None = None) -> _core.State:
+    def step(self, *, theta: Signal, tau: Signal, acceleration: Signal) -> _core.State:
         """Take one sample and give the state at its time.
 
         Parameters
@@ -132,9 +132,6 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         acceleration : (m,)
             Accelerometer channels in the order of ``robot.acceleration_channels`` [m/s²]; link accelerations (n,)
             [rad/s²] with ``accelerations="joints"``. NaN where a reading is missing.
-        dtheta : (n,)
-            Motor velocities, where they are measured beside the positions [rad/s]: they show only whether an encoder
-            slips or drifts.
 
         Returns
         -------
@@ -150,7 +147,7 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         NumericalError
             Readings so extreme that the estimate is no longer finite; the observer restarts at the next sample.
         """
-        return self._live().step(theta, tau, acceleration, dtheta)
+        return self._live().step(theta, tau, acceleration)
 
     def hold(self, tau: Signal) -> None:
         """Replace the torque (n,) of the last `step` [N m]: in a closed loop it follows from that step's state."""
@@ -246,7 +243,7 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         start = None if self._given is None else {name: values.tolist() for name, values in self._given.items()}
         return {"observer": {"period": period, **self._settings, "start": start}}
 
-    def _arrays(self, log: Log, before: Log | None, first: int) -> tuple[FloatArray | None, ...]:
+    def _arrays(self, log: Log, before: Log | None, first: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         log.require("theta", "tau", self._signal, purpose="the acceleration-driven observer")
         refuse_uneven(log, before, first)
         elastic = self.robot.elastic
@@ -258,7 +255,7 @@ class AccelerationObserver(PeriodicObserver[_core.AccelerationObserver, Estimate
         if before is None:
             log.require_start("an observer")
         tau = log.tau if log.tau is not None else np.full_like(log.theta, np.nan)
-        return log.theta, tau, getattr(log, self._signal), log.dtheta
+        return log.theta, tau, getattr(log, self._signal)
 
 
 def _named(message: str, joints: Sequence[str]) -> str:

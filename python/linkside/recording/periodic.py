@@ -54,7 +54,7 @@ class PeriodicObserver(Copies, ABC, Generic[Core, Found]):
         """Build an observer of the core that has taken no sample."""
 
     @abstractmethod
-    def _arrays(self, log: Log, before: Log | None, first: int) -> tuple[FloatArray | None, ...]:
+    def _arrays(self, log: Log, before: Log | None, first: int) -> tuple[FloatArray, ...]:
         """Check a log, or a piece of one that begins at row ``first`` after the rows ``before``; give its arrays."""
 
     @abstractmethod

@@ -160,7 +160,7 @@ impl Estimator {
             Working::Observer(observer) => {
                 let acceleration = if of_sensors { sample.acceleration } else { sample.ddq };
                 let Sample { theta, tau, .. } = *sample;
-                observer.step(ObserverSample { theta, tau, acceleration, dtheta: &[] })?;
+                observer.step(ObserverSample { theta, tau, acceleration })?;
             }
             Working::Ekf(filter) => filter.step(sample)?,
             Working::ElasticEkf(filter) => filter.step(sample)?,

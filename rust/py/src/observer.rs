@@ -27,8 +27,7 @@ pub(crate) struct AccelerationObserver {
 }
 
 type Matrix<'py> = PyReadonlyArray2<'py, f64>;
-/// θ, τ, acceleration, and θ̇ where it is measured.
-type Arrays<'py> = (Matrix<'py>, Matrix<'py>, Matrix<'py>, Option<Matrix<'py>>);
+type Arrays<'py> = (Matrix<'py>, Matrix<'py>, Matrix<'py>);
 
 #[pymethods]
 impl AccelerationObserver {
@@ -60,20 +59,12 @@ impl AccelerationObserver {
         Ok(())
     }
 
-    #[pyo3(signature = (theta, tau, acceleration, dtheta = None))]
-    fn step(
-        &mut self,
-        theta: Signal<'_>,
-        tau: Signal<'_>,
-        acceleration: Signal<'_>,
-        dtheta: Option<Signal<'_>>,
-    ) -> PyResult<State> {
+    fn step(&mut self, theta: Signal<'_>, tau: Signal<'_>, acceleration: Signal<'_>) -> PyResult<State> {
         let (n, m) = (self.live.joints(), self.live.channels());
         let sample = ObserverSample {
             theta: theta.readings("theta", n)?,
             tau: tau.readings("tau", n)?,
             acceleration: acceleration.readings("acceleration", m)?,
-            dtheta: dtheta.as_ref().map_or(Ok(&[][..]), |dtheta| dtheta.readings("dtheta", n))?,
         };
         self.live.step(sample).map_err(IntoPyErr::into_py_err)?;
         Ok(State::of_observer(&self.live))
@@ -84,16 +75,14 @@ impl AccelerationObserver {
     }
 
     /// Goes on from the live state with the rows of a log, or of a piece of one.
-    #[pyo3(signature = (theta, tau, acceleration, dtheta = None))]
     fn run<'py>(
         &mut self,
         py: Python<'py>,
         theta: Matrix<'py>,
         tau: Matrix<'py>,
         acceleration: Matrix<'py>,
-        dtheta: Option<Matrix<'py>>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let arrays = (theta, tau, acceleration, dtheta);
+        let arrays = (theta, tau, acceleration);
         let recording = recording(&self.live, &arrays)?;
         let live = &mut self.live;
         let trajectory = py.release(|| live.run(recording))?;
@@ -114,14 +103,13 @@ impl AccelerationObserver {
 }
 
 fn recording<'a>(observer: &observer::AccelerationObserver, arrays: &'a Arrays<'_>) -> PyResult<ObserverRecording<'a>> {
-    let (theta, tau, acceleration, dtheta) = arrays;
+    let (theta, tau, acceleration) = arrays;
     let (n, m) = (observer.joints(), observer.channels());
     Ok(ObserverRecording {
         count: theta.shape()[0],
         theta: rows("theta", theta, n)?,
         tau: counted("tau", tau, n, theta.shape()[0])?,
         acceleration: counted("acceleration", acceleration, m, theta.shape()[0])?,
-        dtheta: dtheta.as_ref().map_or(Ok(&[][..]), |dtheta| counted("dtheta", dtheta, n, theta.shape()[0]))?,
     })
 }
 

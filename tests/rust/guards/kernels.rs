@@ -244,7 +244,7 @@ fn observer() -> Work {
     let (theta, tau, acceleration) = (wave(N, 1e-3), wave(N, 5.0), accelerations(sensed));
     stepping(move |i| {
         let [theta, tau] = [&theta, &tau].map(|signal| row(signal, N, i));
-        observer.step(ObserverSample { theta, tau, acceleration: row(&acceleration, sensed, i), dtheta: &[] }).unwrap();
+        observer.step(ObserverSample { theta, tau, acceleration: row(&acceleration, sensed, i) }).unwrap();
     })
 }
 

@@ -33,8 +33,6 @@ const LEAST_DRIFT: f64 = 5e-4;
 const MEMORY: f64 = 24.0;
 /// Mean square of what is foretold wrongly, at least, in the variances that the filter states.
 const LEAST: f64 = 0.06;
-/// Part of its last slip within which a position is back where it was.
-const BACK: f64 = 0.1;
 /// Changes of velocity from which its noise is known.
 const KNOWN: f64 = 64.0;
 
@@ -46,15 +44,6 @@ pub(crate) struct Slip {
     pub(crate) deviations: f64,
     /// Within this many samples before this one.
     pub(crate) samples: u32,
-}
-
-impl Slip {
-    /// Adds it to what the position has slipped so far; one that goes back to where it was leaves nothing.
-    #[inline(always)]
-    pub(crate) fn add_to(self, slipped: &mut f64) {
-        let whole = *slipped + self.size;
-        *slipped = if whole.abs() < BACK * self.size.abs() { 0.0 } else { whole };
-    }
 }
 
 /// A motor's position beside the integral of its velocity.

@@ -147,12 +147,7 @@ impl Feedback for ObserverFeedback {
         let (theta, others) = known.readings.split_at(observer.joints());
         // The torque was chosen after the last sample, from its estimate.
         observer.hold(known.tau)?;
-        usable(observer.step(ObserverSample {
-            theta,
-            tau: known.tau,
-            acceleration: &others[..observer.channels()],
-            dtheta: &[],
-        }))?;
+        usable(observer.step(ObserverSample { theta, tau: known.tau, acceleration: &others[..observer.channels()] }))?;
         out.q.copy_from_slice(observer.q());
         out.dq.copy_from_slice(observer.dq());
         for j in 0..observer.joints() {

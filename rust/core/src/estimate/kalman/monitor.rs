@@ -50,6 +50,9 @@ const LASTING: f64 = 4.0;
 /// A sample counts there by no more than such a mean square.
 const SHOCK: f64 = 16.0;
 
+/// Part of its last slip within which an encoder is back where it was.
+const BACK: f64 = 0.1;
+
 /// Tests on the innovations of a filter.
 ///
 /// A few thousand operations a sample for six joints, nearly all of them the banks'. It never changes the estimate:
@@ -241,7 +244,8 @@ impl Monitor {
             let variance = model.variance(i);
             if let Some(slip) = self.slips[j].take(sample.dt, sample.readings[i], variance, velocity) {
                 let Slip { size, deviations, samples: age } = slip;
-                slip.add_to(&mut self.slipped[j]);
+                let whole = self.slipped[j] + size;
+                self.slipped[j] = if whole.abs() < BACK * size.abs() { 0.0 } else { whole };
                 found =
                     Some(Alarm { channel: i, size, deviations, age, variance, bank: None, fault: Some(Fault::Drift) });
             }

@@ -44,7 +44,7 @@ use step::ObserverStep;
 /// })?;
 /// // In a control loop: once a period. Here the arm stands still, its motor at 0.1 rad.
 /// for _ in 0..100 {
-///     observer.step(ObserverSample { theta: &[0.1], tau: &[0.0], acceleration: &[0.0, 0.0, 9.81], dtheta: &[] })?;
+///     observer.step(ObserverSample { theta: &[0.1], tau: &[0.0], acceleration: &[0.0, 0.0, 9.81] })?;
 /// }
 /// assert!((observer.q()[0] - 0.1).abs() < 1e-9 && observer.dq()[0].abs() < 1e-9);
 /// assert_eq!(observer.status(), 0);
@@ -230,11 +230,9 @@ impl AccelerationObserver {
 
     /// Refuses a sample before anything has changed.
     fn check(&self, sample: ObserverSample<'_>) -> Result<(), DesignError> {
-        let ObserverSample { theta, tau, acceleration, dtheta } = sample;
+        let ObserverSample { theta, tau, acceleration } = sample;
         let (n, m) = (self.joints(), self.channels());
-        let speeds = if dtheta.is_empty() { 0 } else { n };
-        let all = [("theta", theta, n), ("tau", tau, n), ("acceleration", acceleration, m), ("dtheta", dtheta, speeds)];
-        for (what, values, expected) in all {
+        for (what, values, expected) in [("theta", theta, n), ("tau", tau, n), ("acceleration", acceleration, m)] {
             expect_length(what, values.len(), expected)?;
             refuse_infinite(what, values)?;
         }

@@ -231,10 +231,10 @@ impl ObserverDeviations {
         self.repeats.take(sample, look, doubts);
     }
 
-    /// Whether a channel has readings that it cannot have.
+    /// Whether a channel repeats a reading that it cannot have.
     #[inline(always)]
-    pub(super) fn is_faulty(&self) -> bool {
-        self.repeats.is_faulty(&self.q_std)
+    pub(super) fn is_stuck(&self) -> bool {
+        self.repeats.is_stuck()
     }
 
     /// What the variance of a joint's innovation is to be [rad²].

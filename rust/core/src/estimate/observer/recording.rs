@@ -12,8 +12,6 @@ pub struct ObserverSample<'a> {
     pub tau: &'a [f64],
     /// Accelerometer channels [m/s²], or link accelerations (n) [rad/s²].
     pub acceleration: &'a [f64],
-    /// Motor velocities that are measured beside θ (n) [rad/s]; empty if there are none. They tell whether θ slips.
-    pub dtheta: &'a [f64],
 }
 
 /// A recording: `count` samples of θ, τ and acceleration, row-major.
@@ -27,8 +25,6 @@ pub struct ObserverRecording<'a> {
     pub tau: &'a [f64],
     /// Acceleration channels.
     pub acceleration: &'a [f64],
-    /// Motor velocities, n columns, or empty.
-    pub dtheta: &'a [f64],
 }
 
 /// Estimates of a recording, row-major, one row a sample.

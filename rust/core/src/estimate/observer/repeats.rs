@@ -1,5 +1,4 @@
-//! Readings that cannot be: that repeat themselves, of a broken cable or a recorder that holds an old value; and positions that
-//! go off from where a measured velocity brings them.
+//! Readings that repeat themselves where they cannot: a cable that is broken, a recorder that holds an old value.
 
 use super::deviations::ObserverView;
 use super::joint_error::JointError;
@@ -7,7 +6,6 @@ use super::recording::ObserverSample;
 use super::settings::AccelerationSource;
 use super::uncertainty::{Columns, Uncertainty};
 use crate::estimate::kalman::Signal;
-use crate::estimate::slip::SlipCheck;
 use crate::linear;
 use crate::robot::Robot;
 
@@ -35,10 +33,6 @@ pub(super) struct Repeats {
     acceleration: Vec<f64>,
     positions: Vec<Still>,
     stuck: bool,
-    /// Positions beside their velocities, their variances, and how far each has slipped (n).
-    slips: Vec<SlipCheck>,
-    encoder: Vec<f64>,
-    slipped: Vec<f64>,
 }
 
 /// A motor position that stays the same, and how its link moves by its acceleration meanwhile.
@@ -66,9 +60,6 @@ impl Repeats {
             acceleration,
             positions: vec![Still::default(); robot.len()],
             stuck: false,
-            slips: vec![SlipCheck::new(); robot.len()],
-            encoder: uncertainty.encoder.iter().map(|std| std * std).collect(),
-            slipped: vec![0.0; robot.len()],
         }
     }
 
@@ -78,15 +69,12 @@ impl Repeats {
         self.accelerations.fill(Signal::NEW);
         self.positions.fill(Still::default());
         self.stuck = false;
-        self.slips.fill(SlipCheck::new());
-        self.slipped.fill(0.0);
     }
 
-    /// Whether some channel repeats itself where it cannot, or some position has slipped by more than its link's standard
-    /// deviation (n).
+    /// Whether some channel repeats itself where it cannot.
     #[inline(always)]
-    pub(super) fn is_faulty(&self, q_std: &[f64]) -> bool {
-        self.stuck || self.slipped.iter().zip(q_std).any(|(slipped, std)| slipped.abs() > *std)
+    pub(super) fn is_stuck(&self) -> bool {
+        self.stuck
     }
 
     /// A sample; `joints` say how well accelerations are known.
@@ -131,11 +119,6 @@ impl Repeats {
             }
         }
         self.stuck = stuck;
-        for (j, &velocity) in sample.dtheta.iter().enumerate() {
-            if let Some(slip) = self.slips[j].take(self.period, sample.theta[j], self.encoder[j], velocity) {
-                slip.add_to(&mut self.slipped[j]);
-            }
-        }
     }
 }
 

@@ -13,13 +13,11 @@ impl AccelerationObserver {
     /// # Errors
     /// As [`step`](Self::step), wrong lengths, or a sample after which the estimate is not finite.
     pub fn run(&mut self, recording: ObserverRecording<'_>) -> Result<ObserverOutput, RunError> {
-        let ObserverRecording { count, theta, tau, acceleration, dtheta } = recording;
+        let ObserverRecording { count, theta, tau, acceleration } = recording;
         let (n, m) = (self.joints(), self.channels());
         for (what, given, width) in [("theta", theta, n), ("tau", tau, n), ("acceleration", acceleration, m)] {
             expect_length(what, given.len(), count * width)?;
         }
-        let speeds = if dtheta.is_empty() { 0 } else { n };
-        expect_length("dtheta", dtheta.len(), count * speeds)?;
         let mut out = ObserverOutput::with_capacity(count, n, self.has_tool(), !self.q_std().is_empty())?;
         let watch = Watch::current();
         for i in 0..count {
@@ -30,7 +28,6 @@ impl AccelerationObserver {
                 theta: &theta[i * n..][..n],
                 tau: &tau[i * n..][..n],
                 acceleration: &acceleration[i * m..][..m],
-                dtheta: &dtheta[i * speeds..][..speeds],
             })?;
             if !self.is_finite() {
                 return Err(RunError::NotFinite { sample: self.taken() - 1 });

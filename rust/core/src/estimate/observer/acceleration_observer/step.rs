@@ -78,7 +78,7 @@ impl AccelerationObserver {
         let look = ObserverView { robot, models, map, state, links, measured, torque: loaded, innovations };
         if let Some(deviations) = deviations {
             simd::phase(Deviate { deviations, look: &look, sample, first });
-            if deviations.is_faulty() {
+            if deviations.is_stuck() {
                 self.status |= Status::CONTRADICTED | Status::FAULTY;
             }
         }
