@@ -70,6 +70,7 @@ class Busy:
 @contextmanager
 def object_store(monkeypatch, every, delay):
     """Serve S3 on the loopback interface, with a bucket ``fleet``; yields the server's application."""
+    from fsspec.registry import registry
     from moto.server import DomainDispatcherApplication, create_backend_app
     from werkzeug.serving import make_server
 
@@ -78,6 +79,8 @@ def object_store(monkeypatch, every, delay):
     thread = threading.Thread(target=server.serve_forever)
     thread.start()
     busy.endpoint = f"http://127.0.0.1:{server.port}"
+    if known := registry.get("s3"):
+        known.clear_instance_cache()  # a process remembers stores, and those of an earlier server are gone
     for name, value in {
         "AWS_ENDPOINT_URL": busy.endpoint,
         "AWS_ALLOW_HTTP": "true",
