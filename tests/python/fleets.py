@@ -46,9 +46,9 @@ class Busy:
         self.requests, self.refused = itertools.count(1), 0
         self.endpoint = ""
 
-    def put(self, name, content=None):
+    def put(self, name, content=None, method="PUT"):
         """Put an object there at once; or a bucket."""
-        urlopen(Request(f"{self.endpoint}/{name}", content, HEADERS, method="PUT"), timeout=20).close()
+        urlopen(Request(f"{self.endpoint}/{name}", content, HEADERS, method=method), timeout=20).close()
 
     def get(self, name):
         """What is in an object, at once."""
@@ -69,7 +69,7 @@ class Busy:
 
 @contextmanager
 def object_store(monkeypatch, every, delay):
-    """Serve S3 on the loopback interface, with a bucket ``fleet``; yields the server's application."""
+    """Serve S3 on the loopback interface, with a bucket ``fleet`` and nothing else; yields the server's application."""
     from fsspec.registry import registry
     from moto.server import DomainDispatcherApplication, create_backend_app
     from werkzeug.serving import make_server
@@ -90,6 +90,7 @@ def object_store(monkeypatch, every, delay):
     }.items():
         monkeypatch.setenv(name, value)
     try:
+        busy.put("moto-api/reset", method="POST")  # objects outlive a server in its process
         busy.put("fleet")
         yield busy
     finally:

@@ -70,7 +70,7 @@ def test_estimates_are_compared_to_the_same_file(folder, options):
     assert all(other == serial for other in others)
 
 
-def test_estimates_of_a_store_are_compared(folder, monkeypatch):
+def test_logs_of_a_store_are_calibrated_and_compared(folder, monkeypatch):
     for package in ("obstore", "moto", "flask"):
         pytest.importorskip(package)
     options = ("--align", "start", "-j", "2")
@@ -83,6 +83,11 @@ def test_estimates_of_a_store_are_compared(folder, monkeypatch):
         result = invoke("compare", *there, *options, "--out", "s3://fleet/there.csv")
         assert result.exit_code == 0, result.output
         assert store.get("fleet/there.csv") == (folder / "here.csv").read_bytes()
+        free = ("--free", "stiffness_a1", "--force", "--no-check")
+        for logs, out in (("s3://fleet/logs/*.parquet", "there.yaml"), ("logs/*.parquet", "here.yaml")):
+            result = invoke("calibrate", "robot.yaml", logs, *free, "--out", out)
+            assert (folder / out).exists(), result.output
+    assert (folder / "there.yaml").read_bytes() == (folder / "here.yaml").read_bytes()
 
 
 def halved(x):
