@@ -108,6 +108,16 @@ def test_velocities_of_all_kinds_raise_no_flag_of_a_sound_encoder(robot: Robot, 
     assert (estimate.status == Status.GOOD).all()
 
 
+@pytest.mark.parametrize("rows", [20, 100, 300])
+def test_rows_that_are_missing_make_no_slip(robot: Robot, run: Any, rows: int) -> None:
+    """Velocities at both ends of a gap do not tell how far the motor has turned in it."""
+    there = np.ones(len(run.log), bool)
+    there[ROW : ROW + rows] = False
+    signals = {name: getattr(run.log, name)[there] for name in ("t", "theta", "dtheta", "tau")}
+    estimate = ExtendedKalmanFilter(robot).run(replace(run.log, **signals))
+    assert estimate.findings == ()
+
+
 def test_a_derivative_of_the_drifting_position_itself_testifies_to_nothing(robot: Robot, run: Any) -> None:
     """It drifts with it: documented as not detected."""
     log = spoiled(run.log, "drift", 0, 8e-3)

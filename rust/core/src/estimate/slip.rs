@@ -112,6 +112,9 @@ impl SlipCheck {
             (self.window, self.velocity) = (None, [f64::NAN; 2]); // nothing to integrate: begin anew
             return None;
         }
+        if dt > WINDOW {
+            (self.window, self.velocity) = (None, [f64::NAN; 2]); // velocities at both ends of a gap do not tell its integral
+        }
         let [before, earlier] = self.velocity;
         self.velocity = [velocity, before];
         if !before.is_nan() {
@@ -256,6 +259,17 @@ mod tests {
 
     impl Waving {
         fn run(&self, seconds: f64, fault: impl Fn(f64, f64) -> f64) -> Vec<(f64, Slip)> {
+            self.rows(seconds, fault, |_| false)
+        }
+
+        /// The same without the samples at some times.
+        fn rows(
+            &self,
+            seconds: f64,
+            fault: impl Fn(f64, f64) -> f64,
+            missing: impl Fn(f64) -> bool,
+        ) -> Vec<(f64, Slip)> {
+            let mut last = 0.0;
             let mut check = SlipCheck::new();
             let noise = |k: usize, s: f64| ((k as f64 * s).sin() * 43758.5453).fract() * 3.46e-3 * 0.5; // 1 mrad/s
             let wave = |t: f64, f: fn(f64, f64, f64) -> f64| self.waves.iter().map(|&(a, w)| f(a, w, t)).sum::<f64>();
@@ -266,9 +280,14 @@ mod tests {
             (0..samples)
                 .filter_map(|k| {
                     let t = k as f64 / RATE;
+                    if missing(t) {
+                        return None;
+                    }
+                    let dt = t - last;
+                    last = t;
                     let theta = (fault(t, position(t)) / steps).round() * steps;
                     let velocity = self.zero + (1.0 + self.scale) * speed(t - self.lag) + noise(k, 12.9898);
-                    Some((t, check.take(1.0 / RATE, theta, steps * steps / 12.0, velocity)?))
+                    Some((t, check.take(dt, theta, steps * steps / 12.0, velocity)?))
                 })
                 .collect()
         }
@@ -305,6 +324,12 @@ mod tests {
         fn an_outlier_is_no_slip(motor in motor(), at in 1000_usize..2500) {
             let only = |t: f64, theta: f64| if (t * RATE).round() as usize == at { theta + 0.1 } else { theta };
             prop_assert!(motor.run(6.0, only).is_empty());
+        }
+
+        #[test]
+        fn a_gap_makes_no_slip(motor in motor(), at in 1.0..5.0) {
+            let gap = |t: f64| (at..at + 0.3).contains(&t);
+            prop_assert!(motor.rows(6.0, |_, theta| theta, gap).is_empty());
         }
 
         #[test]
