@@ -68,18 +68,16 @@ def with_expected_damping(robot: Robot) -> Robot:
     It has fallen to 1/e when one with a damping ratio of σ/√8 has, at which standard deviations let it die as well.
     The damping is that ratio's at the zero posture, and is itself known to `tolerances.damping`.
     """
-    if robot.accelerometers or robot.gyroscopes or robot.trackers:
+    undamped = [j for j, drive in enumerate(robot.drives) if drive.elastic and not drive.damping]
+    if not undamped or robot.accelerometers or robot.gyroscopes or robot.trackers:
         return robot
-    tolerances = robot.config.tolerances
-    inertias = np.diag(robot.mass_matrix(np.zeros((1, robot.n)))[0])
+    stds = {one.name: one.std for one in considered(robot)}
+    inertias = np.diag(robot.mass_matrix(np.zeros(robot.n)))
     joints = list(robot.drives)
-    for j, (drive, inertia) in enumerate(zip(robot.drives, inertias, strict=True)):
-        if drive.elastic and not drive.damping and drive.stiffness:
-            std = tolerances.calibrated.get(f"stiffness_{drive.name}", tolerances.stiffness)
-            damping = std / 2**0.5 * np.sqrt(drive.stiffness * inertia)
-            joints[j] = drive.model_copy(update={"damping": float(damping)})
-    if joints == list(robot.drives):
-        return robot
+    for j in undamped:
+        stiffness, std = joints[j].stiffness or 0.0, stds[f"stiffness_{joints[j].name}"]
+        damping = std / 2**0.5 * np.sqrt(stiffness * inertias[j])
+        joints[j] = joints[j].model_copy(update={"damping": float(damping)})
     return Robot(robot.config.model_copy(update={"joints": tuple(joints)}), robot.tree, robot.notes)
 
 
