@@ -197,7 +197,7 @@ impl SlipCheck {
         self.sums = [self.sums[0] * (1.0 - 1.0 / MEMORY) + ratio, self.sums[1] * (1.0 - 1.0 / MEMORY) + wrong];
         let ([ratios, drift], whole) = (self.sums, usual * (MEMORY / 2.0).sqrt());
         let least = LEAST_DRIFT + 0.25 * step * MEMORY * WINDOW;
-        let drifts = prompt && drift.abs() > least && ratios.abs() > DRIFTS * whole;
+        let drifts = prompt && drift.abs() > least && ratios * drift.signum() > DRIFTS * whole;
         let slip = drifts.then(|| {
             self.sums = [0.0; 2];
             let samples = window.samples * MEMORY as u32;
