@@ -14,7 +14,7 @@ from linkside.observability.result import describe
 
 from .robots import ARM, DATA, spring
 
-RECORDINGS = [demo.FOLDER, *(DATA / name for name in ("arm2_square", "kr15_six_axes"))]
+RECORDINGS = [demo.FOLDER, DATA / "arm2_square"]
 SENSOR = {"name": "acc", "link": "fore", "xyz": [0, 0, 0.4], "noise_std": 0.1}
 
 

@@ -199,7 +199,7 @@ def intact(tmp_path_factory):
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of asammdf's broken files
 @pytest.mark.filterwarnings("ignore::linkside.errors.RecordingWarning")
 @given(st.sampled_from(["tdms", "mf4"]), st.data())
-@settings(max_examples=12)
+@settings(max_examples=6)
 def test_broken_files_are_log_errors(intact, suffix, data):
     content = bytearray((intact / f"log.{suffix}").read_bytes())
     at = data.draw(st.integers(0, len(content) - 1))

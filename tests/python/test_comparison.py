@@ -62,7 +62,7 @@ def test_measures_of_a_sine():
     assert found.max == pytest.approx(3e-3, rel=1e-9)
 
 
-@settings(max_examples=15)
+@settings(max_examples=6)
 @given(late=st.floats(-0.2, 0.2), rate=st.sampled_from([200.0, 333.0, 1000.0]))
 def test_a_shift_is_found(late, rate):
     t = np.arange(int(2 * rate)) / rate

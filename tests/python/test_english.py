@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -29,6 +30,7 @@ PAGES = [*sorted((ROOT / "docs").rglob("*.md")), *(ROOT / f"{n}.md" for n in ("R
 MODULES = sorted((ROOT / "python/linkside").rglob("*.py"))
 
 
+@cache
 def prose(path):
     """Lines of a page without its code; lines of a module's docstrings and messages."""
     text = path.read_text()
