@@ -15,6 +15,7 @@ from linkside._core import Response
 from linkside.calibration import calibrate
 from linkside.calibration.acceptance import filters_gain, objections
 from linkside.calibration.band import Band
+from linkside.calibration.box import within
 from linkside.calibration.lag import Lag
 from linkside.calibration.motors import motors, quietest
 from linkside.calibration.parameters import by_unit, choose
@@ -140,6 +141,21 @@ def test_a_lag_is_that_of_the_sampled_filter(time_constant, delay):
         if len({int(np.floor(x.shift)) for x in near}) == 1:  # else between two cubics
             difference = (near[1](wave[:, None]) - near[0](wave[:, None])) / 2e-5
             assert np.abs(slope - difference)[10:].max() < 1e-6
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 12))
+def test_a_step_within_bounds_is_the_best(seed, size):
+    """By the conditions of Karush, Kuhn and Tucker; directions count differently by many powers of ten."""
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((size + 3, size)) * 10 ** rng.uniform(-3, 3, size)
+    curvature = root.T @ root + np.eye(size)
+    gradient = 3 * rng.standard_normal(size) * np.sqrt(np.diag(curvature))
+    low, high = -rng.uniform(0, 1, size) * (rng.random(size) < 0.7), rng.uniform(0.01, 1, size)
+    x = within(gradient, curvature, low, high)
+    assert np.all((low <= x) & (x <= high))
+    slope = (gradient - curvature @ x) / np.sqrt(np.diag(curvature))
+    assert np.all(np.where(x == low, slope, np.where(x == high, -slope, np.abs(slope))) < 1e-4)
 
 
 def test_a_band_keeps_what_is_slow_and_drops_what_is_fast():
