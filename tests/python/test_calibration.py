@@ -165,6 +165,22 @@ def smooth(stiffness, nominal, encoder=1e-6, mass=1.0, seed=0):
     return robot, Log.from_table(columns, robot)
 
 
+def test_an_arm_that_rings_for_ever_has_no_damping():
+    """Along 0.2 (1 − cos 9t), by the solution in closed form; a damping of 1e-6 of the stiffness would show."""
+    rng, t, w, own = np.random.default_rng(0), 1e-3 * np.arange(2000), 9.0, np.sqrt(6000 / INERTIA)
+    swing = np.cos(w * t) - np.cos(own * t)
+    dq = 0.2 * w * own**2 / (own**2 - w**2) * (np.sin(w * t) - w / own * np.sin(own * t))
+    ddq = 0.2 * (w * own) ** 2 / (own**2 - w**2) * swing
+    noise = rng.normal(0, 0.05, (2, len(t)))
+    robot = one_joint(5000.0, 1e-6)
+    columns = {"t": t, "theta_j": np.round(0.2e6 * (1 - np.cos(w * t))) / 1e6}
+    columns |= {"a_x": noise[0] - 0.5 * dq**2, "a_y": noise[1] + 0.5 * ddq}
+    found = calibrate(robot, Log.from_table(columns, robot), ["stiffness", "damping"])
+    assert found.accepted
+    assert abs(found["stiffness_j"].value - 6000) < 3 * found["stiffness_j"].std
+    assert found["damping_j"].value < 1e-6 * 6000
+
+
 @pytest.mark.parametrize("encoder", [1e-6, 1e-5, 1e-4])
 @pytest.mark.parametrize("factor", [0.8, 1.0, 3.0])
 def test_a_smooth_motion_tells_the_spring_too(factor, encoder):

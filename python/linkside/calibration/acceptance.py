@@ -34,6 +34,9 @@ DEVIATIONS = 4
 FAR = 3.0
 """An estimate further from robot.yaml than this, in tolerances, is not one that robot.yaml's tolerance allows for."""
 
+HERE = 1e-3
+"""An estimate at a bound where robot.yaml has it too, to within this part of its tolerance, is that of robot.yaml."""
+
 WIDE = 1.96
 """So many standard errors an estimate may be nearer than it seems."""
 
@@ -163,7 +166,7 @@ def objections(
         if p.kind in NOISE:
             continue
         value = f"{p.name} = {p.value(x):.4g} {p.unit}".rstrip()
-        if p.exceeds(x) and not p.exceeds(0.0) and (p.stated or x > 0):  # what is not stated may not be there
+        if p.exceeds(x) and not (p.exceeds(0.0) and abs(x) < HERE):
             found.append(f"{value} is at its bound")
         elif abs(x) - WIDE * wide > most and p.stated:
             found.append(f"{value} is {abs(x):.1f} tolerances from {p.start:.4g}, its value in robot.yaml")

@@ -77,6 +77,9 @@ KINDS = {
 }
 """All kinds of parameters, by name."""
 
+LITTLE = 0.1
+"""Tolerance of a damping that robot.yaml does not state, as a share of what is critical, where that of others is 1."""
+
 UNKNOWN = float(np.log(3))
 """Tolerance of a stiffness that robot.yaml does not know."""
 
@@ -162,8 +165,8 @@ class Parameter:
 
     @property
     def relative(self) -> bool:
-        """Whether it is varied by its logarithm."""
-        return KINDS[self.kind].relative
+        """Whether it is varied by its logarithm; what robot.yaml does not state may be zero."""
+        return KINDS[self.kind].relative and self.stated
 
     def value(self, z: float) -> float:
         """Give the physical value."""
@@ -308,12 +311,12 @@ def _made(kind: str, name: str, index: tuple[int, int], start: float, tolerance:
 
 
 def _of_joint(kind: str, index: int, drive: JointConfig, tolerance: float, inertia: float) -> Parameter:
-    """Damping that robot.yaml does not state is at most what is critical with the link's ``inertia`` at q = 0."""
+    """Damping that robot.yaml does not state is none, up to what is critical with the link's ``inertia`` at q = 0."""
     stiffness = drive.stiffness or 0.0
     values = {
         "stiffness": stiffness,
         "cubic_stiffness": drive.cubic_stiffness,
-        "damping": drive.damping or 1e-3 * stiffness,
+        "damping": drive.damping,
         "motor_inertia": drive.motor_inertia or 0.0,
         "viscous": drive.motor_friction.viscous or 1e-3 * (drive.motor_inertia or 0.0),
         "coulomb": drive.motor_friction.coulomb or 1e-5 * stiffness,
@@ -327,7 +330,8 @@ def _of_joint(kind: str, index: int, drive: JointConfig, tolerance: float, inert
         tolerance *= stiffness
     made = _made(kind, f"{kind}_{drive.name}", (index, 0), values.get(kind, 1.0), tolerance)
     if kind == "damping" and not drive.damping:
-        return replace(made, high=max(made.high, 2 * np.sqrt(stiffness * inertia)), stated=False)
+        critical = float(2 * np.sqrt(stiffness * inertia))
+        return replace(made, tolerance=tolerance * LITTLE * critical, low=0.0, high=critical, stated=False)
     return made
 
 
