@@ -68,16 +68,19 @@ def smooth_motion(t, theta):
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("rigid", [(), ("joint1",)])
 def test_links_move_as_they_were_made_up_to(seed, rigid):
-    robot, model = tree(seed, rigid)
+    robot, model = tree(seed, rigid, motor_inertia=0.2, motor_friction={"viscous": 2.0, "coulomb": 1.5})
     t, q, dq, ddq, theta = made_up(robot, model)
     fixed = [(("damping", j, 0), 0.0) for j in range(robot.n)]
-    kinds = ["acceleration", "rate", "q", "torque", "dq"]
-    response = Response(robot.core, smooth_motion(t, theta), kinds=kinds, fixed=fixed)
+    kinds = ["acceleration", "rate", "q", "torque", "dq", "tau"]
+    motion = smooth_motion(t, theta)
+    response = Response(robot.core, motion, kinds=kinds, fixed=fixed)
     resting, _ = response.evaluate([], [], [0.0] * 6)
     offset = np.concatenate([q[0] - resting[0, 6:9], dq[0] - resting[0, 12:15]]) * np.tile(robot.elastic, 2)
     found, _ = response.evaluate([], [], offset.tolist())
     load = robot.inverse_dynamics(q, dq, ddq)
-    truth = np.hstack([robot.specific_force(q, dq, ddq), robot.angular_rate(q, dq), q, load, dq])
+    v = motion["dtheta"]
+    given = load + 0.2 * motion["ddtheta"] + 2.0 * v + 1.5 * v / np.hypot(v, 2e-3)
+    truth = np.hstack([robot.specific_force(q, dq, ddq), robot.angular_rate(q, dq), q, load, dq, given])
     assert np.abs(found - truth)[5:-5].max() < 2e-4 * np.abs(truth).max()
     assert np.abs(found - truth)[5:-5, 6:9].max() < 1e-7
 
@@ -87,6 +90,7 @@ FREE = [
     *(("cubic_stiffness", 1, 0), ("damping", 2, 0), ("mass_scale", 1, 0), ("coupling", 0, 1)),
     *(("payload_mass", 0, 0), ("payload_xyz", 0, 1), ("translation", 0, 2), ("rotation", 0, 0), ("rotation", 0, 1)),
     *(("bias", 0, 0), ("scale", 0, 1), ("link_friction", 1, 0), ("link_coulomb", 2, 0), ("half_gap", 0, 0)),
+    *(("motor_inertia", 0, 0), ("viscous", 1, 0), ("coulomb", 1, 0), ("torque_constant", 2, 0)),
 ]
 
 
@@ -98,9 +102,10 @@ def test_derivatives_are_those_of_the_solution():
     play = {"half_gap": 2e-3, "slope": 0.1, "rounding": 2e-3}
     robot, model = tree(5, **law, backlash=play)
     t, *_, theta = made_up(robot, model, rows=60)
-    kinds = ["acceleration", "rate", "q", "torque", "dq"]
+    kinds = ["acceleration", "rate", "q", "torque", "dq", "tau"]
     response = Response(robot.core, smooth_motion(t, theta), kinds=kinds, fixed=[])
     values = np.array([3e3, 2.5e3, 3.5e3, 3e5, 5.0, 1.1, 0.02, 0.4, 0.1, 0.02, 0.05, -0.04, 0.1, 1.02, 1.3, 0.4, 3e-3])
+    values = np.append(values, [0.3, 2.0, 1.5, 1.1])
     at = np.concatenate([values, 1e-3 * np.arange(6)])
 
     def evaluate(x):

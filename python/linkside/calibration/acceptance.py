@@ -14,7 +14,7 @@ from linkside.recording.log import Log
 from linkside.robot import Robot
 
 from .links import with_links
-from .parameters import NOISE, WITHOUT_TORQUE, Parameter
+from .parameters import NOISE, OF_RESPONSE, Parameter
 from .posterior import Posterior
 from .problem import OF_SENSORS, Problem
 from .search import ROUGH, Search
@@ -127,11 +127,11 @@ def filters_gain(robot: Robot, logs: Sequence[Log], noise: Noise, free: Sequence
     That model shares nothing with the links' response but the robot: what explains the encoders' noise, and not the
     robot, is worse there. Sensors are as they were found in both cases.
     """
-    theirs = [p for p in free if p.kind not in WITHOUT_TORQUE]
-    at = np.array([x for p, x in zip(free, z, strict=True) if p.kind not in WITHOUT_TORQUE])
+    theirs = [p for p in free if p.kind not in OF_RESPONSE]
+    at = np.array([x for p, x in zip(free, z, strict=True) if p in theirs])
     nominal = np.where([p.kind in OF_SENSORS for p in theirs], at, 0.0)
     found = with_links(robot, {p.core[:2]: p.value(x) for p, x in zip(free, z.tolist(), strict=True)})
-    before, after = (Problem(one, logs, noise, False, theirs) for one in (robot, found))
+    before, after = (Problem(one, logs, noise, theirs) for one in (robot, found))
     return after.log_likelihood(at) - before.log_likelihood(nominal)
 
 

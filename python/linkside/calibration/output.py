@@ -121,6 +121,14 @@ def _of_friction(tree: Any, e: Estimated) -> None:
     _note(joint, "motor_friction", f"{e.parameter.kind} ± {e.std:.2g}")
 
 
+def _of_torque_constant(tree: Any, e: Estimated) -> None:
+    """The parameter is a factor on the one in use; of torques that a log has as such there is none."""
+    joint = tree["joints"][e.parameter.core[1]]
+    if (constant := joint.get("torque_constant")) is not None:
+        joint["torque_constant"] = rounded(constant * e.value, constant * e.std)
+        _note(joint, "torque_constant", f"± {constant * e.std:.2g}")
+
+
 def _of_link_friction(tree: Any, e: Estimated) -> None:
     """The parameter is a factor on all of it."""
     joint = tree["joints"][e.parameter.core[1]]
@@ -238,6 +246,7 @@ _WRITERS: dict[str, Writer] = {
     **dict.fromkeys(("viscous", "coulomb"), _of_friction),
     **dict.fromkeys(("payload_mass", "payload_xyz"), _of_payload),
     **dict.fromkeys(("bias", "scale", "translation", "sensor_noise", "delay", "time_constant"), _of_sensor),
+    "torque_constant": _of_torque_constant,
     **dict.fromkeys(OF_LINK_ENCODERS, _of_link_encoders),
     "link_friction": _of_link_friction,
     **dict.fromkeys(SECTIONS, _of_section),

@@ -19,7 +19,16 @@ from linkside.robot.sensors import AccelerometerConfig, Lateness, LinkEncoderCon
 
 CoreName = tuple[str, int, int]
 Bounds = Mapping[str, tuple[float, float]]
-Owner = Literal["joint", "coupling", "payload", "payload axis", "sensor", "sensor axis", "link encoders"]
+Owner = Literal[
+    "joint",
+    "coupling",
+    "payload",
+    "payload axis",
+    "sensor",
+    "sensor axis",
+    "link encoders",
+    "motor torques",
+]
 
 AXES = "xyz"
 SHORTEST_FILTER = 1e-5
@@ -59,6 +68,8 @@ KINDS = {
     "link_friction": Kind("joint", "", relative=True),
     "link_coulomb": Kind("joint", "N m", least=0.0),
     "half_gap": Kind("joint", "rad", least=0.0),
+    "torque_constant": Kind("joint", "", relative=True),
+    "torque_delay": Kind("motor torques", "s"),
     "coupling": Kind("coupling", "kg m²"),
     "payload_mass": Kind("payload", "kg", least=0.0),
     "payload_xyz": Kind("payload axis", "m"),
@@ -70,10 +81,7 @@ KINDS = {
     "delay": Kind("sensor", "s", least=0.0),
     "link_time_constant": Kind("link encoders", "s", least=SHORTEST_FILTER),
     "link_delay": Kind("link encoders", "s", least=0.0),
-    "motor_noise": Kind("joint", "", relative=True),
-    "torque_noise": Kind("joint", "", relative=True),
     "sensor_noise": Kind("sensor", "", relative=True),
-    "jerk_noise": Kind("joint", "", relative=True),
 }
 """All kinds of parameters, by name."""
 
@@ -83,11 +91,11 @@ LITTLE = 0.1
 UNKNOWN = float(np.log(3))
 """Tolerance of a stiffness that robot.yaml does not know."""
 
-NOISE = ("motor_noise", "torque_noise", "sensor_noise", "jerk_noise")
-"""Kinds that say how uncertain readings are; factors on what `Noise` says."""
+NOISE = ("sensor_noise",)
+"""Kinds that say how uncertain readings are; factors on what robot.yaml says."""
 
 TOLERANCES = {
-    **{"link_time_constant": "time_constant", "link_delay": "delay"},
+    **{"link_time_constant": "time_constant", "link_delay": "delay", "torque_delay": "delay"},
     **{"link_coulomb": "lost_motion", "half_gap": "lost_motion"},
 }
 """Keys of robot.yaml's `tolerances`, of kinds that do not have one by their own name."""
@@ -98,11 +106,12 @@ OF_LINK_ENCODERS = ("link_time_constant", "link_delay")
 NOISE_RANGE = (0.03, 1e3)
 """Factors on noise: below, an encoder would be better than its steps."""
 
-WITHOUT_TORQUE = (*OF_LINK_ENCODERS, "link_friction", "link_coulomb", "half_gap")
-"""Kinds that are found where motor torques are not readings."""
 
-TORQUE_ONLY = ("motor_inertia", "viscous", "coulomb", "coupling", "torque_noise")
+TORQUE_ONLY = ("motor_inertia", "viscous", "coulomb", "coupling", "torque_constant", "torque_delay")
 """Kinds that are identifiable only from motor torques."""
+
+OF_RESPONSE = (*OF_LINK_ENCODERS, "link_friction", "link_coulomb", "half_gap", *TORQUE_ONLY)
+"""Kinds that the Kalman filter that judges an outcome takes as robot.yaml has them, or does not depend on."""
 
 BY_MASS = (
     *("stiffness", "cubic_stiffness", "damping", "mass_scale", "payload_mass"),
@@ -117,10 +126,11 @@ BY_LINK_ENCODERS = (*OF_LINK_ENCODERS, "link_coulomb")
 """Kinds that are freed only where encoders show what links do, unless they are asked for."""
 
 DEFAULT = (
-    *("stiffness", "cubic_stiffness", "damping", "motor_inertia", "viscous", "coulomb"),
-    *("payload_mass", "bias", "time_constant", "delay", *BY_LINK_ENCODERS, *NOISE),
+    *("stiffness", "cubic_stiffness", "damping"),
+    *("motor_inertia", "viscous", "coulomb", "torque_constant"),
+    *("torque_delay", "payload_mass", "bias", "time_constant", "delay", *BY_LINK_ENCODERS, *BESIDE, *NOISE),
 )
-"""Kinds that are freed by default, as far as the recordings distinguish them; without torques `BESIDE` too."""
+"""Kinds that are freed by default, as far as the recordings distinguish them."""
 
 
 @dataclass(frozen=True)
@@ -193,7 +203,7 @@ class Parameter:
 def catalogue(robot: Robot, torque: bool) -> list[Parameter]:
     """All parameters of a robot; with ``torque``, also those that are identifiable only from motor torques."""
     tolerances = robot.config.tolerances
-    kinds = [kind for kind in KINDS if kind not in (WITHOUT_TORQUE if torque else TORQUE_ONLY)]
+    kinds = [kind for kind in KINDS if torque or kind not in TORQUE_ONLY]
     return [parameter for kind in kinds for parameter in _of_kind(robot, kind, tolerances)]
 
 
@@ -207,13 +217,12 @@ def choose(robot: Robot, free: Iterable[str] | None, torque: bool, bounds: Bound
     """
     everything = catalogue(robot, torque)
     names = [p.name for p in everything]
-    default = DEFAULT if torque else (*DEFAULT, *BESIDE)
-    wanted = default if free is None else tuple(free)
+    wanted = DEFAULT if free is None else tuple(free)
     for name in () if free is None else wanted:
         if name not in names and name not in {p.kind for p in everything}:
             _refuse_unknown(name, [*KINDS, *names], torque)
     chosen = [p for p in everything if p.kind in wanted or p.name in wanted]
-    if free is None:
+    if free is None and not torque:
         chosen = [p for p in chosen if p.name != f"mass_scale_{_heaviest(robot)}"]
     for name in bounds:
         if name not in [p.name for p in chosen]:
@@ -284,6 +293,8 @@ def _of_kind(robot: Robot, kind: str, tolerances: TolerancesConfig) -> list[Para
     if owner == "link encoders":
         stated = robot.config.link_encoder or LinkEncoderConfig()
         return [_made(kind, kind, (0, 0), _of_sensor(stated, kind.removeprefix("link_")), tolerance)]
+    if owner == "motor torques":
+        return [_made(kind, kind, (0, 0), 0.0, tolerance)]
     if owner in ("payload", "payload axis"):
         return _of_payload(robot, kind, tolerance)
     if owner == "sensor":
@@ -294,7 +305,7 @@ def _of_kind(robot: Robot, kind: str, tolerances: TolerancesConfig) -> list[Para
 
 def _has(drive: JointConfig, kind: str) -> bool:
     """Whether a drive has a parameter of a kind."""
-    if kind in ("mass_scale", "motor_noise"):
+    if kind == "mass_scale":
         return True
     friction = {"link_friction": brakes(drive), "link_coulomb": not brakes(drive)}
     springs = dict.fromkeys(("stiffness", "cubic_stiffness"), drive.stiffness_table is None)

@@ -49,6 +49,8 @@ EXCITATION = {
     "motor_inertia": "motor torques, and strong accelerations",
     "viscous": "motor torques, and long stretches at different constant speeds",
     "coulomb": "motor torques, and reversals at low speed",
+    "torque_constant": "motor torques, and masses that are known",
+    "torque_delay": "motor torques, and fast motion",
     "coupling": "motor torques, and accelerations of both joints",
     "mass_scale": "motor torques",
     "link_friction": "motion at different speeds, slow ones too",

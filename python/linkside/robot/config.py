@@ -55,10 +55,7 @@ class TolerancesConfig(Section):
     scale: Positive = 0.03
     time_constant: Positive = 1e-3  # s
     delay: Positive = 1e-3  # s
-    motor_noise: Positive = 3.0
-    torque_noise: Positive = 3.0
     sensor_noise: Positive = 1.0
-    jerk_noise: Positive = 1.0
     link_friction: Positive = 0.5
     torque_constant: Positive = 0.05
     motor_friction: Positive = 0.5

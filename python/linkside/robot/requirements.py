@@ -102,7 +102,6 @@ UNSUPPORTED: dict[str, tuple[str, ...]] = {
     "inverse dynamics along a motion": OF_CONTROL,
     "state feedback": OF_CONTROL,
     "calibration": ("rotors", "gearing", "linkages", "hysteresis", *BY_LOAD, "asymmetry", "passive", "wrenches"),
-    "calibration with motor torques": ("stiffness_table", "backlash", "ripple"),
 }
 """Keys that each method does not account for."""
 

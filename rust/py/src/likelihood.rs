@@ -58,6 +58,7 @@ fn parameter((kind, i, k): &Name) -> PyResult<Parameter> {
         "motor_inertia" => P::MotorInertia(i),
         "viscous" => P::ViscousFriction(i),
         "coulomb" => P::CoulombFriction(i),
+        "torque_constant" => P::TorqueScale(i),
         "half_gap" => P::HalfGap(i),
         "link_coulomb" => P::LinkCoulomb(i),
         "link_friction" => P::LinkFriction(i),

@@ -19,6 +19,8 @@ pub enum Parameter {
     ViscousFriction(usize),
     /// Dry friction of a joint's motor [N m].
     CoulombFriction(usize),
+    /// Factor on a joint's motor torques as they were read: a torque constant over that in use.
+    TorqueScale(usize),
     /// Factor on all friction of a link.
     LinkFriction(usize),
     /// Dry friction of a link's bearing [N m].
@@ -65,6 +67,8 @@ pub(super) struct JointParameters<T> {
     /// The motor's.
     pub(super) viscous_friction: T,
     pub(super) coulomb_friction: T,
+    /// Factor on its torques as they were read.
+    pub(super) torque_scale: T,
     /// Half of the play.
     pub(super) half_gap: T,
     /// Dry friction of the link that the joint moves; factors on all its friction, and on its mass.
@@ -109,7 +113,14 @@ pub(super) struct Parameters<T> {
 impl Parameter {
     /// Whether the links' response to their motors has it alone: the filter takes it as the robot says.
     pub(super) fn of_response(self) -> bool {
-        matches!(self, Self::LinkFriction(_) | Self::LinkCoulomb(_) | Self::HalfGap(_))
+        use Parameter as P;
+        matches!(
+            self,
+            P::LinkFriction(_)
+                | P::LinkCoulomb(_)
+                | P::HalfGap(_)
+                | P::TorqueScale(_)
+        )
     }
 }
 
@@ -123,6 +134,7 @@ impl<T: Scalar> Parameters<T> {
             motor_inertia: T::constant(d.motor_inertia),
             viscous_friction: T::constant(d.motor_friction.viscous),
             coulomb_friction: T::constant(d.motor_friction.coulomb),
+            torque_scale: one,
             half_gap: T::constant(d.backlash.half_gap),
             link_coulomb: T::constant(d.bearing_friction.coulomb),
             link_friction: one,
@@ -162,6 +174,7 @@ impl<T: Scalar> Parameters<T> {
             P::MotorInertia(j) => &mut joints.get_mut(j)?.motor_inertia,
             P::ViscousFriction(j) => &mut joints.get_mut(j)?.viscous_friction,
             P::CoulombFriction(j) => &mut joints.get_mut(j)?.coulomb_friction,
+            P::TorqueScale(j) => &mut joints.get_mut(j)?.torque_scale,
             P::HalfGap(j) => &mut joints.get_mut(j)?.half_gap,
             P::LinkCoulomb(j) => &mut joints.get_mut(j)?.link_coulomb,
             P::LinkFriction(j) => &mut joints.get_mut(j)?.link_friction,

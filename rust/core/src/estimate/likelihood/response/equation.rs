@@ -53,7 +53,7 @@ impl Balance {
 }
 
 /// Dry friction of one newton metre.
-const DRY: Friction = Friction { viscous: 0.0, coulomb: 1.0, stribeck: 0.0, stribeck_velocity: 0.0, asymmetry: 0.0 };
+pub(super) const DRY: Friction = Friction { viscous: 0.0, coulomb: 1.0, stribeck: 0.0, stribeck_velocity: 0.0, asymmetry: 0.0 };
 
 /// How far a transmission is wound up.
 struct Winding {
