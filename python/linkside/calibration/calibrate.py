@@ -128,7 +128,7 @@ def calibrate(
     after, found = solved.after()
     foretold = solved.foretold() if len(solved.problem.free) else None
     gain = None
-    if foretold is not None and robot.acceleration_channels:
+    if foretold is not None and robot.acceleration_channels and not any(drive.hysteresis for drive in robot.drives):
         gain = filters_gain(robot, logs, noise or Noise(), solved.problem.free, solved.z)
     return Calibration(
         estimates=_estimates(solved.problem.free, solved.z, found),

@@ -21,6 +21,7 @@ CoreName = tuple[str, int, int]
 Bounds = Mapping[str, tuple[float, float]]
 Owner = Literal[
     "joint",
+    "element",
     "coupling",
     "payload",
     "payload axis",
@@ -61,6 +62,8 @@ KINDS = {
     "stiffness": Kind("joint", "N m/rad", relative=True),
     "cubic_stiffness": Kind("joint", "N m/rad³", least=0.0),
     "damping": Kind("joint", "N m s/rad", relative=True),
+    "hysteresis_stiffness": Kind("element", "N m/rad", relative=True),
+    "hysteresis_limit": Kind("element", "N m", relative=True),
     "motor_inertia": Kind("joint", "kg m²", relative=True),
     "viscous": Kind("joint", "N m s/rad", relative=True),
     "coulomb": Kind("joint", "N m", relative=True),
@@ -107,15 +110,18 @@ NOISE_RANGE = (0.03, 1e3)
 """Factors on noise: below, an encoder would be better than its steps."""
 
 
+OF_ELEMENTS = ("hysteresis_stiffness", "hysteresis_limit")
+"""Kinds of friction elements beside a spring."""
+
 TORQUE_ONLY = ("motor_inertia", "viscous", "coulomb", "coupling", "torque_constant", "torque_delay")
 """Kinds that are identifiable only from motor torques."""
 
-OF_RESPONSE = (*OF_LINK_ENCODERS, "link_friction", "link_coulomb", "half_gap", *TORQUE_ONLY)
+OF_RESPONSE = (*OF_LINK_ENCODERS, "link_friction", "link_coulomb", "half_gap", *OF_ELEMENTS, *TORQUE_ONLY)
 """Kinds that the Kalman filter that judges an outcome takes as robot.yaml has them, or does not depend on."""
 
 BY_MASS = (
     *("stiffness", "cubic_stiffness", "damping", "mass_scale", "payload_mass"),
-    *("link_friction", "link_coulomb"),
+    *("link_friction", "link_coulomb", *OF_ELEMENTS),
 )
 """Kinds that a motion shows in proportion to masses only."""
 
@@ -126,7 +132,7 @@ BY_LINK_ENCODERS = (*OF_LINK_ENCODERS, "link_coulomb")
 """Kinds that are freed only where encoders show what links do, unless they are asked for."""
 
 DEFAULT = (
-    *("stiffness", "cubic_stiffness", "damping"),
+    *("stiffness", "cubic_stiffness", "damping", *OF_ELEMENTS),
     *("motor_inertia", "viscous", "coulomb", "torque_constant"),
     *("torque_delay", "payload_mass", "bias", "time_constant", "delay", *BY_LINK_ENCODERS, *BESIDE, *NOISE),
 )
@@ -285,6 +291,12 @@ def _of_kind(robot: Robot, kind: str, tolerances: TolerancesConfig) -> list[Para
     if owner == "joint":
         inertia = robot.mass_matrix(np.zeros((1, robot.n)))[0].diagonal().tolist()
         return [_of_joint(kind, j, d, tolerance, inertia[j]) for j, d in enumerate(robot.drives) if _has(d, kind)]
+    if owner == "element":
+        return [
+            _made(kind, f"{kind}_{_of_element(d, i)}", (j, i), getattr(element, kind.partition("_")[2]), tolerance)
+            for j, d in enumerate(robot.drives)
+            for i, element in enumerate(d.hysteresis)
+        ]
     if owner == "coupling":
         pairs = [(i, j) for i in range(robot.n) for j in range(i + 1, robot.n) if robot.elastic[[i, j]].all()]
         names = robot.names
@@ -301,6 +313,11 @@ def _of_kind(robot: Robot, kind: str, tolerances: TolerancesConfig) -> list[Para
         return [_made(kind, f"{kind}_{s.name}", (i, 0), _of_sensor(s, kind), tolerance) for i, s in sensors]
     axes = [(i, s, a) for i, s in sensors for a in range(3) if AXES[a] in s.axes or kind in ("translation", "rotation")]
     return [_made(kind, f"{kind}_{s.name}_{AXES[a]}", (i, a), _of_axis(s, kind, a), tolerance) for i, s, a in axes]
+
+
+def _of_element(drive: JointConfig, index: int) -> str:
+    """What an element is called: as its joint, with a number if that has several."""
+    return f"{drive.name}_{index + 1}" if len(drive.hysteresis) > 1 else drive.name
 
 
 def _has(drive: JointConfig, kind: str) -> bool:

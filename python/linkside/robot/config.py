@@ -42,6 +42,8 @@ class TolerancesConfig(Section):
     stiffness: Positive = 0.2
     cubic_stiffness: Positive = 3e4  # 1/rad², times the stiffness
     damping: Positive = 1.0
+    hysteresis_stiffness: Positive = 0.5
+    hysteresis_limit: Positive = 0.5
     motor_inertia: Positive = 0.3
     viscous: Positive = 1.0
     coulomb: Positive = 1.0

@@ -58,6 +58,8 @@ fn parameter((kind, i, k): &Name) -> PyResult<Parameter> {
         "motor_inertia" => P::MotorInertia(i),
         "viscous" => P::ViscousFriction(i),
         "coulomb" => P::CoulombFriction(i),
+        "hysteresis_stiffness" => P::ElementStiffness(i, k),
+        "hysteresis_limit" => P::ElementLimit(i, k),
         "torque_constant" => P::TorqueScale(i),
         "half_gap" => P::HalfGap(i),
         "link_coulomb" => P::LinkCoulomb(i),

@@ -146,6 +146,7 @@ impl<'a> Sensors<'a> {
         }
         let [torque, stiffness, damping] = equation.transmission(j, motors, state);
         chain(links, j, [-stiffness, -damping, 0.0], row);
+        equation.by_elements(j, motors, state, 1.0, row);
         for (k, &parameter) in self.free.iter().enumerate() {
             if let Some((_, slope)) = equation.transmission_by(parameter, motors, state).filter(|own| own.0 == j) {
                 row[k] += slope;
