@@ -15,6 +15,7 @@ from linkside._core import Response
 from linkside.calibration import calibrate
 from linkside.calibration.acceptance import filters_gain, objections
 from linkside.calibration.band import Band
+from linkside.calibration.box import within
 from linkside.calibration.lag import Lag
 from linkside.calibration.motors import motors, quietest
 from linkside.calibration.parameters import by_unit, choose
@@ -67,16 +68,19 @@ def smooth_motion(t, theta):
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("rigid", [(), ("joint1",)])
 def test_links_move_as_they_were_made_up_to(seed, rigid):
-    robot, model = tree(seed, rigid)
+    robot, model = tree(seed, rigid, motor_inertia=0.2, motor_friction={"viscous": 2.0, "coulomb": 1.5})
     t, q, dq, ddq, theta = made_up(robot, model)
     fixed = [(("damping", j, 0), 0.0) for j in range(robot.n)]
-    kinds = ["acceleration", "rate", "q", "torque", "dq"]
-    response = Response(robot.core, smooth_motion(t, theta), kinds=kinds, fixed=fixed)
+    kinds = ["acceleration", "rate", "q", "torque", "dq", "tau"]
+    motion = smooth_motion(t, theta)
+    response = Response(robot.core, motion, kinds=kinds, fixed=fixed)
     resting, _ = response.evaluate([], [], [0.0] * 6)
     offset = np.concatenate([q[0] - resting[0, 6:9], dq[0] - resting[0, 12:15]]) * np.tile(robot.elastic, 2)
     found, _ = response.evaluate([], [], offset.tolist())
     load = robot.inverse_dynamics(q, dq, ddq)
-    truth = np.hstack([robot.specific_force(q, dq, ddq), robot.angular_rate(q, dq), q, load, dq])
+    v = motion["dtheta"]
+    given = load + 0.2 * motion["ddtheta"] + 2.0 * v + 1.5 * v / np.hypot(v, 2e-3)
+    truth = np.hstack([robot.specific_force(q, dq, ddq), robot.angular_rate(q, dq), q, load, dq, given])
     assert np.abs(found - truth)[5:-5].max() < 2e-4 * np.abs(truth).max()
     assert np.abs(found - truth)[5:-5, 6:9].max() < 1e-7
 
@@ -86,6 +90,7 @@ FREE = [
     *(("cubic_stiffness", 1, 0), ("damping", 2, 0), ("mass_scale", 1, 0), ("coupling", 0, 1)),
     *(("payload_mass", 0, 0), ("payload_xyz", 0, 1), ("translation", 0, 2), ("rotation", 0, 0), ("rotation", 0, 1)),
     *(("bias", 0, 0), ("scale", 0, 1), ("link_friction", 1, 0), ("link_coulomb", 2, 0), ("half_gap", 0, 0)),
+    *(("motor_inertia", 0, 0), ("viscous", 1, 0), ("coulomb", 1, 0), ("torque_constant", 2, 0)),
 ]
 
 
@@ -97,9 +102,10 @@ def test_derivatives_are_those_of_the_solution():
     play = {"half_gap": 2e-3, "slope": 0.1, "rounding": 2e-3}
     robot, model = tree(5, **law, backlash=play)
     t, *_, theta = made_up(robot, model, rows=60)
-    kinds = ["acceleration", "rate", "q", "torque", "dq"]
+    kinds = ["acceleration", "rate", "q", "torque", "dq", "tau"]
     response = Response(robot.core, smooth_motion(t, theta), kinds=kinds, fixed=[])
     values = np.array([3e3, 2.5e3, 3.5e3, 3e5, 5.0, 1.1, 0.02, 0.4, 0.1, 0.02, 0.05, -0.04, 0.1, 1.02, 1.3, 0.4, 3e-3])
+    values = np.append(values, [0.3, 2.0, 1.5, 1.1])
     at = np.concatenate([values, 1e-3 * np.arange(6)])
 
     def evaluate(x):
@@ -140,6 +146,21 @@ def test_a_lag_is_that_of_the_sampled_filter(time_constant, delay):
         if len({int(np.floor(x.shift)) for x in near}) == 1:  # else between two cubics
             difference = (near[1](wave[:, None]) - near[0](wave[:, None])) / 2e-5
             assert np.abs(slope - difference)[10:].max() < 1e-6
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 12))
+def test_a_step_within_bounds_is_the_best(seed, size):
+    """By the conditions of Karush, Kuhn and Tucker; directions count differently by many powers of ten."""
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((size + 3, size)) * 10 ** rng.uniform(-3, 3, size)
+    curvature = root.T @ root + np.eye(size)
+    gradient = 3 * rng.standard_normal(size) * np.sqrt(np.diag(curvature))
+    low, high = -rng.uniform(0, 1, size) * (rng.random(size) < 0.7), rng.uniform(0.01, 1, size)
+    x = within(gradient, curvature, low, high)
+    assert np.all((low <= x) & (x <= high))
+    slope = (gradient - curvature @ x) / np.sqrt(np.diag(curvature))
+    assert np.all(np.where(x == low, slope, np.where(x == high, -slope, np.abs(slope))) < 1e-4)
 
 
 def test_a_band_keeps_what_is_slow_and_drops_what_is_fast():

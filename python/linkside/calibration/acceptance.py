@@ -14,7 +14,7 @@ from linkside.recording.log import Log
 from linkside.robot import Robot
 
 from .links import with_links
-from .parameters import NOISE, WITHOUT_TORQUE, Parameter
+from .parameters import NOISE, OF_RESPONSE, Parameter
 from .posterior import Posterior
 from .problem import OF_SENSORS, Problem
 from .search import ROUGH, Search
@@ -33,6 +33,9 @@ DEVIATIONS = 4
 
 FAR = 3.0
 """An estimate further from robot.yaml than this, in tolerances, is not one that robot.yaml's tolerance allows for."""
+
+HERE = 1e-3
+"""An estimate at a bound where robot.yaml has it too, to within this part of its tolerance, is that of robot.yaml."""
 
 WIDE = 1.96
 """So many standard errors an estimate may be nearer than it seems."""
@@ -124,11 +127,11 @@ def filters_gain(robot: Robot, logs: Sequence[Log], noise: Noise, free: Sequence
     That model shares nothing with the links' response but the robot: what explains the encoders' noise, and not the
     robot, is worse there. Sensors are as they were found in both cases.
     """
-    theirs = [p for p in free if p.kind not in WITHOUT_TORQUE]
-    at = np.array([x for p, x in zip(free, z, strict=True) if p.kind not in WITHOUT_TORQUE])
+    theirs = [p for p in free if p.kind not in OF_RESPONSE]
+    at = np.array([x for p, x in zip(free, z, strict=True) if p in theirs])
     nominal = np.where([p.kind in OF_SENSORS for p in theirs], at, 0.0)
     found = with_links(robot, {p.core[:2]: p.value(x) for p, x in zip(free, z.tolist(), strict=True)})
-    before, after = (Problem(one, logs, noise, False, theirs) for one in (robot, found))
+    before, after = (Problem(one, logs, noise, theirs) for one in (robot, found))
     return after.log_likelihood(at) - before.log_likelihood(nominal)
 
 
@@ -163,7 +166,7 @@ def objections(
         if p.kind in NOISE:
             continue
         value = f"{p.name} = {p.value(x):.4g} {p.unit}".rstrip()
-        if p.exceeds(x) and not p.exceeds(0.0) and (p.stated or x > 0):  # what is not stated may not be there
+        if p.exceeds(x) and not (p.exceeds(0.0) and abs(x) < HERE):
             found.append(f"{value} is at its bound")
         elif abs(x) - WIDE * wide > most and p.stated:
             found.append(f"{value} is {abs(x):.1f} tolerances from {p.start:.4g}, its value in robot.yaml")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -20,20 +21,15 @@ from linkside.robot import Robot
 
 from .acceptance import filters_gain, objections
 from .calibration import Calibration
-from .filter_run import FilterRun
 from .parameters import BY_LINK_ENCODERS, OF_LINK_ENCODERS, Bounds, Parameter, choose
 from .posterior import Posterior
 from .prepared import kinds, recordings
-from .problem import Problem
 from .recordings import refuse, use_torque
 from .response import ResponseProblem
 from .response_run import ResponseRun
 from .result import Estimated
 from .search import Progress, Search
 from .uncertainty import Alone, Contradiction, Uncertainty, compare, uncertainty, unidentifiable
-
-OF_FILTERS = ("motor_noise", "jerk_noise")
-"""Kinds without a part where motors are taken as they were measured and nothing else moves the links."""
 
 
 @contextmanager
@@ -67,12 +63,10 @@ def calibrate(
     """Find a robot's parameters from its own recordings, without external measurements.
 
     The posterior probability of the free parameters is maximised, with a Gaussian prior around the values of robot.yaml
-    whose widths are its ``tolerances``. Without ``torque`` the motors, as measured, drive the links of the model
-    through their springs, and the predicted readings of accelerometers and other sensors of the links are compared with
-    the real ones (output error; L. Ljung, "System identification", 1999). With it, the likelihood is that of all other
-    readings given the motors' positions, from the innovations of a Kalman filter on the jerk-driven model (F. C.
-    Schweppe 1965). Gradients are exact. Errors of more than four standard deviations count linearly (Huber 1964), so
-    that outliers have a bounded influence.
+    whose widths are its ``tolerances``. The motors, as measured, drive the links of the model through their springs;
+    what accelerometers and other sensors of the links should then read, and with ``torque`` what the motors should
+    give, is compared with what was read (output error; L. Ljung, "System identification", 1999). Gradients are exact.
+    Errors of more than four standard deviations count linearly (Huber 1964), so that outliers have a bounded influence.
 
     Parameters
     ----------
@@ -85,7 +79,7 @@ def calibrate(
         `parameters.DEFAULT`. Those that are not identifiable from the recordings stay as they are, see
         `Calibration.refused`.
     noise
-        Noise levels; those of motors, sensors and torques are also multiplied by free factors by default.
+        Noise levels of the Kalman filter that judges the outcome.
     torque
         Whether motor torques are measurements, by the motor's equation of motion: needed for motor inertia, friction
         and coupling, and to distinguish stiffness from mass. By default only for a robot without accelerometers.
@@ -94,13 +88,12 @@ def calibrate(
     held_out
         Recordings that are used only to test the result.
     start
-        Where to start, by name, in tolerances, as in a `Step` of an interrupted run. By default robot.yaml, or the best
-        fit of the equations of motion if the recordings are more probable there.
+        Where to start, by name, in tolerances, as in a `Step` of an interrupted run. By default robot.yaml, and springs
+        far from it.
     progress
         Called with a `Step` whenever a better point is found.
     run
-        Evaluates the recordings, see `linkside.fleet.mapped`; with motor torques they are evaluated one by one. The
-        result does not depend on it.
+        Evaluates the recordings, see `linkside.fleet.mapped`. The result does not depend on it.
 
     Raises
     ------
@@ -110,7 +103,7 @@ def calibrate(
     LogError
         A recording without motion, with a saturated accelerometer, or of another robot.
     NumericalError
-        The filter breaks down at the values of robot.yaml.
+        The links fly away at the values of robot.yaml.
     """
     began = time.perf_counter()
     logs = [logs] if isinstance(logs, Log) else list(logs)
@@ -120,17 +113,22 @@ def calibrate(
     torque = use_torque(robot, logs, torque)
     free = None if free is None else tuple(free)
     chosen = choose(robot, free, torque, bounds or {})
-    if not torque:
-        _refuse_without_part(chosen, free or (), logs)
+    _refuse_without_part(chosen, free or (), logs)
     _refuse_unknown(chosen, start or {})
-    if free is None and not torque and "q" not in kinds(robot, logs):
+    # A torque that is held from sample to sample is early by half of one on average, and by one at most.
+    earliest = -max(log.period for log in logs)
+    chosen = [replace(p, low=earliest) if p.kind == "torque_delay" else p for p in chosen]
+    if free is None and "q" not in kinds(robot, logs):
         chosen = [p for p in chosen if p.kind not in BY_LINK_ENCODERS]
-    solved = _run(robot, logs, noise or Noise(), torque, chosen, start or {}, progress, run)
+    moves = np.any([moving(log) for log in logs], axis=0)
+    still = [name for name, does in zip(robot.names, moves, strict=True) if not does]
+    problem = ResponseProblem(robot, recordings(robot, logs, torque), chosen, run=run)
+    solved = ResponseRun(problem, still, start or {}, progress)
     solved.solve()
     after, found = solved.after()
     foretold = solved.foretold() if len(solved.problem.free) else None
     gain = None
-    if foretold is not None and not torque and robot.acceleration_channels:
+    if foretold is not None and robot.acceleration_channels and not any(drive.hysteresis for drive in robot.drives):
         gain = filters_gain(robot, logs, noise or Noise(), solved.problem.free, solved.z)
     return Calibration(
         estimates=_estimates(solved.problem.free, solved.z, found),
@@ -152,33 +150,9 @@ def calibrate(
     )
 
 
-def _run(
-    robot: Robot,
-    logs: list[Log],
-    noise: Noise,
-    torque: bool,
-    free: list[Parameter],
-    start: Mapping[str, float],
-    progress: Progress | None,
-    run: Map,
-) -> FilterRun | ResponseRun:
-    """Choose the method: a Kalman filter if motor torques are measurements, else the response of the links."""
-    moves = np.any([moving(log) for log in logs], axis=0)
-    still = [name for name, does in zip(robot.names, moves, strict=True) if not does]
-    if torque:
-        return FilterRun(Problem(robot, logs, noise, torque, free), still, start, progress)
-    seen = [p for p in free if p.kind not in OF_FILTERS]
-    return ResponseRun(ResponseProblem(robot, recordings(robot, logs), seen, run=run), still, start, progress)
-
-
 def _refuse_without_part(chosen: Sequence[Parameter], asked: Sequence[str], logs: Sequence[Log]) -> None:
     """Refuse, by name, parameters on which neither the recordings nor the method can depend."""
     for p in (p for p in chosen if p.kind in asked or p.name in asked):
-        if p.kind in OF_FILTERS:
-            raise EstimatorError(
-                f"free: '{p.name}' has a part with motor torques only (--torque): without them motors are where they "
-                "were measured, and nothing else moves the links; leave it out"
-            )
         if p.kind in OF_LINK_ENCODERS and not all(log.q is not None for log in logs):
             raise EstimatorError(
                 f"free: '{p.name}' shows in link encoders only, and a log has none (columns q_<joint>)"
@@ -199,12 +173,11 @@ def _estimates(free: Sequence[Parameter], z: FloatArray, found: Uncertainty) -> 
     return tuple(Estimated(p, p.value(x), std * p.slope(x), wide, p.exceeds(x)) for p, x, std, wide in rows)
 
 
-def _contradictions(problem: Posterior, z: FloatArray) -> tuple[Contradiction, ...]:
+def _contradictions(problem: ResponseProblem, z: FloatArray) -> tuple[Contradiction, ...]:
     """Estimate from each recording alone, starting at the joint estimate."""
     if len(problem.logs) < 2:
         return ()
-    run = problem.run if isinstance(problem, ResponseProblem) else here
-    fits = run(partial(_alone, z), [problem.alone(i, z) for i in range(len(problem.logs))])
+    fits = problem.run(partial(_alone, z), [problem.alone(i, z) for i in range(len(problem.logs))])
     return tuple(compare(problem, list(fits)))
 
 

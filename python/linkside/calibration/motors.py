@@ -76,16 +76,20 @@ def _uniform(robot: Robot, log: Log) -> FloatArray:
     return filled(theta)
 
 
-def quietest(robot: Robot, log: Log) -> tuple[float, ...]:
+def quietest(robot: Robot, log: Log, torque: bool = False) -> tuple[float, ...]:
     """Give the corner frequency for each motor's positions [Hz].
 
     The lowest is taken at which what smoothing takes away is still the encoder's noise (V. A. Morozov, Soviet Math.
     Dokl. 7, 1966), unless the acceleration of that noise is still far below what an accelerometer at an arm's length of
-    1 m tells: motors' vibration may be hidden in the encoder's steps and show there.
+    1 m tells, or with ``torque`` the motor's own torque: vibration may be hidden in the encoder's steps and show there.
     """
-    told = min((sensor.noise_std for sensor in robot.accelerometers), default=0.0)
+    by_links = min((sensor.noise_std for sensor in robot.accelerometers), default=np.inf)
+    inertia = [drive.motor_inertia or 0.0 for drive in robot.drives]
+    by_torque = [robot.config.torque.noise_std / b if torque and b else np.inf for b in inertia]
+    told = [SHARE * min(by_links, own) for own in by_torque]
     least = robot.config.encoder.resolution / np.sqrt(12)
-    return tuple(_corner(x, least, SHARE * told, 1 / log.period) for x in _uniform(robot, log).T)
+    pairs = zip(_uniform(robot, log).T, told, strict=True)
+    return tuple(_corner(x, least, own if np.isfinite(own) else 0.0, 1 / log.period) for x, own in pairs)
 
 
 def _corner(values: FloatArray, least: float, told: float, rate: float) -> float:

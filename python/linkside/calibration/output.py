@@ -18,7 +18,7 @@ from linkside.files.yaml_source import Source
 from linkside.robot.rigid import roll_pitch_yaw, rotation
 
 from .links import OF_BEARINGS, STRENGTHS
-from .parameters import AXES, OF_LINK_ENCODERS, SHORTEST_FILTER
+from .parameters import AXES, OF_ELEMENTS, OF_LINK_ENCODERS, SHORTEST_FILTER
 from .result import Estimated, Result
 from .tolerances import errors, readable
 
@@ -119,6 +119,22 @@ def _of_friction(tree: Any, e: Estimated) -> None:
     _put(joint, "motor_friction", joint.get("motor_friction", _flow_map()), "motor_inertia")
     joint["motor_friction"][e.parameter.kind] = rounded(e.value, e.std)
     _note(joint, "motor_friction", f"{e.parameter.kind} ± {e.std:.2g}")
+
+
+def _of_element(tree: Any, e: Estimated) -> None:
+    """One of the friction elements beside a joint's spring."""
+    _, joint, index = e.parameter.core
+    element, key = tree["joints"][joint]["hysteresis"][index], e.parameter.kind.partition("_")[2]
+    element[key] = rounded(e.value, e.std)
+    _note(element, key, f"± {e.std:.2g}")
+
+
+def _of_torque_constant(tree: Any, e: Estimated) -> None:
+    """The parameter is a factor on the one in use; of torques that a log has as such there is none."""
+    joint = tree["joints"][e.parameter.core[1]]
+    if (constant := joint.get("torque_constant")) is not None:
+        joint["torque_constant"] = rounded(constant * e.value, constant * e.std)
+        _note(joint, "torque_constant", f"± {constant * e.std:.2g}")
 
 
 def _of_link_friction(tree: Any, e: Estimated) -> None:
@@ -238,6 +254,8 @@ _WRITERS: dict[str, Writer] = {
     **dict.fromkeys(("viscous", "coulomb"), _of_friction),
     **dict.fromkeys(("payload_mass", "payload_xyz"), _of_payload),
     **dict.fromkeys(("bias", "scale", "translation", "sensor_noise", "delay", "time_constant"), _of_sensor),
+    **dict.fromkeys(OF_ELEMENTS, _of_element),
+    "torque_constant": _of_torque_constant,
     **dict.fromkeys(OF_LINK_ENCODERS, _of_link_encoders),
     "link_friction": _of_link_friction,
     **dict.fromkeys(SECTIONS, _of_section),

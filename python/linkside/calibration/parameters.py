@@ -19,7 +19,17 @@ from linkside.robot.sensors import AccelerometerConfig, Lateness, LinkEncoderCon
 
 CoreName = tuple[str, int, int]
 Bounds = Mapping[str, tuple[float, float]]
-Owner = Literal["joint", "coupling", "payload", "payload axis", "sensor", "sensor axis", "link encoders"]
+Owner = Literal[
+    "joint",
+    "element",
+    "coupling",
+    "payload",
+    "payload axis",
+    "sensor",
+    "sensor axis",
+    "link encoders",
+    "motor torques",
+]
 
 AXES = "xyz"
 SHORTEST_FILTER = 1e-5
@@ -52,6 +62,8 @@ KINDS = {
     "stiffness": Kind("joint", "N m/rad", relative=True),
     "cubic_stiffness": Kind("joint", "N m/rad³", least=0.0),
     "damping": Kind("joint", "N m s/rad", relative=True),
+    "hysteresis_stiffness": Kind("element", "N m/rad", relative=True),
+    "hysteresis_limit": Kind("element", "N m", relative=True),
     "motor_inertia": Kind("joint", "kg m²", relative=True),
     "viscous": Kind("joint", "N m s/rad", relative=True),
     "coulomb": Kind("joint", "N m", relative=True),
@@ -59,6 +71,8 @@ KINDS = {
     "link_friction": Kind("joint", "", relative=True),
     "link_coulomb": Kind("joint", "N m", least=0.0),
     "half_gap": Kind("joint", "rad", least=0.0),
+    "torque_constant": Kind("joint", "", relative=True),
+    "torque_delay": Kind("motor torques", "s"),
     "coupling": Kind("coupling", "kg m²"),
     "payload_mass": Kind("payload", "kg", least=0.0),
     "payload_xyz": Kind("payload axis", "m"),
@@ -70,21 +84,21 @@ KINDS = {
     "delay": Kind("sensor", "s", least=0.0),
     "link_time_constant": Kind("link encoders", "s", least=SHORTEST_FILTER),
     "link_delay": Kind("link encoders", "s", least=0.0),
-    "motor_noise": Kind("joint", "", relative=True),
-    "torque_noise": Kind("joint", "", relative=True),
     "sensor_noise": Kind("sensor", "", relative=True),
-    "jerk_noise": Kind("joint", "", relative=True),
 }
 """All kinds of parameters, by name."""
+
+LITTLE = 0.1
+"""Tolerance of a damping that robot.yaml does not state, as a share of what is critical, where that of others is 1."""
 
 UNKNOWN = float(np.log(3))
 """Tolerance of a stiffness that robot.yaml does not know."""
 
-NOISE = ("motor_noise", "torque_noise", "sensor_noise", "jerk_noise")
-"""Kinds that say how uncertain readings are; factors on what `Noise` says."""
+NOISE = ("sensor_noise",)
+"""Kinds that say how uncertain readings are; factors on what robot.yaml says."""
 
 TOLERANCES = {
-    **{"link_time_constant": "time_constant", "link_delay": "delay"},
+    **{"link_time_constant": "time_constant", "link_delay": "delay", "torque_delay": "delay"},
     **{"link_coulomb": "lost_motion", "half_gap": "lost_motion"},
 }
 """Keys of robot.yaml's `tolerances`, of kinds that do not have one by their own name."""
@@ -95,15 +109,19 @@ OF_LINK_ENCODERS = ("link_time_constant", "link_delay")
 NOISE_RANGE = (0.03, 1e3)
 """Factors on noise: below, an encoder would be better than its steps."""
 
-WITHOUT_TORQUE = (*OF_LINK_ENCODERS, "link_friction", "link_coulomb", "half_gap")
-"""Kinds that are found where motor torques are not readings."""
 
-TORQUE_ONLY = ("motor_inertia", "viscous", "coulomb", "coupling", "torque_noise")
+OF_ELEMENTS = ("hysteresis_stiffness", "hysteresis_limit")
+"""Kinds of friction elements beside a spring."""
+
+TORQUE_ONLY = ("motor_inertia", "viscous", "coulomb", "coupling", "torque_constant", "torque_delay")
 """Kinds that are identifiable only from motor torques."""
+
+OF_RESPONSE = (*OF_LINK_ENCODERS, "link_friction", "link_coulomb", "half_gap", *OF_ELEMENTS, *TORQUE_ONLY)
+"""Kinds that the Kalman filter that judges an outcome takes as robot.yaml has them, or does not depend on."""
 
 BY_MASS = (
     *("stiffness", "cubic_stiffness", "damping", "mass_scale", "payload_mass"),
-    *("link_friction", "link_coulomb"),
+    *("link_friction", "link_coulomb", *OF_ELEMENTS),
 )
 """Kinds that a motion shows in proportion to masses only."""
 
@@ -114,10 +132,11 @@ BY_LINK_ENCODERS = (*OF_LINK_ENCODERS, "link_coulomb")
 """Kinds that are freed only where encoders show what links do, unless they are asked for."""
 
 DEFAULT = (
-    *("stiffness", "cubic_stiffness", "damping", "motor_inertia", "viscous", "coulomb"),
-    *("payload_mass", "bias", "time_constant", "delay", *BY_LINK_ENCODERS, *NOISE),
+    *("stiffness", "cubic_stiffness", "damping", *OF_ELEMENTS),
+    *("motor_inertia", "viscous", "coulomb", "torque_constant"),
+    *("torque_delay", "payload_mass", "bias", "time_constant", "delay", *BY_LINK_ENCODERS, *BESIDE, *NOISE),
 )
-"""Kinds that are freed by default, as far as the recordings distinguish them; without torques `BESIDE` too."""
+"""Kinds that are freed by default, as far as the recordings distinguish them."""
 
 
 @dataclass(frozen=True)
@@ -162,8 +181,8 @@ class Parameter:
 
     @property
     def relative(self) -> bool:
-        """Whether it is varied by its logarithm."""
-        return KINDS[self.kind].relative
+        """Whether it is varied by its logarithm; what robot.yaml does not state may be zero."""
+        return KINDS[self.kind].relative and self.stated
 
     def value(self, z: float) -> float:
         """Give the physical value."""
@@ -190,7 +209,7 @@ class Parameter:
 def catalogue(robot: Robot, torque: bool) -> list[Parameter]:
     """All parameters of a robot; with ``torque``, also those that are identifiable only from motor torques."""
     tolerances = robot.config.tolerances
-    kinds = [kind for kind in KINDS if kind not in (WITHOUT_TORQUE if torque else TORQUE_ONLY)]
+    kinds = [kind for kind in KINDS if torque or kind not in TORQUE_ONLY]
     return [parameter for kind in kinds for parameter in _of_kind(robot, kind, tolerances)]
 
 
@@ -204,13 +223,12 @@ def choose(robot: Robot, free: Iterable[str] | None, torque: bool, bounds: Bound
     """
     everything = catalogue(robot, torque)
     names = [p.name for p in everything]
-    default = DEFAULT if torque else (*DEFAULT, *BESIDE)
-    wanted = default if free is None else tuple(free)
+    wanted = DEFAULT if free is None else tuple(free)
     for name in () if free is None else wanted:
         if name not in names and name not in {p.kind for p in everything}:
             _refuse_unknown(name, [*KINDS, *names], torque)
     chosen = [p for p in everything if p.kind in wanted or p.name in wanted]
-    if free is None:
+    if free is None and not torque:
         chosen = [p for p in chosen if p.name != f"mass_scale_{_heaviest(robot)}"]
     for name in bounds:
         if name not in [p.name for p in chosen]:
@@ -273,6 +291,12 @@ def _of_kind(robot: Robot, kind: str, tolerances: TolerancesConfig) -> list[Para
     if owner == "joint":
         inertia = robot.mass_matrix(np.zeros((1, robot.n)))[0].diagonal().tolist()
         return [_of_joint(kind, j, d, tolerance, inertia[j]) for j, d in enumerate(robot.drives) if _has(d, kind)]
+    if owner == "element":
+        return [
+            _made(kind, f"{kind}_{_of_element(d, i)}", (j, i), getattr(element, kind.partition("_")[2]), tolerance)
+            for j, d in enumerate(robot.drives)
+            for i, element in enumerate(d.hysteresis)
+        ]
     if owner == "coupling":
         pairs = [(i, j) for i in range(robot.n) for j in range(i + 1, robot.n) if robot.elastic[[i, j]].all()]
         names = robot.names
@@ -281,6 +305,8 @@ def _of_kind(robot: Robot, kind: str, tolerances: TolerancesConfig) -> list[Para
     if owner == "link encoders":
         stated = robot.config.link_encoder or LinkEncoderConfig()
         return [_made(kind, kind, (0, 0), _of_sensor(stated, kind.removeprefix("link_")), tolerance)]
+    if owner == "motor torques":
+        return [_made(kind, kind, (0, 0), 0.0, tolerance)]
     if owner in ("payload", "payload axis"):
         return _of_payload(robot, kind, tolerance)
     if owner == "sensor":
@@ -289,9 +315,14 @@ def _of_kind(robot: Robot, kind: str, tolerances: TolerancesConfig) -> list[Para
     return [_made(kind, f"{kind}_{s.name}_{AXES[a]}", (i, a), _of_axis(s, kind, a), tolerance) for i, s, a in axes]
 
 
+def _of_element(drive: JointConfig, index: int) -> str:
+    """What an element is called: as its joint, with a number if that has several."""
+    return f"{drive.name}_{index + 1}" if len(drive.hysteresis) > 1 else drive.name
+
+
 def _has(drive: JointConfig, kind: str) -> bool:
     """Whether a drive has a parameter of a kind."""
-    if kind in ("mass_scale", "motor_noise"):
+    if kind == "mass_scale":
         return True
     friction = {"link_friction": brakes(drive), "link_coulomb": not brakes(drive)}
     springs = dict.fromkeys(("stiffness", "cubic_stiffness"), drive.stiffness_table is None)
@@ -308,12 +339,12 @@ def _made(kind: str, name: str, index: tuple[int, int], start: float, tolerance:
 
 
 def _of_joint(kind: str, index: int, drive: JointConfig, tolerance: float, inertia: float) -> Parameter:
-    """Damping that robot.yaml does not state is at most what is critical with the link's ``inertia`` at q = 0."""
+    """Damping that robot.yaml does not state is none, up to what is critical with the link's ``inertia`` at q = 0."""
     stiffness = drive.stiffness or 0.0
     values = {
         "stiffness": stiffness,
         "cubic_stiffness": drive.cubic_stiffness,
-        "damping": drive.damping or 1e-3 * stiffness,
+        "damping": drive.damping,
         "motor_inertia": drive.motor_inertia or 0.0,
         "viscous": drive.motor_friction.viscous or 1e-3 * (drive.motor_inertia or 0.0),
         "coulomb": drive.motor_friction.coulomb or 1e-5 * stiffness,
@@ -327,7 +358,8 @@ def _of_joint(kind: str, index: int, drive: JointConfig, tolerance: float, inert
         tolerance *= stiffness
     made = _made(kind, f"{kind}_{drive.name}", (index, 0), values.get(kind, 1.0), tolerance)
     if kind == "damping" and not drive.damping:
-        return replace(made, high=max(made.high, 2 * np.sqrt(stiffness * inertia)), stated=False)
+        critical = float(2 * np.sqrt(stiffness * inertia))
+        return replace(made, tolerance=tolerance * LITTLE * critical, low=0.0, high=critical, stated=False)
     return made
 
 

@@ -21,11 +21,14 @@ from .signals import filled, without_spikes
 KINDS = ("acceleration", "rate", "q", "torque", "dq", "position")
 """Signals of sensors on the links, by the core's names."""
 
-ZEROS = ("rate", "q", "torque", "position")
+ZEROS = ("rate", "q", "torque", "position", "tau")
 """Signals with unknown zeros, which are estimated for each recording."""
 
 LEAST_RATE, PER_PERIOD = 200.0, 16.0
 """Least rate of thinned-out samples [Hz], which shows the links' vibrations, and least number a period of a corner."""
+
+LIGHTER = 2.8
+"""Where torques are compared, motors are smoothed by so much less: the comparison is, on both sides alike."""
 
 SHORTEST = 100
 """Fewer samples are not thinned out."""
@@ -39,6 +42,8 @@ class Prepared:
     ----------
     log : Log
         The recording.
+    kinds : tuple of str
+        Signals that are compared.
     motors : dict
         How its motors moved.
     readings : (T, m)
@@ -52,15 +57,19 @@ class Prepared:
         Of how many samples of the log there is one here.
     corners : (n,)
         Frequencies by which motors' positions are smoothed [Hz].
+    limits : (n,)
+        Frequencies below which motors' torques are compared [Hz]; empty where they are not.
     """
 
     log: Log
+    kinds: tuple[str, ...]
     motors: dict[str, FloatArray]
     readings: FloatArray
     missing: npt.NDArray[np.bool_]
     offset: FloatArray
     every: int = 1
     corners: Sequence[float] = ()
+    limits: Sequence[float] = ()
 
     @property
     def period(self) -> float:
@@ -68,16 +77,19 @@ class Prepared:
         return self.log.period * self.every
 
     @classmethod
-    def of(cls, robot: Robot, log: Log, kinds: Sequence[str]) -> Prepared:
+    def of(cls, robot: Robot, log: Log, kinds: tuple[str, ...]) -> Prepared:
         """Prepare ``log``."""
         readings = np.concatenate([_readings(robot, log, kind) for kind in kinds], axis=1)
-        corners = quietest(robot, log)
+        limits = quietest(robot, log, torque=True) if "tau" in kinds else ()
+        corners = [LIGHTER * limit for limit in limits] or quietest(robot, log)
         missing, ends = np.isnan(readings), unsettled(log, corners)
         missing[:ends] = missing[len(missing) - ends :] = True
         readings[:, missing.all(axis=0)] = 0.0
         zeros = sum(width(robot, kind) for kind in kinds if kind in ZEROS)
         start = np.zeros(2 * robot.n + zeros)
-        return cls(log, motors(robot, log, corners), filled(readings), missing, start, corners=corners)
+        return cls(
+            log, kinds, motors(robot, log, corners), filled(readings), missing, start, corners=corners, limits=limits
+        )
 
     def coarser(self, corner: float) -> Prepared:
         """Give a few samples a period of what is below ``corner`` [Hz] instead of all, if the log has many more.
@@ -96,9 +108,8 @@ class Prepared:
 
         moved = {name: few(self.motors[name]) for name in ("theta", "dtheta", "ddtheta")}
         readings, missing = few(self.readings), few(self.missing.astype(float)) > MISSING
-        return Prepared(
-            self.log, {"t": self.motors["t"][::every].copy()} | moved, readings, missing, self.offset, every
-        )
+        moved["t"] = self.motors["t"][::every].copy()
+        return Prepared(self.log, self.kinds, moved, readings, missing, self.offset, every)
 
     def smoothed(self, robot: Robot, wider: float) -> Prepared:
         """Smooth motors' positions less, by this factor on the corner frequencies."""
@@ -140,9 +151,9 @@ def kinds(robot: Robot, logs: Sequence[Log]) -> tuple[str, ...]:
     return tuple(kind for kind in KINDS if all(_has(robot, log, kind) for log in logs))
 
 
-def recordings(robot: Robot, logs: Sequence[Log]) -> list[Prepared]:
-    """Prepare logs, all by the signals that they have in common."""
-    common = kinds(robot, logs)
+def recordings(robot: Robot, logs: Sequence[Log], torque: bool = False) -> list[Prepared]:
+    """Prepare logs, all by the signals that they have in common, with those of motors where ``torque`` says so."""
+    common = (*kinds(robot, logs), *(("tau",) if torque else ()))
     return [Prepared.of(robot, log, common) for log in logs]
 
 

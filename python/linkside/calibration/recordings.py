@@ -32,7 +32,6 @@ def use_torque(robot: Robot, logs: Sequence[Log], torque: bool | None) -> bool:
     if torque is None:
         torque = not seen and all(log.tau is not None for log in logs)
     if torque:
-        refuse_unsupported(robot, "calibration with motor torques")
         for log in logs:
             log.require("tau", purpose="calibration with motor torques")
     elif not seen:

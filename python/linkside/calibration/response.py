@@ -27,7 +27,7 @@ from linkside.robot.sensors import Lateness
 from .band import Band
 from .lag import Lag
 from .parameters import NOISE, OF_LINK_ENCODERS, CoreName, Parameter, catalogue
-from .prepared import ZEROS, Prepared, kinds, width
+from .prepared import ZEROS, Prepared, width
 from .problem import HUBER, STATED, Evidence, bare
 from .products import products
 from .restart import restart, uncertain_start
@@ -39,7 +39,10 @@ LEAST_ZERO = 1e-3
 
 Found = TypeVar("Found")
 
-OF_TIME = ("time_constant", "delay", *OF_LINK_ENCODERS)
+OF_TIME = ("time_constant", "delay", *OF_LINK_ENCODERS, "torque_delay")
+LATENESS = {"q": OF_LINK_ENCODERS, "tau": ("", "torque_delay")}
+"""Kinds that are time constant and delay of all sensors of a signal."""
+
 LEAST_NOISE = 1e-9
 
 
@@ -92,7 +95,7 @@ class ResponseProblem:
         self.robot, self.recordings, self.white, self.run = robot, list(recordings), white, run
         self.logs = [recording.log for recording in recordings]
         self.free, self.held, self.corner = tuple(free), tuple(held), corner
-        self.kinds = kinds(robot, self.logs)
+        self.kinds = recordings[0].kinds
         self._seen = [recording.coarser(corner) for recording in recordings]
         bands = [Band.below(corner, seen.period, len(seen.readings)) for seen in self._seen]
         self._bands: list[Band] | list[Whitening] = bands if white is None else [white] * len(bands)
@@ -166,9 +169,18 @@ class ResponseProblem:
             left.append((e - by @ shift) * size)
         if np.isfinite(there.corner):
             return there._like(recordings=started, size=spread(left, there._least()))
-        white = Whitening.of(left)
+        white = Whitening.of(left, self._slow())
         told = [np.where(white.told(np.isnan(e)), white(np.nan_to_num(e)), np.nan) for e in left]
         return there._like(recordings=started, size=spread(told, there._least()), white=white)
+
+    def _slow(self) -> dict[int, FloatArray]:
+        """Weights of the filters that motor torques go through: above, what encoders read wrong hides them."""
+        first, last = self.recordings[0], self.recordings
+        count = min(len(recording.readings) for recording in last)
+        corners = np.max([recording.limits for recording in last], axis=0) if first.limits else ()
+        at = len(self.channels) - len(corners)
+        bands = [Band.below(corner, first.period, count) for corner in corners]
+        return {at + j: band.weights for j, band in enumerate(bands)}
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -360,7 +372,7 @@ class ResponseProblem:
                 for i, (own, columns) in enumerate(zip(self.robot.accelerometers, self._columns(), strict=True)):
                     found.append((columns, [("time_constant", i, 0), ("delay", i, 0)], _times(own)))
             else:
-                of: list[CoreName] = [(name, 0, 0) for name in OF_LINK_ENCODERS] if kind == "q" else [("", 0, 0)] * 2
+                of: list[CoreName] = [(name, 0, 0) for name in LATENESS.get(kind, ("", ""))]
                 found += [(slice(at + i, at + i + 1), of, _times(sensor)) for i, sensor in enumerate(of_all)]
             at += len(of_all)
         return found
@@ -376,8 +388,11 @@ class ResponseProblem:
 
     def _least(self) -> FloatArray:
         """A tenth of what the noise of sensors can be."""
-        told = [0.1 * s.noise_std for s in self.robot.accelerometers for _ in s.axes]
-        parts = [told if kind == "acceleration" else [LEAST_NOISE] * width(self.robot, kind) for kind in self.kinds]
+        told = {
+            "acceleration": [0.1 * s.noise_std for s in self.robot.accelerometers for _ in s.axes],
+            "tau": [0.1 * self.robot.config.torque.noise_std] * self.robot.n,
+        }
+        parts = [told.get(kind, [LEAST_NOISE] * width(self.robot, kind)) for kind in self.kinds]
         pairs = zip(self._narrowed, self._seen, strict=True)
         shrunk = min(narrowed / np.sqrt(seen.every) for narrowed, seen in pairs)
         return np.array([x * shrunk for part in parts for x in part], dtype=np.float64)

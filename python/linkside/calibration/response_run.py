@@ -13,7 +13,7 @@ from linkside.recording.log import Log
 
 from .acceptance import Foretold, foretell, predictive
 from .change import Change, change
-from .parameters import NOISE, Parameter, by_unit
+from .parameters import NOISE, TORQUE_ONLY, Parameter, by_unit
 from .prepared import recordings
 from .problem import OF_SENSORS
 from .response import ResponseProblem
@@ -40,6 +40,9 @@ FIRST = ("stiffness", "damping", "bias")
 OF_SPRINGS = ("stiffness", "cubic_stiffness", "damping")
 """Kinds that one sensor alone must find as the others do."""
 
+OF_LINKS = tuple(kind for kind in OF_SENSORS if kind not in TORQUE_ONLY)
+"""Kinds of sensors alone."""
+
 AGAIN = 8
 """How often motors' encoders are drawn again."""
 
@@ -50,7 +53,7 @@ APART = 1.0
 """Springs that differ by more than this, in tolerances, are another outcome."""
 
 
-class ResponseRun(CalibrationRun[ResponseProblem]):
+class ResponseRun(CalibrationRun):
     """Search in one band after the other, leave out parameters that are not identifiable, search again.
 
     Parameters
@@ -108,8 +111,12 @@ class ResponseRun(CalibrationRun[ResponseProblem]):
         return True
 
     def foretold(self) -> Foretold:
-        """How well the outcome predicts readings, compared with robot.yaml with fitted sensor parameters."""
-        free = [p for p in self.problem.free if p.kind in OF_SENSORS and p.kind not in NOISE]
+        """How well the outcome predicts readings, compared with robot.yaml with its sensors and motors fitted.
+
+        If nothing else was found, what the motors need is what is judged.
+        """
+        kept = OF_SENSORS if any(p.kind not in OF_SENSORS for p in self.problem.free) else OF_LINKS
+        free = [p for p in self.problem.free if p.kind in kept and p.kind not in NOISE]
         held = self.problem.holding({}, free).settled(np.zeros(len(free)))
         at = dict(zip([p.name for p in free], Search(held, gain=ROUGH).maximise(np.zeros(len(free))), strict=True))
         nominal = np.array([at.get(p.name, 0.0) for p in self.problem.free])
@@ -138,7 +145,11 @@ class ResponseRun(CalibrationRun[ResponseProblem]):
         """Log-likelihood of other recordings, before and after; noise levels are fitted for both."""
         problem = self.problem
         test = ResponseProblem(
-            problem.robot, recordings(problem.robot, logs), problem.free, base=problem.base, run=problem.run
+            problem.robot,
+            recordings(problem.robot, logs, "tau" in problem.kinds),
+            problem.free,
+            base=problem.base,
+            run=problem.run,
         )
         before, after = (test.settled(z).log_likelihood(z) for z in (np.zeros(len(self.z)), self.z))
         return before, after

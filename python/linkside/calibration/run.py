@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from linkside.arrays import FloatArray
 from linkside.errors import NumericalError
 
 from .parameters import Parameter
-from .problem import Evidence, Problem
+from .problem import Evidence
 from .response import ResponseProblem
 from .result import Fit
 from .search import ROUGH, Progress, Search
@@ -20,10 +19,8 @@ from .uncertainty import EXCITATION, IDENTIFIABLE, Uncertainty, uncertainty, uni
 DOUBTFUL = 0.15
 """A stiffness with a larger standard error, in tolerances, is tried at robot.yaml's value."""
 
-Objective = TypeVar("Objective", Problem, ResponseProblem)
 
-
-class CalibrationRun(Generic[Objective]):
+class CalibrationRun:
     """A problem that is solved step by step.
 
     Parameters
@@ -42,14 +39,14 @@ class CalibrationRun(Generic[Objective]):
     """How well robot.yaml explains the recordings."""
 
     def __init__(
-        self, problem: Objective, still: Sequence[str], at: Mapping[str, float], progress: Progress | None
+        self, problem: ResponseProblem, still: Sequence[str], at: Mapping[str, float], progress: Progress | None
     ) -> None:
-        self.problem: Objective = problem
+        self.problem: ResponseProblem = problem
         self.still, self.at, self.progress = still, dict(at), progress
         self.refused: dict[str, str] = {}
         self.considered: list[Parameter] = []
         self.flat: dict[str, float] = {}
-        self._seen: tuple[tuple[Objective, list[float]], Evidence] | None = None
+        self._seen: tuple[tuple[ResponseProblem, list[float]], Evidence] | None = None
         self.evaluations = 0
         self.notes: tuple[str, ...] = ()
 
@@ -138,7 +135,7 @@ class CalibrationRun(Generic[Objective]):
         return float(1 / np.sqrt(1 + 2 * max(0.0, best - back + 0.5 * z * z) / z**2))
 
 
-def filters(problem: Problem | ResponseProblem) -> dict[str, float]:
+def filters(problem: ResponseProblem) -> dict[str, float]:
     """Half a sample for a filter that robot.yaml does not have: at zero it could not be distinguished from a delay."""
     half = 0.5 * min(log.period for log in problem.logs)
     return {p.name: p.z(half) for p in problem.free if p.kind.endswith("time_constant") and p.start < half}

@@ -6,12 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy.linalg
-import scipy.optimize
 
 from linkside.arrays import FloatArray
 from linkside.errors import NumericalError
 
+from .box import within
 from .posterior import Posterior
 from .problem import Evidence
 
@@ -71,9 +70,8 @@ class Search:
     """A search for the maximum of the posterior.
 
     Scoring: each step maximises the quadratic that has the posterior's gradient and Fisher's information (with that of
-    the prior), within bounds and a box, by the active-set method of `scipy.optimize.lsq_linear` (Stark and Parker
-    1995). The box grows and shrinks with how well the quadratic predicts the gain: Newton's method without second
-    derivatives, in twenty or so evaluations.
+    the prior), within bounds and a box. The box grows and shrinks with how well the quadratic predicts the gain:
+    Newton's method without second derivatives, in twenty or so evaluations.
     """
 
     problem: Posterior
@@ -115,10 +113,7 @@ class Search:
     def _step(self, here: _Point, curvature: FloatArray, box: float) -> FloatArray:
         """The best step within bounds and box."""
         low, high = self.bounds()
-        factor = np.linalg.cholesky(curvature)
-        goal = scipy.linalg.solve_triangular(factor, here.gradient, lower=True)
-        limits = np.maximum(low - here.z, -box), np.minimum(high - here.z, box)
-        return np.asarray(scipy.optimize.lsq_linear(factor.T, goal, limits, method="bvls").x)
+        return within(here.gradient, curvature, np.maximum(low - here.z, -box), np.minimum(high - here.z, box))
 
     def _try(self, z: FloatArray) -> _Point | None:
         """Evaluate; none so far out that the filter breaks down."""

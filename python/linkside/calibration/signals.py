@@ -21,9 +21,6 @@ HALF = 3
 SPIKE = 10.0
 """A reading further than this from its neighbours, in their spread, stands alone; `HALF` of them on either side."""
 
-TORQUE_DRIFT = 0.02
-"""Initial bias of a motor torque, and its walk in one second, as a share of the torque's standard deviation."""
-
 
 def window(period: float) -> int:
     """Samples of the differentiating window: odd, at least seven."""
@@ -58,7 +55,7 @@ def without_spikes(values: FloatArray, least: FloatArray) -> FloatArray:
     return np.where(np.abs(values - middle) > SPIKE * np.maximum(1.4826 * spread, least), np.nan, values)
 
 
-def signals(robot: Robot, log: Log, torque: bool) -> dict[str, Any]:
+def signals(robot: Robot, log: Log) -> dict[str, Any]:
     """Arrays for the core; accelerometers with the bias and scale of robot.yaml put back on."""
     count = len(log)
     dt = np.diff(log.t, prepend=log.t[0] - log.period)
@@ -73,36 +70,19 @@ def signals(robot: Robot, log: Log, torque: bool) -> dict[str, Any]:
         "t": log.t,
         "theta": theta,
         "dtheta": dtheta,
-        "ddtheta": derivative(theta, log.period, 2) if torque else none,
-        "tau": log.tau if torque else none,
+        "ddtheta": none,
+        "tau": none,
         "acceleration": without_spikes(readings, noise),
         "jerk": commanded_jerk(log, dt, None),
     }
     return {name: np.ascontiguousarray(array) for name, array in arrays.items()} | {"period": log.period}
 
 
-def noise_arrays(robot: Robot, log: Log, noise: Noise, torque: bool, free_bias: list[bool]) -> dict[str, Any]:
-    """Noise of motors, accelerometers and torques; a bias that is a parameter is not also an uncertain state."""
-    kinds = ("motor", "acceleration", "torque") if torque else ("motor", "acceleration")
+def noise_arrays(robot: Robot, log: Log, noise: Noise, free_bias: list[bool]) -> dict[str, Any]:
+    """Noise of motors and accelerometers; a bias that is a parameter is not also an uncertain state."""
     steps = np.full(robot.n, robot.config.encoder.resolution)
     smooth = replace(log, theta=filled(without_spikes(log.theta, steps)))
-    arrays = noise.for_log(smooth, robot).arrays(robot, kinds)
-    n, m = robot.n, len(robot.acceleration_channels)
+    arrays = noise.for_log(smooth, robot).arrays(robot, ("motor", "acceleration"))
     for channel, free in enumerate(free_bias):
-        arrays["initial_bias"][n + channel] *= 0.0 if free else 1.0
-    if torque:
-        assert log.tau is not None
-        drift = TORQUE_DRIFT * np.nan_to_num(np.nanstd(log.tau, axis=0))
-        arrays["reading"][n + m :] = _torque_noise(robot, log).tolist()
-        arrays["initial_bias"][n + m :] = drift.tolist()
-        arrays["bias_walk"][n + m :] = drift.tolist()
+        arrays["initial_bias"][robot.n + channel] *= 0.0 if free else 1.0
     return arrays
-
-
-def _torque_noise(robot: Robot, log: Log) -> FloatArray:
-    """The sensor's, and that of the motor acceleration from the encoder's steps."""
-    impulse = np.zeros(4 * window(log.period))
-    impulse[len(impulse) // 2] = robot.config.encoder.resolution / np.sqrt(12)
-    spread = float(np.linalg.norm(derivative(impulse[:, None], log.period, 2)))
-    inertia = np.array([drive.motor_inertia or 0.0 for drive in robot.drives])
-    return np.hypot(robot.config.torque.noise_std, inertia * spread)

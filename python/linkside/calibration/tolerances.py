@@ -9,6 +9,7 @@ import scipy.linalg
 
 from linkside.arrays import FloatArray
 
+from .parameters import KINDS, Parameter
 from .result import Estimated, Result
 
 CONSIDERED = (
@@ -33,7 +34,7 @@ def errors(calibration: Result) -> tuple[list[str], FloatArray]:
     """
     chosen = [i for i, e in enumerate(calibration.estimates) if _counts(e)]
     found = [calibration.estimates[i] for i in chosen]
-    scale = np.array([e.parameter.tolerance for e in found])
+    scale = np.array([_size(e.parameter, e.value) for e in found])
     covariance = np.outer(scale, scale) * calibration.uncertainty.covariance[np.ix_(chosen, chosen)]
     into = np.eye(len(found))
     at = {e.parameter.core: i for i, e in enumerate(found)}
@@ -41,6 +42,11 @@ def errors(calibration: Result) -> tuple[list[str], FloatArray]:
         if kind == "cubic_stiffness" and (spring := at.get(("stiffness", joint, 0))) is not None:
             into[i, spring] = -found[i].value
     return [e.parameter.name for e in found], into @ covariance @ into.T
+
+
+def _size(p: Parameter, value: float) -> float:
+    """One tolerance in that measure."""
+    return p.tolerance / value if KINDS[p.kind].relative and not p.relative else p.tolerance
 
 
 def _counts(e: Estimated) -> bool:

@@ -10,7 +10,7 @@ from scipy import stats
 
 from linkside.arrays import FloatArray
 
-from .parameters import NOISE, OF_LINK_ENCODERS, Parameter
+from .parameters import NOISE, OF_ELEMENTS, OF_LINK_ENCODERS, Parameter
 from .posterior import Posterior
 from .problem import Evidence
 from .products import products
@@ -24,7 +24,10 @@ IDENTIFIABLE = 0.5
 HALF_TOLD = 0.9
 """Likewise of `NEVER_KNOWN`."""
 
-NEVER_KNOWN = ("damping", "link_friction", "link_coulomb", *("translation", "rotation", "bias", "scale"))
+NEVER_KNOWN = (
+    *("damping", "link_friction", "link_coulomb", *OF_ELEMENTS),
+    *("translation", "rotation", "bias", "scale"),
+)
 """Kinds of which robot.yaml's value is a guess, as of a sensor's mounting by hand."""
 
 STANDING_IN = (("time_constant", "delay"), OF_LINK_ENCODERS)
@@ -46,9 +49,13 @@ EXCITATION = {
     "stiffness": "faster motion, or a heavier load",
     "cubic_stiffness": "larger torques, from fast or loaded motion",
     "damping": "motion that leaves the link swinging, as hard stops do",
+    "hysteresis_stiffness": "loads that turn round",
+    "hysteresis_limit": "loads that turn round",
     "motor_inertia": "motor torques, and strong accelerations",
     "viscous": "motor torques, and long stretches at different constant speeds",
     "coulomb": "motor torques, and reversals at low speed",
+    "torque_constant": "motor torques, and masses that are known",
+    "torque_delay": "motor torques, and fast motion",
     "coupling": "motor torques, and accelerations of both joints",
     "mass_scale": "motor torques",
     "link_friction": "motion at different speeds, slow ones too",

@@ -7,7 +7,7 @@ strong, which take the ringing out of the prediction.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,8 +24,11 @@ ORDER = 24
 LEAST = 20
 """Samples for each of those, at least."""
 
-FLOOR = 1e-6
-"""White noise that is added, as a share of the variance, so that what is not noise at all can be inverted too."""
+FLOOR, SLOW = 1e-6, 1e-2
+"""White noise that is added, as a share of the variance, so that what is not noise at all can be inverted too.
+
+More where a channel is only looked at below a frequency: what is above it is not to come back.
+"""
 
 MISSING = 0.2
 """Where more of the samples before was missing, a residual cannot be predicted."""
@@ -38,28 +41,39 @@ class Whitening:
     Attributes
     ----------
     weights : (m, L)
-        Of each channel's present and past samples; the first is 1.
+        Of each channel's present and past samples, and of as many as ``ahead`` after it.
+    ahead : int
+        By how many samples what comes out is late.
     """
 
     weights: FloatArray
+    ahead: int = 0
 
     @classmethod
-    def of(cls, residuals: Sequence[FloatArray]) -> Whitening:
-        """Fit autoregressions to (T, m) residuals, NaN where missing (Yule and Walker)."""
+    def of(cls, residuals: Sequence[FloatArray], slow: Mapping[int, FloatArray]) -> Whitening:
+        """Fit autoregressions to (T, m) residuals, NaN where missing (Yule and Walker).
+
+        Channels in ``slow`` go through a filter first, whose weights (odd in number) are given.
+        """
         count, channels = min(len(r) for r in residuals), residuals[0].shape[1]
         order = min(ORDER, count // LEAST)
-        weights = np.zeros((channels, order + 1))
-        weights[:, 0] = 1.0
-        for c in range(channels if order else 0):
-            covariance = np.sum([len(r) * autocovariance(np.nan_to_num(r[:, c]), order) for r in residuals], axis=0)
-            if covariance[0] > 0:
-                covariance[0] *= 1 + FLOOR
-                weights[c, 1:] = -scipy.linalg.solve_toeplitz(covariance[:-1], covariance[1:])
-        return cls(weights)
+        ahead = max((len(filtered) // 2 for filtered in slow.values()), default=0)
+        weights = np.zeros((channels, order + 2 * ahead + 1))
+        for c in range(channels):
+            filtered, own = slow.get(c, np.ones(1)), np.zeros(order + 1)
+            own[0] = 1.0
+            left = [np.convolve(np.nan_to_num(r[:, c]), filtered, mode="same") for r in residuals]
+            covariance = np.sum([len(x) * autocovariance(x, order) for x in left], axis=0)
+            if covariance[0] > 0 and order:
+                covariance[0] *= 1 + (SLOW if c in slow else FLOOR)
+                own[1:] = -scipy.linalg.solve_toeplitz(covariance[:-1], covariance[1:])
+            first = ahead - len(filtered) // 2
+            weights[c, first : first + len(filtered) + order] = np.convolve(own, filtered)
+        return cls(weights, ahead)
 
     def rows(self, count: int) -> npt.NDArray[np.int64]:
-        """Samples of ``count`` that have enough before them."""
-        return np.arange(self.weights.shape[1] - 1, count)
+        """Samples of ``count`` that have enough before them and after."""
+        return np.arange(self.weights.shape[1] - 1, count) - self.ahead
 
     def __call__(self, values: FloatArray) -> FloatArray:
         """Filter (T, m, …) along time."""
@@ -73,4 +87,4 @@ class Whitening:
         """Whether samples were read, and most before them, from (T, m) flags of missing readings."""
         length = self.weights.shape[1]
         share = scipy.signal.upfirdn(np.full(length, 1 / length), missing.astype(float), axis=0)
-        return np.asarray(~missing[length - 1 :] & (share[length - 1 : len(missing)] < MISSING))
+        return np.asarray(~missing[self.rows(len(missing))] & (share[length - 1 : len(missing)] < MISSING))

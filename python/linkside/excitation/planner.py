@@ -12,7 +12,7 @@ import scipy.optimize
 
 from linkside._core import Response
 from linkside.arrays import FloatArray
-from linkside.calibration.prepared import ZEROS, Prepared
+from linkside.calibration.prepared import ZEROS, Prepared, kinds
 from linkside.calibration.problem import bare
 from linkside.calibration.response import ResponseProblem
 from linkside.errors import EstimatorError
@@ -135,7 +135,9 @@ class Planner:
         std = np.concatenate([np.broadcast_to(sensing.noise[k], len(log.columns(k))) for k in sensing.noise])
         nothing = np.zeros((len(motion.t), len(std)))
         zeros = sum(len(log.columns(kind)) for kind in sensing.noise if kind in ZEROS)
-        blank = Prepared(log, motion.arrays, nothing, nothing > 0, np.zeros(2 * sensing.robot.n + zeros))
+        blank = Prepared(
+            log, kinds(sensing.robot, [log]), motion.arrays, nothing, nothing > 0, np.zeros(2 * sensing.robot.n + zeros)
+        )
         problem = ResponseProblem(sensing.robot, [blank], sensing.free, size=std, base=self._base)
         z = sensing.start(problem)
         read = replace(blank, readings=problem.predicted(z)[0])

@@ -42,6 +42,8 @@ class TolerancesConfig(Section):
     stiffness: Positive = 0.2
     cubic_stiffness: Positive = 3e4  # 1/rad², times the stiffness
     damping: Positive = 1.0
+    hysteresis_stiffness: Positive = 0.5
+    hysteresis_limit: Positive = 0.5
     motor_inertia: Positive = 0.3
     viscous: Positive = 1.0
     coulomb: Positive = 1.0
@@ -55,10 +57,7 @@ class TolerancesConfig(Section):
     scale: Positive = 0.03
     time_constant: Positive = 1e-3  # s
     delay: Positive = 1e-3  # s
-    motor_noise: Positive = 3.0
-    torque_noise: Positive = 3.0
     sensor_noise: Positive = 1.0
-    jerk_noise: Positive = 1.0
     link_friction: Positive = 0.5
     torque_constant: Positive = 0.05
     motor_friction: Positive = 0.5

@@ -101,8 +101,7 @@ UNSUPPORTED: dict[str, tuple[str, ...]] = {
     "a particle filter": ("hysteresis", VARYING),
     "inverse dynamics along a motion": OF_CONTROL,
     "state feedback": OF_CONTROL,
-    "calibration": ("rotors", "gearing", "linkages", "hysteresis", *BY_LOAD, "asymmetry", "passive", "wrenches"),
-    "calibration with motor torques": ("stiffness_table", "backlash", "ripple"),
+    "calibration": ("rotors", "gearing", "linkages", *BY_LOAD, "asymmetry", "passive", "wrenches"),
 }
 """Keys that each method does not account for."""
 

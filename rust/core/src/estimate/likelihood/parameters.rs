@@ -1,6 +1,6 @@
 //! What of a robot can be freed.
 
-use crate::robot::{Robot, SpringRates};
+use crate::robot::{Drive, FrictionElement, Robot, SpringRates};
 use crate::scalar::Scalar;
 use crate::spatial::{Inertia, Mat3, Sym3, Vec3};
 
@@ -19,6 +19,12 @@ pub enum Parameter {
     ViscousFriction(usize),
     /// Dry friction of a joint's motor [N m].
     CoulombFriction(usize),
+    /// k of one of the friction elements in a joint [N m/rad].
+    ElementStiffness(usize, usize),
+    /// W of one of those [N m].
+    ElementLimit(usize, usize),
+    /// Factor on a joint's motor torques as they were read: a torque constant over that in use.
+    TorqueScale(usize),
     /// Factor on all friction of a link.
     LinkFriction(usize),
     /// Dry friction of a link's bearing [N m].
@@ -65,6 +71,8 @@ pub(super) struct JointParameters<T> {
     /// The motor's.
     pub(super) viscous_friction: T,
     pub(super) coulomb_friction: T,
+    /// Factor on its torques as they were read.
+    pub(super) torque_scale: T,
     /// Half of the play.
     pub(super) half_gap: T,
     /// Dry friction of the link that the joint moves; factors on all its friction, and on its mass.
@@ -99,6 +107,8 @@ pub(super) struct Parameters<T> {
     /// One a joint, and one an accelerometer.
     pub(super) joints: Vec<JointParameters<T>>,
     pub(super) sensors: Vec<SensorParameters<T>>,
+    /// k and W of each joint's friction elements.
+    pub(super) elements: Vec<Vec<[T; 2]>>,
     /// S, n × n.
     pub(super) coupling: Vec<T>,
     /// A point that the tool carries, in its frame.
@@ -109,7 +119,16 @@ pub(super) struct Parameters<T> {
 impl Parameter {
     /// Whether the links' response to their motors has it alone: the filter takes it as the robot says.
     pub(super) fn of_response(self) -> bool {
-        matches!(self, Self::LinkFriction(_) | Self::LinkCoulomb(_) | Self::HalfGap(_))
+        use Parameter as P;
+        matches!(
+            self,
+            P::LinkFriction(_)
+                | P::LinkCoulomb(_)
+                | P::HalfGap(_)
+                | P::ElementStiffness(..)
+                | P::ElementLimit(..)
+                | P::TorqueScale(_)
+        )
     }
 }
 
@@ -117,12 +136,13 @@ impl<T: Scalar> Parameters<T> {
     /// What `robot` says.
     pub(super) fn of(robot: &Robot) -> Self {
         let one = T::constant(1.0);
-        let joint = |d: &crate::robot::Drive| JointParameters {
+        let joint = |d: &Drive| JointParameters {
             spring: SpringRates { stiffness: T::constant(d.stiffness), cubic: T::constant(d.cubic_stiffness) },
             damping: T::constant(d.damping),
             motor_inertia: T::constant(d.motor_inertia),
             viscous_friction: T::constant(d.motor_friction.viscous),
             coulomb_friction: T::constant(d.motor_friction.coulomb),
+            torque_scale: one,
             half_gap: T::constant(d.backlash.half_gap),
             link_coulomb: T::constant(d.bearing_friction.coulomb),
             link_friction: one,
@@ -131,6 +151,8 @@ impl<T: Scalar> Parameters<T> {
             torque_noise: one,
             jerk_noise: one,
         };
+        let sizes = |e: &FrictionElement| [e.stiffness, e.limit].map(T::constant);
+        let elements = |d: &Drive| d.hysteresis.elements.iter().map(sizes).collect();
         let sensor = SensorParameters {
             translation: Vec3::default(),
             rotation: Vec3::default(),
@@ -143,6 +165,7 @@ impl<T: Scalar> Parameters<T> {
         Self {
             joints: robot.drives.iter().map(joint).collect(),
             sensors: vec![sensor; robot.accelerometers.len()],
+            elements: robot.drives.iter().map(elements).collect(),
             coupling: robot.coupling.iter().map(|&s| T::constant(s)).collect(),
             payload_mass: T::default(),
             payload_centre: Vec3::default(),
@@ -162,6 +185,9 @@ impl<T: Scalar> Parameters<T> {
             P::MotorInertia(j) => &mut joints.get_mut(j)?.motor_inertia,
             P::ViscousFriction(j) => &mut joints.get_mut(j)?.viscous_friction,
             P::CoulombFriction(j) => &mut joints.get_mut(j)?.coulomb_friction,
+            P::ElementStiffness(j, i) => &mut self.elements.get_mut(j)?.get_mut(i)?[0],
+            P::ElementLimit(j, i) => &mut self.elements.get_mut(j)?.get_mut(i)?[1],
+            P::TorqueScale(j) => &mut joints.get_mut(j)?.torque_scale,
             P::HalfGap(j) => &mut joints.get_mut(j)?.half_gap,
             P::LinkCoulomb(j) => &mut joints.get_mut(j)?.link_coulomb,
             P::LinkFriction(j) => &mut joints.get_mut(j)?.link_friction,

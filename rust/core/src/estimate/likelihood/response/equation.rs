@@ -1,6 +1,7 @@
 //! The links' equation of motion with its derivatives.
 
 use super::super::parameters::{Parameter, Parameters};
+use super::elements::Elements;
 use crate::estimate::measurement::LinkMotion;
 use crate::robot::{Backlash, Drive, Friction, Robot};
 use crate::scalar::{Dual, Scalar};
@@ -53,7 +54,8 @@ impl Balance {
 }
 
 /// Dry friction of one newton metre.
-const DRY: Friction = Friction { viscous: 0.0, coulomb: 1.0, stribeck: 0.0, stribeck_velocity: 0.0, asymmetry: 0.0 };
+pub(super) const DRY: Friction =
+    Friction { viscous: 0.0, coulomb: 1.0, stribeck: 0.0, stribeck_velocity: 0.0, asymmetry: 0.0 };
 
 /// How far a transmission is wound up.
 struct Winding {
@@ -74,6 +76,8 @@ pub(super) struct Equation<'a> {
     /// The robot's numbers now, and which of them are free.
     pub(super) parameters: Parameters<f64>,
     pub(super) free: &'a [Parameter],
+    /// What is beside the springs and remembers.
+    pub(super) elements: Elements,
     /// Derivatives of the bodies' masses in those free parameters that change them; empty for the others.
     masses: Vec<Vec<Inertia<f64>>>,
     /// Motion and loads of the links, by the parameters' masses.
@@ -87,7 +91,8 @@ impl<'a> Equation<'a> {
         let mut motion = LinkMotion::new(robot);
         motion.kinematics.set_masses(parameters.masses(robot));
         let masses = free.iter().map(|&parameter| masses_by(robot, &parameters, parameter)).collect();
-        Self { robot, parameters, free, masses, motion, loads: vec![0.0; robot.len()] }
+        let elements = Elements::new(robot, &parameters, free, free.len() + 2 * robot.len());
+        Self { robot, parameters, free, elements, masses, motion, loads: vec![0.0; robot.len()] }
     }
 
     /// Where joint `j`'s transmission stands.
@@ -103,8 +108,14 @@ impl<'a> Equation<'a> {
     pub(super) fn transmission(&self, j: usize, motors: &MotorSample, state: &[f64]) -> [f64; 3] {
         let own = &self.parameters.joints[j];
         let Winding { backlash, torsion, engaged, rate } = self.wound(j, motors, state);
-        let [torque, slope] = self.spring(j, engaged);
-        [torque + own.damping * rate, slope * backlash.engagement(torsion), own.damping]
+        let ([torque, slope], beside) = (self.spring(j, engaged), self.elements.torque(j, torsion));
+        [torque + beside[0] + own.damping * rate, slope * backlash.engagement(torsion) + beside[1], own.damping]
+    }
+
+    /// Adds `factor` times the derivatives of what joint `j`'s elements give, but for those by where its link is.
+    pub(super) fn by_elements(&self, j: usize, motors: &MotorSample, state: &[f64], factor: f64, out: &mut [f64]) {
+        let torsion = self.robot.drives[j].torsion_between(motors.theta[j], state[j]);
+        self.elements.differentiate(j, torsion, factor, out);
     }
 
     /// Torque of joint `j`'s spring behind its play, and its slope.

@@ -135,6 +135,8 @@ impl<'a> Links<'a> {
         motion.at(from, c, &mut self.motors);
         let Self { equation, motors, state, balances: [balance, _], one, solution, slopes, .. } = self;
         follow(equation.robot, motors, state);
+        let drives = &equation.robot.drives;
+        equation.elements.advance(|j| drives[j].torsion_between(motors.theta[j], state[j]), slopes, row == 0);
         equation.balance(motors, state, balance);
         one.matrix.copy_from_slice(&balance.by_ddq);
         one.factorise();
@@ -147,6 +149,7 @@ impl<'a> Links<'a> {
         for (i, out) in wanted.chunks_exact_mut(width).enumerate() {
             out.fill(0.0);
             out[..p].copy_from_slice(&balance.by_parameter[i * p..][..p]);
+            equation.by_elements(i, motors, state, -1.0, out);
             for k in 0..n {
                 let (q, dq) = (&known[k * width..][..width], &known[(n + k) * width..][..width]);
                 let (a, b) = (balance.by_q[i * n + k], balance.by_dq[i * n + k]);
@@ -165,6 +168,7 @@ impl<'a> Links<'a> {
         for (c, motors) in NODES.into_iter().zip(&mut self.at_nodes) {
             motion.at(row, c, motors);
         }
+        self.equation.elements.still = false;
         let mut accelerations = core::mem::take(&mut self.accelerations);
         accelerations.iter_mut().for_each(|own| own.copy_from_slice(&self.state[2 * n..]));
         for _ in 0..ITERATIONS {
@@ -233,6 +237,7 @@ impl<'a> Links<'a> {
             for (r, out) in columns[i * n * width..][..n * width].chunks_exact_mut(width).enumerate() {
                 out.fill(0.0);
                 out[..p].copy_from_slice(&balance.by_parameter[r * p..][..p]);
+                equation.by_elements(r, &at_nodes[i], &states[i], -1.0, out);
                 for k in 0..n {
                     let (q, dq) = (&slopes[k * width..][..width], &slopes[(n + k) * width..][..width]);
                     let a = balance.by_q[r * n + k];

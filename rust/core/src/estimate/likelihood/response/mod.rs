@@ -4,6 +4,7 @@
 //! positions have no density here, so that nothing but the other sensors' readings can tell a spring. Derivatives in the
 //! parameters and in the initial state are those of the discrete solution, exact, and share one linearisation.
 
+mod elements;
 mod equation;
 mod links;
 mod motion;

@@ -1,7 +1,7 @@
 //! What sensors on the links read, and its derivatives.
 
 use super::super::parameters::{Parameter, Parameters, SensorParameters};
-use super::equation::Equation;
+use super::equation::{DRY, Equation};
 use super::links::Links;
 use crate::dynamics::Placed;
 use crate::estimate::measurement::Channel;
@@ -75,8 +75,9 @@ impl<'a> Sensors<'a> {
                 Channel::Torque(j) => self.torque(links, j, row),
                 Channel::Motor(j) => links.motors.theta[j],
                 Channel::MotorVelocity(j) => links.motors.dtheta[j],
-                // Robots with such sensors are not calibrated, and their motors' torques are no part of the response.
-                Channel::Wrench(_) | Channel::MotorTorque(_) => f64::NAN,
+                Channel::MotorTorque(j) => self.motor_torque(links, j, row),
+                // Robots with such sensors are not calibrated.
+                Channel::Wrench(_) => f64::NAN,
             };
         }
     }
@@ -145,12 +146,45 @@ impl<'a> Sensors<'a> {
         }
         let [torque, stiffness, damping] = equation.transmission(j, motors, state);
         chain(links, j, [-stiffness, -damping, 0.0], row);
+        equation.by_elements(j, motors, state, 1.0, row);
         for (k, &parameter) in self.free.iter().enumerate() {
             if let Some((_, slope)) = equation.transmission_by(parameter, motors, state).filter(|own| own.0 == j) {
                 row[k] += slope;
             }
         }
         torque
+    }
+
+    /// What the motor gives by its own equation, B θ̈ + Sᵀ q̈ + friction(θ̇) + what its gear takes (De Luca, Schröder and
+    /// Thümmel 2007, eq. (2)), over the factor on its torques as they are read.
+    fn motor_torque(&self, links: &Links<'_>, j: usize, row: &mut [f64]) -> f64 {
+        let Links { equation, state, motors, .. } = links;
+        let (n, drive, own) = (motors.theta.len(), &equation.robot.drives[j], &equation.parameters.joints[j]);
+        let (v, acceleration) = (motors.dtheta[j], motors.ddtheta[j]);
+        let ratio = drive.ripple.output(motors.theta[j]).ratio;
+        let (transmitted, dry) = (ratio * self.torque(links, j, row), DRY.dry(v).0);
+        row.iter_mut().for_each(|x| *x *= ratio);
+        let said = &drive.motor_friction;
+        let friction =
+            said.torque(v).0 + (own.viscous_friction - said.viscous) * v + (own.coulomb_friction - said.coulomb) * dry;
+        let mut torque = own.motor_inertia * acceleration + friction + transmitted;
+        for k in 0..j {
+            let coupling = equation.parameters.coupling[k * n + j];
+            torque += coupling * state[2 * n + k];
+            chain(links, k, [0.0, 0.0, coupling], row);
+        }
+        for (k, parameter) in self.free.iter().enumerate() {
+            row[k] += match *parameter {
+                Parameter::MotorInertia(i) if i == j => acceleration,
+                Parameter::ViscousFriction(i) if i == j => v,
+                Parameter::CoulombFriction(i) if i == j => dry,
+                Parameter::Coupling(i, motor) if motor == j => state[2 * n + i],
+                Parameter::TorqueScale(i) if i == j => -torque / own.torque_scale,
+                _ => 0.0,
+            };
+        }
+        row.iter_mut().for_each(|x| *x /= own.torque_scale);
+        torque / own.torque_scale
     }
 }
 
