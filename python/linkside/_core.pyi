@@ -159,14 +159,10 @@ class Likelihood:
         *,
         noise: Mapping[str, Any],
         biased: Sequence[bool],
-        torque: bool,
         fixed: Sequence[tuple[tuple[str, int, int], float]],
         huber: float,
     ) -> Likelihood: ...
     def log_likelihood(self, names: Sequence[tuple[str, int, int]], values: Sequence[float]) -> float: ...
-    def evaluate(
-        self, names: Sequence[tuple[str, int, int]], values: Sequence[float], detail: bool = False
-    ) -> dict[str, Any]: ...
 
 @final
 class Response:

@@ -128,7 +128,7 @@ def _likelihood(
     robot: Robot, arrays: dict[str, Any], noise: dict[str, Any], fixed: list[tuple[CoreName, float]]
 ) -> Likelihood:
     biased = [True] * len(noise["reading"])
-    return Likelihood(robot.core, arrays, noise=noise, biased=biased, torque=False, fixed=fixed, huber=HUBER)
+    return Likelihood(robot.core, arrays, noise=noise, biased=biased, fixed=fixed, huber=HUBER)
 
 
 def _blind(robot: Robot) -> Robot:

@@ -61,7 +61,6 @@ def signals(robot: Robot, log: Log) -> dict[str, Any]:
     dt = np.diff(log.t, prepend=log.t[0] - log.period)
     bias, scale = robot.acceleration_errors
     readings = np.zeros((count, 0)) if log.acceleration is None else log.acceleration * scale + bias
-    none = np.zeros((count, 0))
     noise = np.array([sensor.noise_std for sensor in robot.accelerometers for _ in sensor.axes])
     theta = without_spikes(log.theta, np.full(robot.n, robot.config.encoder.resolution))
     theta[0] = log.theta[0]
@@ -70,8 +69,6 @@ def signals(robot: Robot, log: Log) -> dict[str, Any]:
         "t": log.t,
         "theta": theta,
         "dtheta": dtheta,
-        "ddtheta": none,
-        "tau": none,
         "acceleration": without_spikes(readings, noise),
         "jerk": commanded_jerk(log, dt, None),
     }

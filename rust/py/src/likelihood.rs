@@ -1,4 +1,4 @@
-//! The likelihood of a recording with its gradient.
+//! The likelihood of a recording, and what its sensors would read.
 
 use crate::array::{rows, shaped};
 use crate::error::{EstimatorError, IntoPyErr};
@@ -6,13 +6,10 @@ use crate::gil::Release;
 use crate::plain::Plain;
 use crate::robot::Robot;
 use linkside_compiled::description;
-use linkside_core::estimate::likelihood::{
-    self, Evidence, LikelihoodRecording, LikelihoodSettings, MotorMotion, Parameter,
-};
+use linkside_core::estimate::likelihood::{self, LikelihoodRecording, LikelihoodSettings, MotorMotion, Parameter};
 use linkside_core::estimate::measurement::Kind;
-use numpy::{IntoPyArray, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
+use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
 
 type Matrix<'py> = PyReadonlyArray2<'py, f64>;
 /// A kind of parameter, and up to two indices: joint or sensor, then axis or joint.
@@ -25,22 +22,17 @@ struct LikelihoodSignals<'py> {
     t: PyReadonlyArray1<'py, f64>,
     theta: Matrix<'py>,
     dtheta: Matrix<'py>,
-    ddtheta: Matrix<'py>,
-    tau: Matrix<'py>,
     acceleration: Matrix<'py>,
     jerk: Matrix<'py>,
     period: f64,
 }
 
 impl LikelihoodSignals<'_> {
-    fn recording(&self, joints: usize, channels: usize, torque: bool) -> PyResult<LikelihoodRecording> {
-        let motors = if torque { joints } else { 0 };
+    fn recording(&self, joints: usize, channels: usize) -> PyResult<LikelihoodRecording> {
         Ok(LikelihoodRecording {
             t: rows("t", &self.t, self.t.len())?.to_vec(),
             theta: rows("theta", &self.theta, joints)?.to_vec(),
             dtheta: rows("dtheta", &self.dtheta, joints)?.to_vec(),
-            ddtheta: rows("ddtheta", &self.ddtheta, motors)?.to_vec(),
-            tau: rows("tau", &self.tau, motors)?.to_vec(),
             acceleration: rows("acceleration", &self.acceleration, channels)?.to_vec(),
             jerk: rows("jerk", &self.jerk, joints)?.to_vec(),
             period: self.period,
@@ -74,10 +66,7 @@ fn parameter((kind, i, k): &Name) -> PyResult<Parameter> {
         "scale" => P::SensorScale(i, k),
         "time_constant" => P::TimeConstant(i),
         "delay" => P::Delay(i),
-        "motor_noise" => P::MotorNoise(i),
         "sensor_noise" => P::SensorNoise(i),
-        "torque_noise" => P::TorqueNoise(i),
-        "jerk_noise" => P::JerkNoise(i),
         _ => return Err(EstimatorError::new_err(format!("{kind:?} is no kind of parameter"))),
     })
 }
@@ -93,38 +82,24 @@ pub(crate) struct Likelihood(likelihood::Likelihood);
 #[pymethods]
 impl Likelihood {
     #[new]
-    #[pyo3(signature = (robot, signals, *, noise, biased, torque, fixed, huber))]
+    #[pyo3(signature = (robot, signals, *, noise, biased, fixed, huber))]
     fn new(
         robot: &Robot,
         signals: LikelihoodSignals<'_>,
         noise: Plain<description::JerkNoise>,
         biased: Vec<bool>,
-        torque: bool,
         fixed: Vec<(Name, f64)>,
         huber: f64,
     ) -> PyResult<Self> {
-        let recording = signals.recording(robot.0.len(), robot.0.acceleration_channels(), torque)?;
+        let recording = signals.recording(robot.0.len(), robot.0.acceleration_channels())?;
         let fixed: PyResult<Vec<_>> = fixed.iter().map(|(name, value)| Ok((parameter(name)?, *value))).collect();
-        let settings = LikelihoodSettings { noise: noise.0.into(), biased, torque, fixed: fixed?, huber };
+        let settings = LikelihoodSettings { noise: noise.0.into(), biased, fixed: fixed?, huber };
         likelihood::Likelihood::new(robot.0.clone(), settings, recording).map(Self).map_err(IntoPyErr::into_py_err)
     }
 
     fn log_likelihood(&self, py: Python<'_>, names: Vec<Name>, values: Vec<f64>) -> PyResult<f64> {
         let parameters = parameters(&names)?;
         py.release(|| self.0.log_likelihood(&parameters, &values))
-    }
-
-    #[pyo3(signature = (names, values, detail=false))]
-    fn evaluate<'py>(
-        &self,
-        py: Python<'py>,
-        names: Vec<Name>,
-        values: Vec<f64>,
-        detail: bool,
-    ) -> PyResult<Bound<'py, PyDict>> {
-        let parameters = parameters(&names)?;
-        let evidence = py.release(|| self.0.evaluate(&parameters, &values, detail))?;
-        into_dict(py, evidence, self.0.len(), self.0.channels())
     }
 }
 
@@ -181,17 +156,4 @@ struct Motion<'py> {
     theta: Matrix<'py>,
     dtheta: Matrix<'py>,
     ddtheta: Matrix<'py>,
-}
-
-fn into_dict(py: Python<'_>, e: Evidence, count: usize, channels: usize) -> PyResult<Bound<'_, PyDict>> {
-    let (out, p) = (PyDict::new(py), e.gradient.len());
-    out.set_item("log_likelihood", e.log_likelihood)?;
-    out.set_item("used", e.used)?;
-    out.set_item("gradient", shaped(py, e.gradient, vec![p])?)?;
-    out.set_item("information", shaped(py, e.information, vec![p, p])?)?;
-    let kept = if e.innovations.is_empty() { 0 } else { count };
-    out.set_item("densities", e.densities.into_pyarray(py))?;
-    out.set_item("scores", shaped(py, e.scores, vec![kept, p])?)?;
-    out.set_item("innovations", shaped(py, e.innovations, vec![kept, channels])?)?;
-    Ok(out)
 }

@@ -43,7 +43,7 @@ const KERNELS: [Guarded; 17] = [
     ("elastic EKF step, six joints", elastic_filter),
     ("smoother, two joints", || smoother(2)),
     ("smoother, six joints", || smoother(6)),
-    ("likelihood and four slopes, two joints", likelihood),
+    ("likelihood, two joints", likelihood),
     ("observer step, six joints", observer),
     ("reduced-order observer step, six joints", velocity_observer),
     ("particle step, bootstrap, two joints", || particles(Proposal::Bootstrap)),
@@ -194,7 +194,7 @@ fn elastic_filter() -> Work {
     })
 }
 
-/// The log-likelihood with its slopes by four parameters, which go through the filter together.
+/// The log-likelihood.
 fn likelihood() -> Work {
     const N: usize = 2;
     let robot = robot(N);
@@ -205,7 +205,6 @@ fn likelihood() -> Work {
     let settings = LikelihoodSettings {
         noise: jerk_noise(N, channels, 0.0),
         biased: vec![true; channels],
-        torque: false,
         fixed: vec![],
         huber: f64::INFINITY,
     };
@@ -215,14 +214,12 @@ fn likelihood() -> Work {
             t: (0..samples).map(|i| PERIOD * i as f64).collect(),
             theta: first(N, wave(N, 1e-3)),
             dtheta: first(N, wave(N, 0.02)),
-            ddtheta: vec![],
-            tau: vec![],
             acceleration: first(sensed, accelerations(sensed)),
             jerk: first(N, wave(N, 0.5)),
             period: PERIOD,
         };
         let likelihood = Likelihood::new(Arc::clone(&robot), settings.clone(), recording).unwrap();
-        black_box(likelihood.evaluate(&parameters, &[1.1e5, 70.0, 1.1, 0.1], false).unwrap());
+        black_box(likelihood.log_likelihood(&parameters, &[1.1e5, 70.0, 1.1, 0.1]).unwrap());
     })
 }
 

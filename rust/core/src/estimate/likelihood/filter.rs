@@ -1,8 +1,7 @@
-//! The filter, over a scalar: what is kept is each reading's innovation.
+//! The filter: what is kept is each reading's innovation.
 //!
 //! Its update differs from that of [`kalman`](crate::estimate::kalman), which defers the covariance to the end of a sample:
-//! here each reading changes it at once, so that a filter inside a sensor can take its next value between two readings,
-//! and no derivative number is computed for padding or for a gain that only a smoother needs. A test holds both equal.
+//! here each reading changes it at once, so that a filter inside a sensor can take its next value between two readings. A test holds both equal.
 
 use super::evaluation::{ParametricMeasurement, ParametricReading};
 use super::instants::Instant;
@@ -12,50 +11,48 @@ use crate::estimate::jerk_noise;
 use crate::estimate::kalman::{JerkModel, JerkNoise};
 use crate::estimate::measurement::Channel;
 use crate::interrupt::Watch;
-use crate::scalar::Scalar;
 use crate::simd::{self, Kernel};
 
 /// A reading less its prediction by all readings before it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct SequentialInnovation<T> {
-    pub(super) value: T,
-    pub(super) variance: T,
+pub(super) struct SequentialInnovation {
+    pub(super) value: f64,
+    pub(super) variance: f64,
     /// The sample of the reading.
     pub(super) row: usize,
-    pub(super) channel: usize,
 }
 
 /// A filter on its way through a recording.
 #[derive(Clone, Debug)]
-pub(super) struct Filter<T> {
+pub(super) struct Filter {
     /// Predictions of readings and their derivatives.
-    evaluation: ParametricMeasurement<T>,
+    evaluation: ParametricMeasurement,
     /// The state that is each channel's bias.
     biases: Vec<Option<usize>>,
     /// The state that is each channel's filter, and α.
-    memories: Vec<Option<(usize, T)>>,
+    memories: Vec<Option<(usize, f64)>>,
     /// Densities, walks and initial uncertainties.
     noise: JerkNoise,
     /// All instants at which something was read, in time, and the next one.
     instants: Vec<Instant>,
     next: usize,
     /// (q, q̇, q̈, biases, filters inside sensors).
-    mean: Vec<T>,
+    mean: Vec<f64>,
     /// n × n, symmetric.
-    covariance: Vec<T>,
+    covariance: Vec<f64>,
     /// Where the instant's readings are linearised (3n).
-    reference: Vec<T>,
+    reference: Vec<f64>,
     /// P hᵀ of the reading at hand.
-    gain: Vec<T>,
+    gain: Vec<f64>,
     /// Those since [`advance`](Self::advance) was last called.
-    pub(super) innovations: Vec<SequentialInnovation<T>>,
+    pub(super) innovations: Vec<SequentialInnovation>,
 }
 
-impl<T: Scalar> Filter<T> {
+impl Filter {
     pub(super) fn new(
         model: &JerkModel,
         noise: JerkNoise,
-        evaluation: ParametricMeasurement<T>,
+        evaluation: ParametricMeasurement,
         instants: Vec<Instant>,
     ) -> Self {
         let n = model.joints();
@@ -74,10 +71,10 @@ impl<T: Scalar> Filter<T> {
             noise,
             instants,
             next: 0,
-            mean: vec![T::default(); states],
-            covariance: vec![T::default(); states * states],
-            reference: vec![T::default(); 3 * n],
-            gain: vec![T::default(); states],
+            mean: vec![0.0; states],
+            covariance: vec![0.0; states * states],
+            reference: vec![0.0; 3 * n],
+            gain: vec![0.0; states],
             innovations: Vec::new(),
         }
     }
@@ -114,19 +111,19 @@ impl<T: Scalar> Filter<T> {
         let q = self.evaluation.rest(&recording.theta[..n]);
         self.mean[..n].copy_from_slice(&q);
         for (i, std) in self.noise.initial.iter().enumerate() {
-            self.covariance[i * states + i] = T::constant(std * std);
+            self.covariance[i * states + i] = std * std;
         }
         for (bias, std) in self.biases.iter().zip(&self.noise.initial_bias) {
             if let Some(b) = *bias {
-                self.covariance[b * states + b] = T::constant(std * std);
+                self.covariance[b * states + b] = std * std;
             }
         }
     }
 
     /// When an instant was, from the recording's first sample [s].
     #[inline(always)]
-    fn time(&self, recording: &LikelihoodRecording, instant: Instant) -> T {
-        let stamp = T::constant(recording.t[instant.row] - recording.t[0]);
+    fn time(&self, recording: &LikelihoodRecording, instant: Instant) -> f64 {
+        let stamp = recording.t[instant.row] - recording.t[0];
         match instant.late {
             Some(s) => stamp - self.evaluation.lateness[s].lag,
             None => stamp,
@@ -166,12 +163,11 @@ impl<T: Scalar> Filter<T> {
 
     /// P ← P + Q: white jerk over the step, walks beside, and biases that forget and wander.
     #[inline(always)]
-    fn add_noise(&mut self, dt: T) {
+    fn add_noise(&mut self, dt: f64) {
         let (n, states) = (self.reference.len() / 3, self.mean.len());
         let white_jerk = jerk_noise::covariance(dt);
         for j in 0..n {
-            let density = self.evaluation.parameters().joints[j].jerk_noise * self.noise.jerk[j];
-            let variance = density * density;
+            let variance = self.noise.jerk[j] * self.noise.jerk[j];
             for a in 0..3 {
                 for b in 0..3 {
                     self.covariance[(a * n + j) * states + b * n + j] += white_jerk[a][b] * variance;
@@ -184,12 +180,12 @@ impl<T: Scalar> Filter<T> {
         for c in 0..self.biases.len() {
             let Some(b) = self.biases[c] else { continue };
             let step = bias_step(self.noise.bias_walk[c], self.noise.bias_time[c], dt);
-            self.mean[b] = step.decay * self.mean[b];
+            self.mean[b] *= step.decay;
             for k in 0..states {
-                self.covariance[b * states + k] = step.decay * self.covariance[b * states + k];
+                self.covariance[b * states + k] *= step.decay;
             }
             for k in 0..states {
-                self.covariance[k * states + b] = step.decay * self.covariance[k * states + b];
+                self.covariance[k * states + b] *= step.decay;
             }
             self.covariance[b * states + b] += step.variance;
         }
@@ -221,7 +217,7 @@ impl<T: Scalar> Filter<T> {
         };
         // A filter inside a sensor goes on though its output was not recorded.
         let Some(value) = reading.value else { return };
-        let (mut value, mut variance) = (T::constant(value) - predicted, spread + reading.variance);
+        let (mut value, mut variance) = (value - predicted, spread + reading.variance);
         if let Some(b) = self.biases[reading.channel] {
             let states = self.mean.len();
             // h = (…, 1 at the bias): P hᵀ and h P hᵀ from their parts, without a row of zeros and ones.
@@ -233,16 +229,16 @@ impl<T: Scalar> Filter<T> {
             variance += self.gain[b];
         }
         self.apply(value, variance);
-        self.innovations.push(SequentialInnovation { value, variance, row, channel: reading.channel });
+        self.innovations.push(SequentialInnovation { value, variance, row });
     }
 
     /// A prediction h(x) without bias at the present mean, and its variance h P hᵀ; leaves P hᵀ in the gain.
     #[inline(always)]
-    fn project(&mut self, reading: &ParametricReading<T>) -> (T, T) {
+    fn project(&mut self, reading: &ParametricReading) -> (f64, f64) {
         let (d, states) = (self.reference.len(), self.mean.len());
         let h = &self.evaluation.jacobian[reading.channel * d..][..d];
-        let (mut predicted, mut spread) = (reading.prediction, T::default());
-        self.gain.fill(T::default());
+        let (mut predicted, mut spread) = (reading.prediction, 0.0);
+        self.gain.fill(0.0);
         for (k, (slope, column)) in h.iter().zip(self.covariance.chunks_exact(states)).enumerate() {
             predicted += *slope * (self.mean[k] - self.reference[k]);
             for (g, p) in self.gain.iter_mut().zip(column) {
@@ -258,11 +254,11 @@ impl<T: Scalar> Filter<T> {
     /// A filter inside a sensor takes its next value: w ← α w + (1 − α) h(x), where `project` has left h(x), h P hᵀ and
     /// P hᵀ. Gives mean and variance of w, and leaves its covariances in the gain. On its first value the filter has settled.
     #[inline(always)]
-    fn remember(&mut self, state: usize, alpha: T, (predicted, spread): (T, T)) -> (T, T) {
+    fn remember(&mut self, state: usize, alpha: f64, (predicted, spread): (f64, f64)) -> (f64, f64) {
         let states = self.mean.len();
-        let started = self.covariance[state * states + state] != T::default();
-        let alpha = if started { alpha } else { T::default() };
-        let rest = T::constant(1.0) - alpha;
+        let started = self.covariance[state * states + state] != 0.0;
+        let alpha = if started { alpha } else { 0.0 };
+        let rest = 1.0 - alpha;
         let (own, across) = (self.covariance[state * states + state], self.gain[state]);
         let mean = alpha * self.mean[state] + rest * predicted;
         let variance = alpha * (alpha * own + rest * across * 2.0) + rest * rest * spread;
@@ -280,9 +276,9 @@ impl<T: Scalar> Filter<T> {
 
     /// x ← x + g ν/s, P ← P − g gᵀ/s.
     #[inline(always)]
-    fn apply(&mut self, value: T, variance: T) {
+    fn apply(&mut self, value: f64, variance: f64) {
         let states = self.mean.len();
-        let precision = T::constant(1.0) / variance;
+        let precision = 1.0 / variance;
         let weighted = value * precision;
         for i in 0..states {
             let g = self.gain[i];
@@ -300,14 +296,14 @@ impl<T: Scalar> Filter<T> {
 }
 
 /// [`Filter::predict`], to be compiled for each instruction set.
-struct PredictSequential<'a, T> {
-    filter: &'a mut Filter<T>,
+struct PredictSequential<'a> {
+    filter: &'a mut Filter,
     recording: &'a LikelihoodRecording,
     from: Instant,
     to: Instant,
 }
 
-impl<T: Scalar> Kernel for PredictSequential<'_, T> {
+impl Kernel for PredictSequential<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -317,14 +313,14 @@ impl<T: Scalar> Kernel for PredictSequential<'_, T> {
 }
 
 /// [`ParametricMeasurement::evaluate`], likewise.
-struct EvaluateParametric<'a, T> {
-    evaluation: &'a mut ParametricMeasurement<T>,
+struct EvaluateParametric<'a> {
+    evaluation: &'a mut ParametricMeasurement,
     recording: &'a LikelihoodRecording,
     instant: Instant,
-    state: &'a [T],
+    state: &'a [f64],
 }
 
-impl<T: Scalar> Kernel for EvaluateParametric<'_, T> {
+impl Kernel for EvaluateParametric<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -334,13 +330,13 @@ impl<T: Scalar> Kernel for EvaluateParametric<'_, T> {
 }
 
 /// [`Filter::use_reading`], likewise.
-struct UseReading<'a, T> {
-    filter: &'a mut Filter<T>,
+struct UseReading<'a> {
+    filter: &'a mut Filter,
     i: usize,
     row: usize,
 }
 
-impl<T: Scalar> Kernel for UseReading<'_, T> {
+impl Kernel for UseReading<'_> {
     type Output = ();
 
     #[inline(always)]

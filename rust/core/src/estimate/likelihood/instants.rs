@@ -2,7 +2,6 @@
 
 use super::parameters::SensorParameters;
 use crate::estimate::measurement::low_pass;
-use crate::scalar::Scalar;
 
 /// A instant of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,20 +35,20 @@ pub(super) fn instants(t: &[f64], lags: &[Option<f64>]) -> Vec<Instant> {
 /// The two inputs of [`low_pass`], one sample apart, are taken as one at their mean moment, which is the same to second
 /// order: y = α y₋ + (1 − α) f, with f the specific force at that moment.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct SampledLag<T> {
+pub(super) struct SampledLag {
     /// How long before its time stamp a reading was true [s].
-    pub(super) lag: T,
+    pub(super) lag: f64,
     /// α, where there is a filter.
-    pub(super) memory: Option<T>,
+    pub(super) memory: Option<f64>,
 }
 
-impl<T: Scalar> SampledLag<T> {
+impl SampledLag {
     /// Of an accelerometer sampled every `period` [s].
-    pub(super) fn of(sensor: &SensorParameters<T>, period: f64, filtered: bool) -> Self {
+    pub(super) fn of(sensor: &SensorParameters<f64>, period: f64, filtered: bool) -> Self {
         if !filtered {
             return Self { lag: sensor.delay, memory: None };
         }
-        let [memory, before, now] = low_pass(sensor.time_constant, T::constant(period));
+        let [memory, before, now] = low_pass(sensor.time_constant, period);
         Self { lag: before * period / (before + now) + sensor.delay, memory: Some(memory) }
     }
 }

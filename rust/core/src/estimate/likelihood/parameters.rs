@@ -51,14 +51,8 @@ pub enum Parameter {
     TimeConstant(usize),
     /// Delay of an accelerometer [s].
     Delay(usize),
-    /// Factor on the noise of a joint's motor position.
-    MotorNoise(usize),
     /// Factor on the noise of an accelerometer.
     SensorNoise(usize),
-    /// Factor on the noise of a joint's motor torque.
-    TorqueNoise(usize),
-    /// Factor on the density of a joint's jerk.
-    JerkNoise(usize),
 }
 
 /// A joint's numbers.
@@ -79,10 +73,6 @@ pub(super) struct JointParameters<T> {
     pub(super) link_coulomb: T,
     pub(super) link_friction: T,
     pub(super) mass_scale: T,
-    /// Factors on standard deviations of its motor's position and torque, and on the density of its jerk.
-    pub(super) motor_noise: T,
-    pub(super) torque_noise: T,
-    pub(super) jerk_noise: T,
 }
 
 /// An accelerometer's numbers.
@@ -147,9 +137,6 @@ impl<T: Scalar> Parameters<T> {
             link_coulomb: T::constant(d.bearing_friction.coulomb),
             link_friction: one,
             mass_scale: one,
-            motor_noise: one,
-            torque_noise: one,
-            jerk_noise: one,
         };
         let sizes = |e: &FrictionElement| [e.stiffness, e.limit].map(T::constant);
         let elements = |d: &Drive| d.hysteresis.elements.iter().map(sizes).collect();
@@ -192,9 +179,6 @@ impl<T: Scalar> Parameters<T> {
             P::LinkCoulomb(j) => &mut joints.get_mut(j)?.link_coulomb,
             P::LinkFriction(j) => &mut joints.get_mut(j)?.link_friction,
             P::MassScale(j) => &mut joints.get_mut(j)?.mass_scale,
-            P::MotorNoise(j) => &mut joints.get_mut(j)?.motor_noise,
-            P::TorqueNoise(j) => &mut joints.get_mut(j)?.torque_noise,
-            P::JerkNoise(j) => &mut joints.get_mut(j)?.jerk_noise,
             P::Coupling(i, j) if i < j && j < n => &mut self.coupling[i * n + j],
             P::Coupling(..) => return None,
             P::PayloadMass => &mut self.payload_mass,

@@ -13,10 +13,6 @@ pub struct LikelihoodRecording {
     pub theta: Vec<f64>,
     /// Motor velocities (n) [rad/s], NaN to leave the damping torque out.
     pub dtheta: Vec<f64>,
-    /// Motor accelerations (n) [rad/s²]; empty where torques are not used.
-    pub ddtheta: Vec<f64>,
-    /// Motor torques (n) [N m]; likewise.
-    pub tau: Vec<f64>,
     /// Accelerometer channels as they were recorded (m) [m/s²].
     pub acceleration: Vec<f64>,
     /// Commanded jerk since the sample before (n) [rad/s³].
@@ -38,14 +34,11 @@ impl LikelihoodRecording {
 
     /// # Errors
     /// Arrays that do not fit the robot or each other, a first sample without a motor position.
-    pub(super) fn check(&self, robot: &Robot, torque: bool) -> Result<(), DesignError> {
+    pub(super) fn check(&self, robot: &Robot) -> Result<(), DesignError> {
         let (n, m, count) = (robot.len(), robot.acceleration_channels(), self.len());
-        let motors = if torque { n } else { 0 };
         let lengths = [
             ("theta", &self.theta, n),
             ("dtheta", &self.dtheta, n),
-            ("ddtheta", &self.ddtheta, motors),
-            ("tau", &self.tau, motors),
             ("acceleration", &self.acceleration, m),
             ("jerk", &self.jerk, n),
         ];
