@@ -2,6 +2,7 @@
 
 use super::gaussian::{Gaussian, Symmetric};
 use crate::estimate::bias::bias_step;
+use crate::linear::Real;
 use core::ops::Range;
 
 /// What is known of the channels' biases: the state that each is, and how it moves.
@@ -65,10 +66,10 @@ impl Biases<'_> {
 
     /// Columns (states × `stride`) through the step: each bias' row decays. It is its own adjoint.
     #[inline(always)]
-    pub(super) fn carry(&self, columns: &mut [f64], stride: usize, dt: f64) {
+    pub(super) fn carry<T: Real>(&self, columns: &mut [T], stride: usize, dt: f64) {
         for (b, decay, _) in self.steps(dt) {
             for x in &mut columns[b * stride..][..stride] {
-                *x *= decay;
+                *x *= T::of(decay);
             }
         }
     }
