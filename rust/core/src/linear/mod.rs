@@ -6,15 +6,17 @@
 //! ([`factorise`], [`solve`]).
 
 mod block;
+mod downdate;
 mod factors;
 mod products;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use downdate::{downdate, downdate_rest};
 pub(crate) use factors::{backward, forward, upper_factor};
 pub(crate) use products::{
     Part, add_outer, add_squares, add_symmetric, add_symmetric_part, congruence, mirror, product, product_part,
-    transpose,
+    product_upper, transpose,
 };
 
 use crate::scalar::Scalar;

@@ -1,7 +1,7 @@
 //! The channels' biases over a step of time, apart from all else: each forgets, and wanders.
 
 use super::gaussian::{Gaussian, Symmetric};
-use crate::estimate::bias::bias_step;
+use crate::estimate::bias::{BiasStep, bias_step};
 use crate::linear::Real;
 use core::ops::Range;
 
@@ -21,7 +21,7 @@ impl Biases<'_> {
     #[inline(always)]
     fn steps(&self, dt: f64) -> impl Iterator<Item = (usize, f64, f64)> {
         // Channels of a kind forget over the same time: a hyperbolic tangent for each time and not for each channel.
-        let mut of_one = (f64::NAN, bias_step(1.0, 1.0, dt));
+        let mut of_one = (f64::NAN, BiasStep { decay: 1.0, variance: 0.0 });
         self.states.iter().zip(self.walk).zip(self.time).filter_map(move |((state, &walk), &time)| {
             let b = (*state)?;
             if time != of_one.0 {
