@@ -53,6 +53,9 @@ pub(super) trait Width: Copy {
     /// One after the other.
     fn each<'a>(self, rows: Self::Rows<'a>) -> impl Iterator<Item = &'a [Lane]>;
 
+    /// Rows of `values`, to be written.
+    fn each_mut(self, values: &mut [f64]) -> impl Iterator<Item = &mut [Lane]>;
+
     /// L rows of `values` from the `i`-th on, to be written.
     fn block_mut<const L: usize>(self, values: &mut [f64], i: usize) -> [&mut [Lane]; L];
 }
@@ -82,6 +85,11 @@ impl<const R: usize> Width for KnownWidth<R> {
     #[inline(always)]
     fn each<'a>(self, rows: Self::Rows<'a>) -> impl Iterator<Item = &'a [Lane]> {
         rows.iter().map(|row| &row[..])
+    }
+
+    #[inline(always)]
+    fn each_mut(self, values: &mut [f64]) -> impl Iterator<Item = &mut [Lane]> {
+        lanes_mut(values).as_chunks_mut::<R>().0.iter_mut().map(|row| &mut row[..])
     }
 
     #[inline(always)]
@@ -116,6 +124,11 @@ impl Width for Any {
     #[inline(always)]
     fn each<'a>(self, rows: Self::Rows<'a>) -> impl Iterator<Item = &'a [Lane]> {
         rows.chunks_exact(self.0)
+    }
+
+    #[inline(always)]
+    fn each_mut(self, values: &mut [f64]) -> impl Iterator<Item = &mut [Lane]> {
+        lanes_mut(values).chunks_exact_mut(self.0)
     }
 
     #[inline(always)]

@@ -6,21 +6,44 @@
 //! ([`factorise`], [`solve`]).
 
 mod block;
+mod downdate;
 mod factors;
 mod products;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use downdate::{downdate, downdate_rest};
 pub(crate) use factors::{backward, forward, upper_factor};
 pub(crate) use products::{
     Part, add_outer, add_squares, add_symmetric, add_symmetric_part, congruence, mirror, product, product_part,
-    transpose,
+    product_upper, transpose,
 };
 
 use crate::scalar::Scalar;
+use core::ops::{Add, AddAssign, Mul, MulAssign};
 
 /// Columns that one vector register holds, and to a multiple of which rows are padded.
 pub(crate) const LANES: usize = 4;
+
+/// A number of double or of single precision.
+pub(crate) trait Real: Copy + Default + Add<Output = Self> + AddAssign + Mul<Output = Self> + MulAssign {
+    /// To its precision.
+    fn of(value: f64) -> Self;
+}
+
+impl Real for f64 {
+    #[inline(always)]
+    fn of(value: f64) -> Self {
+        value
+    }
+}
+
+impl Real for f32 {
+    #[inline(always)]
+    fn of(value: f64) -> Self {
+        value as Self
+    }
+}
 
 /// Σ aᵢ bᵢ over the shorter of the two, in [`LANES`] partial sums.
 #[inline(always)]

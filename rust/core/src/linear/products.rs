@@ -34,7 +34,12 @@ pub(crate) fn product(left: &[f64], width: usize, right: &[f64], stride: usize, 
 
 /// Of [`product`] the columns of that part of `right`.
 pub(crate) fn product_part(left: &[f64], width: usize, right: &[f64], part: Part, out: &mut [f64]) {
-    simd::phase(Product { left, width, right, part, out });
+    simd::phase(Product { left, width, right, part, upper: false, out });
+}
+
+/// Of [`product`] what is on and above the diagonal, and what of its registers is below.
+pub(crate) fn product_upper(left: &[f64], width: usize, right: &[f64], stride: usize, out: &mut [f64]) {
+    simd::phase(Product { left, width, right, part: Part::whole(stride), upper: true, out });
 }
 
 /// The first columns of a matrix whose rows are `stride` numbers apart.
@@ -61,6 +66,7 @@ struct Product<'a> {
     width: usize,
     right: &'a [f64],
     part: Part,
+    upper: bool,
     out: &'a mut [f64],
 }
 
@@ -81,12 +87,12 @@ impl Kernel for Product<'_> {
 impl Product<'_> {
     #[inline(always)]
     fn run_with<const MOST: usize>(self, columns: impl Width, to: usize) {
-        let Self { left, width, right, part: Part { stride, .. }, out } = self;
+        let Self { left, width, right, part: Part { stride, .. }, upper, out } = self;
         let inner = width.min(right.len() / stride);
         let right = (columns, columns.rows(right, inner));
         by_rows!(left.len() / width, |i, L| {
             let left = left_rows::<L>(&left[i * width..], width);
-            by_columns!(MOST, 0, to, |c, W| put(
+            by_columns!(MOST, if upper { i / LANES } else { 0 }, to, |c, W| put(
                 &product_block::<L, W, _>(left, right, inner, c),
                 columns.block_mut(out, i),
                 c
@@ -213,7 +219,7 @@ pub(crate) fn mirror(p: &mut [f64], stride: usize) {
 
 /// Four rows of a register each, turned, at a time, `to` registers of each row.
 #[inline(always)]
-fn mirror_with(width: impl Width, to: usize, p: &mut [f64]) {
+pub(super) fn mirror_with(width: impl Width, to: usize, p: &mut [f64]) {
     for r in 0..to {
         let own = width.block_mut::<LANES>(p, r * LANES);
         let r = inside::<1>(width, r);

@@ -1,8 +1,8 @@
 //! Kernels on padded rows against plain loops.
 
 use super::{
-    LANES, Part, add_outer, add_squares, add_symmetric, add_symmetric_part, backward, congruence, forward, mirror,
-    product, product_part, transpose, upper_factor,
+    LANES, Part, add_outer, add_squares, add_symmetric, add_symmetric_part, backward, congruence, downdate,
+    downdate_rest, forward, mirror, product, product_part, product_upper, transpose, upper_factor,
 };
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -64,7 +64,11 @@ proptest! {
         let (right_rows, stride) = padded(&right, columns);
         let mut out = vec![f64::NAN; left.len() * stride];
         product(&left.concat(), inner, &right_rows, stride, &mut out);
-        agree(&out, stride, &gram(&transposed(&left, inner), &right, left.len(), columns), ALL)?;
+        let plain = gram(&transposed(&left, inner), &right, left.len(), columns);
+        agree(&out, stride, &plain, ALL)?;
+        let mut upper = vec![0.0; left.len() * stride];
+        product_upper(&left.concat(), inner, &right_rows, stride, &mut upper);
+        agree(&upper, stride, &plain, |i, j| j >= i)?;
     }
 
     #[test]
@@ -107,6 +111,28 @@ proptest! {
         add_squares(factor, &rows, stride, &mut out);
         let plain = gram(&a, &a, n, n).iter().map(|row| row.iter().map(|x| factor * x).collect()).collect();
         agree(&out, stride, &plain, ALL)?;
+    }
+
+    #[test]
+    fn squares_are_taken_off_one_by_one(
+        (a, h, n) in (1_usize..6, 1_usize..14).prop_flat_map(|(inner, n)| (matrix(inner, n), matrix(1, n), Just(n))),
+        part in 0.1..1.0,
+    ) {
+        let ((rows, stride), dense) = (padded(&a, n), f64::ceil(part * n as f64) as usize);
+        let (mut p, mut out) = (vec![0.0; stride * stride], vec![f64::NAN; stride]);
+        (0..n).for_each(|i| (0..n).for_each(|j| p[i * stride + j] = 9.0 + (i * j) as f64));
+        let left: Plain =
+            gram(&a, &a, n, n).iter().enumerate().map(|(i, row)| {
+                row.iter().enumerate().map(|(j, x)| 9.0 + (i * j) as f64 - x).collect()
+            }).collect();
+        for w in rows.chunks_exact(stride) {
+            downdate(&mut p, w, &h[0][..dense], &mut out);
+        }
+        let through = gram(&transposed(&vec![h[0][..dense].to_vec()], dense), &left[..dense].to_vec(), 1, n);
+        agree(&out, stride, &through, ALL)?;
+        downdate_rest(&mut p, &rows, dense, stride);
+        agree(&p, stride, &left, ALL)?;
+        prop_assert!((0..n).all(|i| (0..n).all(|j| p[i * stride + j] == p[j * stride + i])));
     }
 
     #[test]

@@ -4,7 +4,11 @@ use super::consider::Consider;
 use super::correction::Correction;
 use super::model::Model;
 use super::sensitivity::Sensitivity;
+use super::single::{SIDE, SingleSignatures, SingleUpdate, Weighed};
 use crate::linear;
+
+/// Standard deviations beyond which it is all the same how far off a reading is.
+const ENOUGH: f64 = 1e12;
 
 /// Generalised likelihood ratios of a step in each channel (A. S. Willsky and H. L. Jones, IEEE Trans. Automatic Control
 /// 21, 1976), for onsets that move on from window to window.
@@ -13,15 +17,19 @@ use crate::linear;
 /// the filter, s = H Σ⁻ + e_c with Σ as in the consider filter. Without a fault (Σ s r)²/Σ s² is χ² with one degree. Where
 /// innovations stayed correlated before, by a model that is not quite right, their sums vary by more, and that counts.
 ///
-/// Windows that are on at the same time are columns side by side, so that what the filter does is done to all at once.
+/// Windows that are on at the same time are columns side by side, so that what the filter does is done to all at once. They are in
+/// single precision: what the sums are compared with is not known to more digits than that.
 #[derive(Clone, Debug)]
 pub(super) struct Bank {
     windows: Vec<Window>,
-    /// Σ and s of a unit fault of each channel that began with each window.
-    sensitivity: Sensitivity,
-    /// Scratch: one window's weights (channels).
+    /// Σ of a unit fault of each channel that began with each window (states × windows × channels, padded).
+    columns: Vec<f32>,
+    /// How each window weighs each reading (windows × channels).
     readings: Vec<Weighed>,
-    /// s of each reading over the variance of its noise, in multiples of the filter's.
+    /// Scratch of s.
+    scratch: Vec<[f32; SIDE]>,
+    /// s of each reading over the variance of its noise, in multiples of the filter's, where there are parameters (channels ×
+    /// windows × channels, padded).
     weighted: Vec<f64>,
     /// Σ s r and Σ s² of each channel (windows × channels, padded).
     score: Vec<f64>,
@@ -54,17 +62,17 @@ impl Bank {
     /// Of windows of these lengths.
     pub(super) fn new(model: &impl Model, parameters: usize, lengths: &[u32]) -> Self {
         let (channels, windows) = (model.channels(), lengths.len());
-        let stride = channels.next_multiple_of(linear::LANES);
-        let sensitivity = Sensitivity::new(model, windows * stride);
+        let stride = channels.next_multiple_of(SIDE);
         let parameters = parameters.next_multiple_of(linear::LANES);
         Self {
             windows: lengths
                 .iter()
                 .map(|&length| Window { length, age: 0, excess: 0.0, noise: vec![1.0; channels] })
                 .collect(),
-            readings: vec![Weighed::default(); channels],
-            weighted: vec![0.0; sensitivity.signatures.len()],
-            sensitivity,
+            columns: vec![0.0; model.states().next_multiple_of(linear::LANES) * windows * stride],
+            readings: vec![Weighed::default(); windows * channels],
+            scratch: vec![[0.0; SIDE]; channels.next_multiple_of(linear::LANES)],
+            weighted: vec![0.0; if parameters > 0 { channels * windows * stride } else { 0 }],
             score: vec![0.0; windows * stride],
             information: vec![0.0; windows * stride],
             channels,
@@ -82,8 +90,8 @@ impl Bank {
 
     fn restart_window(&mut self, w: usize) {
         (self.windows[w].age, self.windows[w].excess) = (0, 0.0);
-        let (own, p) = (w * self.stride..(w + 1) * self.stride, self.sensitivity.stride);
-        self.sensitivity.columns.chunks_exact_mut(p).for_each(|row| row[own.clone()].fill(0.0));
+        let (own, p) = (w * self.stride..(w + 1) * self.stride, self.score.len());
+        self.columns.chunks_exact_mut(p).for_each(|row| row[own.clone()].fill(0.0));
         self.score[own.clone()].fill(0.0);
         self.information[own.clone()].fill(0.0);
         self.shared[own.start * self.parameters..own.end * self.parameters].fill(0.0);
@@ -106,18 +114,17 @@ impl Bank {
 
     /// What a unit fault of `channel` has done to each state since window `w` began.
     pub(super) fn effect(&self, w: usize, channel: usize) -> impl Iterator<Item = f64> {
-        let Sensitivity { stride, ref columns, .. } = self.sensitivity;
-        columns.chunks_exact(stride).map(move |row| row[w * self.stride + channel])
+        self.columns.chunks_exact(self.score.len()).map(move |row| f64::from(row[w * self.stride + channel]))
     }
 
-    /// Takes a sample.
+    /// Takes a sample, whose update is `single` as well.
     #[inline(always)]
     pub(super) fn update(
         &mut self,
         model: &mut impl Model,
         dt: f64,
-        correction: &Correction,
-        News { known, residuals, runs }: News<'_>,
+        (correction, single): (&Correction, &SingleUpdate),
+        news: News<'_>,
         consider: Option<&Consider>,
     ) {
         for w in 0..self.windows.len() {
@@ -130,33 +137,31 @@ impl Bank {
             }
             *age += 1;
         }
-        let Self { windows, sensitivity, readings, weighted, score, information, channels, stride, .. } = self;
-        let (p, stride) = (sensitivity.stride, *stride);
-        model.carry_noise_free(&mut sensitivity.columns, p, dt);
-        // A fault is in its own reading, and by way of the state in those of all others.
-        sensitivity.signatures.fill(0.0);
-        for (c, row) in sensitivity.signatures.chunks_exact_mut(p).enumerate().take(*channels) {
-            (0..windows.len()).for_each(|w| row[w * stride + c] = 1.0);
+        self.weigh(correction, news);
+        let Self { readings, columns, scratch, weighted, score, information, stride, .. } = self;
+        let p = score.len();
+        model.carry_single(columns, p, dt);
+        SingleSignatures { update: single, columns, errors: *stride, readings, scratch, score, information, weighted }
+            .take();
+        if let Some(consider) = consider {
+            let Sensitivity { stride, signatures, .. } = &consider.sensitivity;
+            linear::add_outer(1.0, (weighted, p), &signatures[..self.channels * stride], *stride, &mut self.shared);
         }
-        sensitivity.update(model, correction);
-        for (w, window) in windows.iter_mut().enumerate() {
-            for (i, innovation) in correction.innovations.iter().enumerate() {
+    }
+
+    /// How each window weighs a sample's readings.
+    #[inline(always)]
+    fn weigh(&mut self, correction: &Correction, News { known, residuals, runs }: News<'_>) {
+        for (window, readings) in self.windows.iter_mut().zip(self.readings.chunks_exact_mut(self.channels)) {
+            for (i, (reading, innovation)) in readings.iter_mut().zip(&correction.innovations).enumerate() {
                 // A coarse encoder's readings are one as long as they are the same: their error is that of its step.
                 let noise = window.noise[i] * runs[i];
-                (readings[i].precision, readings[i].news) = (1.0 / noise, innovation.value - known[i]);
+                let news = (innovation.value - known[i]).clamp(-ENOUGH, ENOUGH);
+                (reading.precision, reading.news) = ((1.0 / noise) as f32, news as f32);
                 if innovation.is_used() {
                     window.excess += residuals[i] * residuals[i] / noise - 1.0;
                 }
             }
-            for at in (w * stride..(w + 1) * stride).step_by(linear::LANES) {
-                let part = at..at + linear::LANES;
-                let sums = (&mut score[part.clone()], &mut information[part]);
-                weigh(readings, (&sensitivity.signatures[at..], &mut weighted[at..]), p, sums);
-            }
-        }
-        if let Some(consider) = consider {
-            let Sensitivity { stride, signatures, .. } = &consider.sensitivity;
-            linear::add_outer(1.0, (&self.weighted, p), signatures, *stride, &mut self.shared);
         }
     }
 
@@ -194,40 +199,6 @@ impl Bank {
         }
         worst
     }
-}
-
-/// Signatures of some faults over the variance of each reading's noise, and these times the reading and times themselves into
-/// the sums, which stay in registers meanwhile; a row of `stride` for each reading.
-#[inline(always)]
-fn weigh(
-    readings: &[Weighed],
-    (signatures, weighted): (&[f64], &mut [f64]),
-    stride: usize,
-    (score, information): (&mut [f64], &mut [f64]),
-) {
-    let [mut scores, mut squares] = [[0.0; linear::LANES]; 2];
-    scores.copy_from_slice(score);
-    squares.copy_from_slice(information);
-    for (i, &Weighed { precision, news }) in readings.iter().enumerate() {
-        let signature = &signatures[i * stride..][..linear::LANES];
-        let weighted = &mut weighted[i * stride..][..linear::LANES];
-        for l in 0..linear::LANES {
-            weighted[l] = signature[l] * precision;
-            scores[l] += news * weighted[l];
-            squares[l] += weighted[l] * signature[l];
-        }
-    }
-    score.copy_from_slice(&scores);
-    information.copy_from_slice(&squares);
-}
-
-/// A reading as a window weighs it.
-#[derive(Clone, Copy, Debug, Default)]
-struct Weighed {
-    /// One over the variance of its noise, in multiples of the filter's.
-    precision: f64,
-    /// Its innovation less what known faults add, in standard deviations.
-    news: f64,
 }
 
 /// What there is to know of each channel at a sample beside its innovation.

@@ -1,16 +1,18 @@
-//! The measurement update: all channels of a sample by one factor of [S, e].
+//! The measurement update: the channels of a sample one after the other, in padded rows that fill a processor's registers.
 //!
-//! The likelihood has an update of its own, which changes the covariance after every reading: derivative numbers want few
-//! operations. This one touches the covariance once a sample, in padded rows that fill a processor's registers, and keeps
-//! each channel's row after those before it, for the smoother. Both are the same mathematics; a test holds them equal.
+//! Each channel's row of W, after those before it, is kept for the smoother. Where errors of channels depend on each other, as
+//! after a regression on sigma points, all are used by one factor of [S, e]. The likelihood has an update of its own for
+//! derivative numbers; a test holds them equal.
 
-use super::gaussian::{Gaussian, Innovation, Row, SHARP, Symmetric};
+use super::gaussian::{Gaussian, Innovation, Row, SHARP};
 use super::loss::{LEFT_OUT, SensorLosses};
 use super::model::Model;
 use crate::estimate::Status;
 use crate::linear;
 use crate::scalar::log;
 use core::ops::Range;
+
+mod one_by_one;
 
 /// A sensor that was left out so many samples in a row is no longer: either it or the estimate is wrong for good, and outliers
 /// are not that many.
@@ -26,8 +28,10 @@ pub(super) struct Correction {
     pub(super) reference: Vec<f64>,
     /// H P, and then W (channels × states, padded).
     rows: Vec<f64>,
-    /// One channel's row of H, or a change of the state, padded.
+    /// One channel's row of H, padded; scratch.
     row: Vec<f64>,
+    /// By how much the readings move the mean, padded.
+    change: Vec<f64>,
     /// Innovations before any channel is used; NaN of those that are not read.
     pub(super) raw: Vec<f64>,
     /// Hᵀ (dense × channels, padded), and H P Hᵀ (channels × channels, padded).
@@ -45,7 +49,8 @@ pub(super) struct Correction {
     runs: Vec<u32>,
     /// Variance of each channel's noise as it was used (channels).
     pub(super) variances: Vec<f64>,
-    /// Whether channels were used one by one, each with all of what a regression leaves in its own variance.
+    /// Whether channels were used one by one although errors depend on each other, each with all of what a regression leaves in its
+    /// own variance.
     pub(super) sharp: bool,
     /// Channels left out at this sample by the gate.
     pub(super) gated: Vec<bool>,
@@ -71,6 +76,7 @@ impl Correction {
             reference: vec![0.0; model.dense()],
             rows: vec![0.0; own * stride],
             row: vec![0.0; stride],
+            change: vec![0.0; stride],
             raw: vec![0.0; m],
             turned: vec![0.0; model.dense() * own],
             shares: vec![0.0; own * own],
@@ -90,36 +96,34 @@ impl Correction {
     }
 
     /// Uses `readings`, all channels linearised at the reference.
-    ///
-    /// P is touched once: it loses Wᵀ W. Where a reading tells far more than is known, that difference has no digits: then P
-    /// is updated reading by reading, by Joseph's form.
     #[inline(always)]
     pub(super) fn update(&mut self, model: &impl Model, belief: &mut Gaussian, readings: &[f64], gate: Option<f64>) {
         (self.status, self.nis, self.used, self.log_likelihood) = (0, 0.0, 0, 0.0);
         for (i, (variance, weight)) in self.variances.iter_mut().zip(&self.weights).enumerate() {
             *variance = model.variance(i) / weight;
         }
-        self.project(model, belief);
         self.read(model, belief, readings);
-        self.sharp = self.is_sharp(model);
-        if self.sharp {
-            // One by one, each must have its own: no less than that in any combination of channels.
-            for (i, variance) in self.variances.iter_mut().enumerate() {
-                *variance += model.residual().map_or(0.0, |left| left.row(i).iter().map(|x| x.abs()).sum());
+        self.sharp = false;
+        if let Some(left) = model.residual() {
+            self.project(model, belief);
+            self.sharp = self.is_sharp(model);
+            if self.sharp {
+                // One by one, each must have its own: no less than that in any combination of channels.
+                for (i, variance) in self.variances.iter_mut().enumerate() {
+                    *variance += left.row(i).iter().map(|x| x.abs()).sum::<f64>();
+                }
             }
-            for i in 0..readings.len() {
-                self.use_one(model, belief, i, gate);
-            }
+        }
+        if model.residual().is_none() || self.sharp {
+            self.use_each(model, belief, gate);
         } else {
             self.add_residual(model);
             while !self.use_all(gate) {}
             linear::forward(&self.factor, self.width(), &mut self.rows, belief.covariance.stride);
             belief.covariance.add_squares(-1.0, self.rows());
+            self.sum_up();
         }
-        self.move_mean(belief);
-        if self.used == 0 {
-            self.status |= Status::PREDICTED;
-        }
+        self.finish(belief);
     }
 
     /// Innovations before any channel is used; NaN of those that are not read.
@@ -142,14 +146,21 @@ impl Correction {
     /// H P, and H P Hᵀ.
     #[inline(always)]
     fn project(&mut self, model: &impl Model, belief: &Gaussian) {
-        let (m, own, stride) = (self.raw.len(), self.own(), belief.covariance.stride);
+        let (m, stride) = (self.raw.len(), belief.covariance.stride);
         observe(model, &belief.covariance.data, stride, &mut self.rows[..m * stride]);
+        self.share(model);
+    }
+
+    /// What the rows share with those of H, on and above the diagonal: rows · Hᵀ.
+    #[inline(always)]
+    fn share(&mut self, model: &impl Model) {
+        let (m, own, stride) = (self.raw.len(), self.own(), self.row.len());
         for (i, row) in model.linearised().jacobian.chunks_exact(model.dense()).enumerate() {
             for (k, h) in row.iter().enumerate() {
                 self.turned[k * own + i] = *h;
             }
         }
-        linear::product(&self.rows[..m * stride], stride, &self.turned, own, &mut self.shares[..m * own]);
+        linear::product_upper(&self.rows[..m * stride], stride, &self.turned, own, &mut self.shares[..m * own]);
         for (channels, first) in bias_runs(model.biases()) {
             for (shares, projection) in self.shares.chunks_exact_mut(own).zip(self.rows.chunks_exact(stride)).take(m) {
                 linear::add_scaled(&mut shares[channels.clone()], 1.0, &projection[first..]);
@@ -228,58 +239,24 @@ impl Correction {
         true
     }
 
-    /// Channel `i` by itself, after those before it: P ← (1 − k h) P (1 − k h)ᵀ + k r kᵀ.
+    /// What all innovations do to the mean: Wᵀ U⁻ᵀ e.
     #[inline(always)]
-    fn use_one(&mut self, model: &impl Model, belief: &mut Gaussian, i: usize, gate: Option<f64>) {
-        let (width, stride) = (self.width(), belief.covariance.stride);
-        let row = row(model, i);
-        let mut value = self.raw[i];
-        for (j, earlier) in self.innovations.iter().enumerate().take(i) {
-            let share = row.dot(&self.rows[j * stride..][..stride]);
-            self.factor[j * width + i] = share;
-            value -= share * earlier.value;
+    fn sum_up(&mut self) {
+        for (own, innovation) in self.values.iter_mut().zip(&self.innovations) {
+            *own = innovation.value;
         }
-        self.project_anew(model, belief, i);
-        let projection = &mut self.rows[i * stride..][..stride];
-        let variance = row.dot(projection) + self.variances[i];
-        self.gated[i] |= gate.is_some_and(|gate| value * value > gate * gate * variance);
-        if value.is_nan() || self.gated[i] {
-            projection.fill(0.0);
-            (0..i).for_each(|j| self.factor[j * width + i] = 0.0);
-            self.factor[i * width + i] = 1.0;
-            self.innovations[i] = Innovation::NONE;
-            return;
-        }
-        belief.covariance.condition(&self.row, projection, variance, self.variances[i]);
-        let std = variance.sqrt();
-        projection.iter_mut().for_each(|g| *g /= std);
-        self.factor[i * width + i] = std;
-        self.innovations[i] = Innovation { value: value / std, std };
+        let stride = self.row.len();
+        let rows = &self.rows[..self.values.len() * stride];
+        linear::product(&self.values, self.values.len(), rows, stride, &mut self.change);
     }
 
-    /// Channel `i`'s row of H P, by the covariance as it is now.
+    /// Moves the mean, and counts the readings that were used.
     #[inline(always)]
-    fn project_anew(&mut self, model: &impl Model, belief: &Gaussian, i: usize) {
-        let Symmetric { stride, ref data, .. } = belief.covariance;
-        let (d, own) = (model.dense(), &mut self.row);
-        own.fill(0.0);
-        own[..d].copy_from_slice(row(model, i).dense);
-        if let Some(b) = model.biases()[i] {
-            own[b] = 1.0;
-        }
-        for (x, column) in self.rows[i * stride..][..stride].iter_mut().zip(data.chunks_exact(stride)) {
-            *x = linear::dot(column, own);
-        }
-    }
-
-    /// Moves the mean by all innovations: x ← x + Wᵀ U⁻ᵀ e.
-    #[inline(always)]
-    fn move_mean(&mut self, belief: &mut Gaussian) {
+    fn finish(&mut self, belief: &mut Gaussian) {
         let mut spread = LogProduct::ONE;
-        for (i, innovation) in self.innovations.iter().enumerate() {
-            self.values[i] = innovation.value;
+        for (innovation, raw) in self.innovations.iter().zip(&self.raw) {
             if !innovation.is_used() {
-                self.status |= if self.raw[i].is_nan() { 0 } else { Status::GATED };
+                self.status |= if raw.is_nan() { 0 } else { Status::GATED };
                 continue;
             }
             self.nis += innovation.value * innovation.value;
@@ -287,10 +264,10 @@ impl Correction {
             spread.times(innovation.std);
         }
         self.log_likelihood = -0.5 * (self.nis + f64::from(self.used) * LOG_TAU) - spread.log();
-        let stride = self.row.len();
-        let rows = &self.rows[..self.values.len() * stride];
-        linear::product(&self.values, self.values.len(), rows, stride, &mut self.row);
-        linear::add_scaled(&mut belief.mean, 1.0, &self.row);
+        linear::add_scaled(&mut belief.mean, 1.0, &self.change);
+        if self.used == 0 {
+            self.status |= Status::PREDICTED;
+        }
     }
 
     /// How much each sensor counts, by the expected square of its errors; where nothing of the sample was used yet, by that of

@@ -1,7 +1,8 @@
 //! The channels' biases over a step of time, apart from all else: each forgets, and wanders.
 
 use super::gaussian::{Gaussian, Symmetric};
-use crate::estimate::bias::bias_step;
+use crate::estimate::bias::{BiasStep, bias_step};
+use crate::linear::Real;
 use core::ops::Range;
 
 /// What is known of the channels' biases: the state that each is, and how it moves.
@@ -20,7 +21,7 @@ impl Biases<'_> {
     #[inline(always)]
     fn steps(&self, dt: f64) -> impl Iterator<Item = (usize, f64, f64)> {
         // Channels of a kind forget over the same time: a hyperbolic tangent for each time and not for each channel.
-        let mut of_one = (f64::NAN, bias_step(1.0, 1.0, dt));
+        let mut of_one = (f64::NAN, BiasStep { decay: 1.0, variance: 0.0 });
         self.states.iter().zip(self.walk).zip(self.time).filter_map(move |((state, &walk), &time)| {
             let b = (*state)?;
             if time != of_one.0 {
@@ -65,10 +66,10 @@ impl Biases<'_> {
 
     /// Columns (states × `stride`) through the step: each bias' row decays. It is its own adjoint.
     #[inline(always)]
-    pub(super) fn carry(&self, columns: &mut [f64], stride: usize, dt: f64) {
+    pub(super) fn carry<T: Real>(&self, columns: &mut [T], stride: usize, dt: f64) {
         for (b, decay, _) in self.steps(dt) {
             for x in &mut columns[b * stride..][..stride] {
-                *x *= decay;
+                *x *= T::of(decay);
             }
         }
     }

@@ -198,6 +198,12 @@ impl Process for ElasticProcess {
     }
 
     #[inline(always)]
+    fn carry_single(&mut self, columns: &mut [f32], stride: usize, dt: f64) {
+        self.transition.exponential.carry_single(columns, stride);
+        self.drift().carry(columns, stride, dt);
+    }
+
+    #[inline(always)]
     fn drive(&mut self, columns: &mut [f64], stride: usize) {
         self.transition.drive(columns, stride);
     }

@@ -9,7 +9,7 @@ use super::gaussian::Symmetric;
 use super::sigma_points::SigmaPoints;
 use super::step_noise::{Nodes, StepNoise};
 use crate::dynamics::{ElasticDynamics, ElasticLayout};
-use crate::linear::{self, Part};
+use crate::linear::{self, Part, Real};
 use crate::robot::Robot;
 
 /// Φ with Q beside it, and the scratch of what is done with them.
@@ -33,8 +33,9 @@ pub(super) struct Exponential {
     pub(super) noise: StepNoise,
     /// The root of Q.
     root: Vec<f64>,
-    /// Scratch of columns on their way through Φ.
+    /// Scratch of columns on their way through Φ, and of those in single precision.
     carried: Vec<f64>,
+    single: Vec<f32>,
 }
 
 impl Exponential {
@@ -56,6 +57,7 @@ impl Exponential {
             noise: StepNoise::new((dense, moving), sources, nodes, layout.joints),
             root: square(),
             carried: Vec::new(),
+            single: Vec::new(),
         }
     }
 
@@ -197,18 +199,22 @@ impl Exponential {
         if stride.is_multiple_of(linear::LANES) {
             linear::product(phi, *own, &columns[..rows], stride, &mut carried[..through]);
         } else {
-            for (out, row) in carried.chunks_exact_mut(stride).zip(phi.chunks_exact(*own)) {
-                out.fill(0.0);
-                for (factor, column) in row[..*d].iter().zip(columns.chunks_exact(stride)) {
-                    linear::add_scaled(out, *factor, column);
-                }
-            }
+            combine((phi, *own), &columns[..rows], stride, carried);
         }
         columns[..through].copy_from_slice(&carried[..through]);
-        for (i, row) in columns[through..rows].chunks_exact_mut(stride).enumerate() {
-            let own = diagonal[i * *own + *moving + i];
-            row.iter_mut().for_each(|x| *x *= own);
-        }
+        scale((diagonal.get(*moving..).unwrap_or_default(), *own), &mut columns[through..rows], stride);
+    }
+
+    /// The same in single precision.
+    #[inline(always)]
+    pub(super) fn carry_single(&mut self, columns: &mut [f32], stride: usize) {
+        let Self { dense: d, stride: own, moving, phi, single, .. } = self;
+        let (rows, through) = (*d * stride, *moving * stride);
+        single.resize(through, 0.0);
+        let (phi, diagonal) = phi.split_at(*moving * *own);
+        combine((phi, *own), &columns[..rows], stride, single);
+        columns[..through].copy_from_slice(single);
+        scale((diagonal.get(*moving..).unwrap_or_default(), *own), &mut columns[through..rows], stride);
     }
 
     /// The adjoint of [`carry`](Self::carry) by a step that [`remember`](Self::remember) wrote: Λ ← Φᵀ Λ.
@@ -246,6 +252,26 @@ impl Exponential {
             row[..d].copy_from_slice(&product[..d]);
         }
         big.turn_rows(d);
+    }
+}
+
+/// Sums of `columns`' rows, of `stride` numbers, by the factors that stand in each of the matrix' rows.
+#[inline(always)]
+fn combine<T: Real>((matrix, own): (&[f64], usize), columns: &[T], stride: usize, out: &mut [T]) {
+    for (out, factors) in out.chunks_exact_mut(stride).zip(matrix.chunks_exact(own)) {
+        out.fill(T::default());
+        for (factor, row) in factors.iter().zip(columns.chunks_exact(stride)) {
+            let factor = T::of(*factor);
+            out.iter_mut().zip(row).for_each(|(x, y)| *x += factor * *y);
+        }
+    }
+}
+
+/// Each row times its number on the diagonal, of a matrix with rows of `own` numbers that begins there.
+#[inline(always)]
+fn scale<T: Real>((diagonal, own): (&[f64], usize), rows: &mut [T], stride: usize) {
+    for (row, factor) in rows.chunks_exact_mut(stride).zip(diagonal.iter().step_by(own + 1)) {
+        row.iter_mut().for_each(|x| *x *= T::of(*factor));
     }
 }
 

@@ -7,6 +7,7 @@ use super::model::Process;
 use super::recording::{KalmanRecording, KalmanSample};
 use crate::error::DesignError;
 use crate::estimate::observer::Rest;
+use crate::linear::Real;
 use crate::robot::Robot;
 
 /// See the module.
@@ -22,6 +23,24 @@ pub struct JerkProcess {
     pub(crate) noise: JerkNoise,
     /// Finds where links hang at a first sample.
     pub(super) rest: Rest,
+}
+
+impl JerkProcess {
+    /// Columns (states × `stride`) through a step of `dt`, in either precision.
+    #[inline(always)]
+    fn advance<T: Real>(&self, columns: &mut [T], stride: usize, dt: f64) {
+        let size = self.model.joints() * stride;
+        let (q, rest) = columns.split_at_mut(size);
+        let (dq, ddq) = rest.split_at_mut(size);
+        let (step, half) = (T::of(dt), T::of(0.5 * dt * dt));
+        // F is the identity but for q += dt q̇ + dt²/2 q̈ and q̇ += dt q̈: a chain of integrators (eqs. (9) and (10)).
+        for i in 0..size {
+            q[i] += step * dq[i] + half * ddq[i];
+            dq[i] += step * ddq[i];
+        }
+        self.model.drift(&self.noise).carry(columns, stride, dt);
+        self.model.disturbances.drift().carry(columns, stride, dt);
+    }
 }
 
 impl Process for JerkProcess {
@@ -71,16 +90,12 @@ impl Process for JerkProcess {
 
     #[inline(always)]
     fn carry(&mut self, columns: &mut [f64], stride: usize, dt: f64) {
-        let size = self.model.joints() * stride;
-        let (q, rest) = columns.split_at_mut(size);
-        let (dq, ddq) = rest.split_at_mut(size);
-        // F is the identity but for q += dt q̇ + dt²/2 q̈ and q̇ += dt q̈: a chain of integrators (eqs. (9) and (10)).
-        for i in 0..size {
-            q[i] += dt * dq[i] + 0.5 * dt * dt * ddq[i];
-            dq[i] += dt * ddq[i];
-        }
-        self.model.drift(&self.noise).carry(columns, stride, dt);
-        self.model.disturbances.drift().carry(columns, stride, dt);
+        self.advance(columns, stride, dt);
+    }
+
+    #[inline(always)]
+    fn carry_single(&mut self, columns: &mut [f32], stride: usize, dt: f64) {
+        self.advance(columns, stride, dt);
     }
 
     #[inline(always)]

@@ -9,7 +9,7 @@
 use super::gaussian::{Gaussian, Symmetric};
 use super::model::Linearised;
 use crate::estimate::measurement::low_pass_or_none;
-use crate::linear;
+use crate::linear::{self, Real};
 
 /// What is inside a sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -240,20 +240,21 @@ impl Late {
 
     /// Columns of sensitivities through [`advance`](Self::advance), `driven` being those of the channels themselves.
     #[inline(always)]
-    pub(super) fn carry(&self, columns: &mut [f64], stride: usize, driven: Option<&[f64]>) {
+    pub(super) fn carry<T: Real>(&self, columns: &mut [T], stride: usize, driven: Option<&[T]>) {
         let dense = self.dense();
         for (i, line) in self.lines.iter().enumerate() {
             let h = &self.rows[i * dense..][..dense];
             for (state, terms, factor) in steps(*line, self.weights[i]) {
                 let bias = self.own[line.channel].map(|b| (b, factor));
                 for c in 0..stride {
-                    let mut sum = driven.map_or(0.0, |driven| factor * driven[line.channel * stride + c]);
+                    let mut sum =
+                        driven.map_or(T::default(), |driven| T::of(factor) * driven[line.channel * stride + c]);
                     for (j, weight) in terms.into_iter().chain(bias) {
-                        sum += weight * columns[j * stride + c];
+                        sum += T::of(weight) * columns[j * stride + c];
                     }
                     if factor != 0.0 {
                         for (j, slope) in h.iter().enumerate() {
-                            sum += factor * slope * columns[j * stride + c];
+                            sum += T::of(factor * slope) * columns[j * stride + c];
                         }
                     }
                     columns[state * stride + c] = sum;

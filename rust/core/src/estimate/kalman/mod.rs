@@ -56,6 +56,7 @@ mod run;
 mod sensitivity;
 mod sigma_points;
 mod signal;
+mod single;
 mod smoother;
 mod step;
 mod step_noise;

@@ -77,6 +77,9 @@ pub trait Process: Clone + Send + Sync {
     /// Columns (states × `stride`) through the step last predicted: Σ ← F Σ.
     fn carry(&mut self, columns: &mut [f64], stride: usize, dt: f64);
 
+    /// The same in single precision.
+    fn carry_single(&mut self, columns: &mut [f32], stride: usize, dt: f64);
+
     /// What parameters do over the step last predicted: Σ ← Σ + ∂f/∂p, one column a tolerance.
     fn drive(&mut self, _columns: &mut [f64], _stride: usize) {}
 
@@ -303,6 +306,9 @@ pub trait Model: Clone + Send + Sync {
 
     /// The same without what parameters do: Σ ← F Σ.
     fn carry_noise_free(&mut self, columns: &mut [f64], stride: usize, dt: f64);
+
+    /// The same in single precision.
+    fn carry_single(&mut self, columns: &mut [f32], stride: usize, dt: f64);
 
     /// The adjoint of what F does in [`carry`](Self::carry): Λ ← Fᵀ Λ.
     #[inline(always)]

@@ -15,6 +15,7 @@ use super::isolation::{Isolation, Squares};
 use super::model::Model;
 use super::recording::KalmanSample;
 use super::signal::{Fault, Signal, Turned};
+use super::single::SingleUpdate;
 use super::window_sum::WindowSum;
 use crate::estimate::Status;
 use crate::estimate::measurement::Channel;
@@ -70,6 +71,8 @@ pub(super) struct Monitor {
     /// The same of motors that go on, and how far each has slipped in all (n).
     slips: Vec<SlipCheck>,
     slipped: Vec<f64>,
+    /// A sample's update as the banks go by it.
+    update: SingleUpdate,
     /// Signatures of steps in the windows that are on all the time.
     steady: Bank,
     /// The same since a contradiction, and whether that window is on.
@@ -104,6 +107,7 @@ impl Monitor {
             begun: false,
             recent: 0.0,
             wrong: 0.0,
+            update: SingleUpdate::new(model),
             steady: Bank::new(model, model.tolerances().len(), &STEADY),
             onset: Bank::new(model, model.tolerances().len(), &[ONSET]),
             sums: WINDOWS.map(WindowSum::new),
@@ -162,9 +166,11 @@ impl Monitor {
         let jump = self.jump(correction);
         let (known, residuals, runs) = (&self.effect.signatures[..], &self.isolation.residuals[..], &self.runs[..]);
         let news = News { known, residuals, runs };
-        self.steady.update(model, sample.dt, correction, news, consider.as_deref());
+        self.update.take(model, correction);
+        let update = (correction, &self.update);
+        self.steady.update(model, sample.dt, update, news, consider.as_deref());
         if self.begun {
-            self.onset.update(model, sample.dt, correction, news, consider.as_deref());
+            self.onset.update(model, sample.dt, update, news, consider.as_deref());
         }
         // 3. All channels together, over one sample and over windows; then the one to name.
         let beyond = self.windows(all, white).max(jump.map_or(0.0, |jump| jump.deviations * jump.deviations));

@@ -273,6 +273,14 @@ impl<P: Process, M: Measurement + Report> Model for Paired<P, M> {
     }
 
     #[inline(always)]
+    fn carry_single(&mut self, columns: &mut [f32], stride: usize, dt: f64) {
+        self.process.carry_single(columns, stride, dt);
+        if let Some(late) = &mut self.late {
+            late.carry(columns, stride, None);
+        }
+    }
+
+    #[inline(always)]
     fn carry_back_sensors(&mut self, memory: &[f64], columns: &mut [f64], stride: usize) {
         if let Some(late) = &self.late {
             late.carry_back(&memory[self.process.memory() + self.measurement.memory()..], columns, stride);
