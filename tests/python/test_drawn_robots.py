@@ -1,6 +1,7 @@
 """Robots drawn from their tolerances are where estimates say, within the standard deviations that they state."""
 
 import runpy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,18 @@ def test_errors_are_as_large_as_said(first, count):
         assert 0.1 < np.median(nees) < 1.5, method
         assert nees.mean() < 1.5, method
         assert good.mean() > 0.9, method
+
+
+@pytest.mark.parametrize("number", [267, 319, 327])
+def test_nothing_is_wrong_after_a_gap(number):
+    """Rows of 0.2 s are missing, and with them most of a motion: what one linearisation left looked like a fault."""
+    specimen = next(STUDY["specimens"](1, number))
+    log, rows = specimen.log, np.r_[:500, 600 : len(specimen.log)]
+    signals = {name: getattr(log, name)[rows] for name in ("t", "theta", "dtheta", "tau", "acceleration")}
+    estimate = STUDY["METHODS"]["ekf"](specimen.robot).run(replace(log, **signals))
+    assert estimate.findings == ()
+    assert (estimate.status == 0).all()
+    assert (np.abs(estimate.q - specimen.q[rows]) < 3 * estimate.q_std).all()
 
 
 def test_a_specimen_is_another_robot_than_its_yaml_says():

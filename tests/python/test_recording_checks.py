@@ -20,6 +20,7 @@ THETA = [f"theta_{name}" for name in ROBOT.names]
 TAU = [f"tau_{name}" for name in ROBOT.names]
 ACC = list(ROBOT.acceleration_channels)
 ROW = 900
+UNEVEN = TABLE.t + 5e-5 * np.random.default_rng(0).uniform(-1, 1, len(TABLE))
 
 
 def scaled(columns, factor):
@@ -45,6 +46,7 @@ REFUSED = {
 
 WARNED = {
     "rate": (TABLE.assign(t=2 * TABLE.t), "t", "rate"),
+    "uneven": (TABLE.assign(t=UNEVEN), "t", "uneven"),
     "stuck": (after("acc_link4_x", TABLE.acc_link4_x[ROW]), "acc_link4_x", "stuck"),
     "dead": (TABLE.assign(acc_link4_x=0.0), "acc_link4_x", "dead"),
     "saturated": (TABLE.assign(acc_link4_x=TABLE.acc_link4_x.clip(-8.7, 8)), "acc_link4_x", "saturated"),
@@ -76,6 +78,14 @@ def test_what_is_suspicious_is_warned_of(what):
     assert [str(one.message) for one in said] == [f"table: {found}" for found in log.findings]
     assert (column, kind) in {(f.column, f.kind) for f in log.findings}
     assert all(f.verdict == "suspicious" for f in log.findings)
+
+
+def test_samples_that_were_taken_at_uneven_times_are_none_of_an_uneven_clock():
+    moved = {column: np.interp(UNEVEN, TABLE.t, TABLE[column]) for column in THETA}
+    assert inspect(taken(TABLE.assign(t=UNEVEN, **moved)), ROBOT) == ()
+    (found,) = inspect(taken(TABLE.assign(t=UNEVEN)), ROBOT)
+    assert found.kind == "uneven"
+    assert found.size == pytest.approx(5e-5 / np.sqrt(3), rel=0.05)
 
 
 def taken(table):

@@ -21,6 +21,12 @@ SLOW = 0.2
 RATE_TOLERANCE = 0.02
 """By how much a recording's rate may differ from the one stated."""
 
+REACH = 8
+"""Rows to each side from which a motor's velocity is taken where times are compared with positions."""
+
+SURE = 6.0
+"""Standard deviations of a share from which it is not chance."""
+
 
 def unit(period: float, rate: float | None, column: str) -> Finding | None:
     """Recognise a time that is not in seconds: certain by the rate stated, or because nothing else fits."""
@@ -68,3 +74,35 @@ def resolution(view: View) -> Iterator[Finding]:
         remedy = "record it in 64 bits, or subtract its beginning before it is converted"
         verdict: Verdict = "refused" if grain > period / 5 else "suspicious"
         yield view.finding("float32", verdict, column, what, remedy, at=int(np.argmax(off)) + 1, size=grain)
+
+
+def evenness(view: View) -> Iterator[Finding]:
+    """Find times that fluctuate where positions do not: those of evenly spaced samples, read off another clock.
+
+    With v the velocity about a row and d its step of time less the period, evenly spaced samples move by v d less than
+    v times the step, samples whose times are right by no less. By least squares over all rows and motors, the share of
+    v d that is missing is 1 or 0.
+    """
+    t, period = view.log.t, view.log.period
+    late = np.diff(t) - period
+    usual = np.abs(late) < period / 2
+    if len(t) < 20 * REACH or late[usual].std() < period / 100:
+        return
+    rows = np.flatnonzero(usual)
+    rows = rows[(rows >= REACH) & (rows < len(late) - REACH)]
+    around = view.log.theta[rows + 1 + REACH] - view.log.theta[rows - REACH]
+    speed = around / (t[rows + 1 + REACH] - t[rows - REACH])[:, None]
+    step = view.log.theta[rows + 1] - view.log.theta[rows]
+    expected, missing = speed * late[rows, None], speed * np.diff(t)[rows, None] - step
+    there = np.isfinite(missing)
+    x, y = expected[there], missing[there]
+    power = np.sum(x * x)
+    if power == 0:
+        return
+    share = np.sum(x * y) / power
+    std = np.sqrt(np.sum((x * (y - share * x)) ** 2)) / power
+    if share > 0.5 and share - 0.5 > SURE * std:
+        spread = float(late[usual].std() / np.sqrt(2))
+        what = f"fluctuates by {spread:.2g} s, where motors move as they do in samples {period:.6g} s apart"
+        remedy = "record when samples were taken, or write times at that period"
+        yield view.finding("uneven", "suspicious", view.log.columns("t")[0], what, remedy, size=spread)

@@ -20,6 +20,7 @@ Check = Callable[[View], Iterator[Finding]]
 CHECKS: dict[str, Check] = {
     "resolution of time": clock.resolution,
     "rate of time": clock.rate,
+    "evenness of time": clock.evenness,
     "sentinels": channels.sentinels,
     "units of positions": units.positions,
     "jumps of positions": positions.impossible,

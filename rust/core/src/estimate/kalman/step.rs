@@ -14,6 +14,10 @@ use crate::linear;
 /// The first samples of links with disturbance torques or varying wrenches are linearised so often: links stand far from where motors say.
 const EARLY: (usize, usize) = (32, 5);
 
+/// Links that are predicted no better than this [rad], as after a gap, are linearised so often: torques bend over it by more
+/// than an encoder's step, and what one linearisation leaves looks like a fault.
+const WIDE: (f64, usize) = (1e-2, 4);
+
 /// A sample's readings are weighed so often where their noise has outliers.
 const WEIGHINGS: usize = 4;
 
@@ -145,15 +149,14 @@ impl<M: Phases> ExtendedKalmanFilter<M> {
 
     /// How often this sample's measurement is linearised.
     fn linearisations(&self) -> usize {
-        let (samples, passes) = EARLY;
         if self.path.is_some() {
             return 1;
         }
+        let ((samples, early), (wide, again)) = (EARLY, WIDE);
         let pushed = self.model.link_disturbance().is_some() || self.model.wrench().is_some();
-        if self.taken < samples && pushed {
-            return self.settings.iterations.max(passes);
-        }
-        self.settings.iterations
+        let early = if pushed && self.taken < samples { early } else { 1 };
+        let is_wide = (0..self.model.robot().len()).any(|j| self.belief.covariance.at(j, j) > wide * wide);
+        self.settings.iterations.max(early).max(if is_wide { again } else { 1 })
     }
 
     /// One measurement update of the present belief, channels linearised where they last were.
