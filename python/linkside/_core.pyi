@@ -213,6 +213,10 @@ class ExtendedKalmanFilter:
     def run_all(
         jobs: Sequence[tuple[ExtendedKalmanFilter, _KalmanArrays]], way: str, covariance: bool, innovations: bool
     ) -> list[dict[str, npt.NDArray[Any]] | Exception]: ...
+    @staticmethod
+    def noise_evidence(
+        jobs: Sequence[tuple[ExtendedKalmanFilter, _KalmanArrays, Sequence[Mapping[str, Any]], int]],
+    ) -> list[dict[str, npt.NDArray[Any]] | Exception]: ...
 
 @final
 class ElasticJointFilter:

@@ -39,7 +39,7 @@ def recording(name):
 def tuned(name):
     """Found with all defaults."""
     robot, log, _ = recording(name)
-    return tune(robot, log)
+    return tune(robot, log, method="em")
 
 
 def tool_errors(robot, log, truth, noise):
@@ -66,7 +66,8 @@ def test_finds_several_kinds_of_noise_at_once():
     robot = arm()
     logs = [draw(robot, TRUE, 1500, seed)[0] for seed in (3, 4)]
     start = TRUE.updated(transmission=1e-4, acceleration=3.0, jerk=60.0)
-    tuning = tune(robot, logs, start, ("transmission", "acceleration", "jerk"), span=(0.05, 20), widen=False, **EXACT)
+    free = "transmission", "acceleration", "jerk"
+    tuning = tune(robot, logs, start, free, span=(0.05, 20), widen=False, method="em", **EXACT)
     assert tuning.after == tuning.most_likely
     assert tuning.after.acceleration == pytest.approx(1, rel=0.05)
     assert tuning.after.transmission == pytest.approx((3e-5, 3e-5), rel=0.1)
@@ -140,7 +141,7 @@ def test_table_of_tool_errors_is_true(name):
 
 def test_joints_that_rest_stay_as_declared():
     robot, log, _ = recording("kr15_short")
-    tuning = tune(robot, log, Noise(transmission=2e-5))
+    tuning = tune(robot, log, Noise(transmission=2e-5), method="em")
     assert tuning.names == ("transmission_a1",)
     assert tuning.after.transmission[1:] == (2e-5,) * 5
     assert tuning.after.jerk is None  # still read off each log

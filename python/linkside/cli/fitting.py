@@ -24,6 +24,7 @@ from .options import at_a_time, check_figure, check_report, draw, example, no_ch
 from .terminal import bar
 
 if TYPE_CHECKING:
+    from linkside.observers.tuning_file import ObserverTuning
     from linkside.tuning.noise_likelihood import Tuning
     from linkside.tuning.observer_front import Front
 
@@ -40,28 +41,34 @@ if TYPE_CHECKING:
 @no_check
 @report
 @click.option("--evaluations", type=click.IntRange(1), default=2000, help="Number of evaluations (observer).")
+@click.option("--em", is_flag=True, help="Expectation and maximisation: with intervals, and tested (ekf).")
 def tune(robot: str, logs: tuple[str, ...], method: str, **options: Any) -> None:
     """Tune the noise of a Kalman filter, or the poles of an observer.
 
-    The noise is that with which the readings in LOGs are most likely. `--with observer` can also free the stiffness,
-    damping and motor_inertia of the drives. It compares with measured states of the links (--states), or else with the
-    smoother.
+    The noise is that with which the readings in LOGs are most likely. With --em values that LOGs do not tell stay as
+    they are, and the result is not written, and the exit status is 3, if it does not predict held-back readings better
+    than the noise before. `--with observer` can also free the stiffness, damping and motor_inertia of the drives. It
+    compares with measured states of the links (--states), or else with the smoother.
     """
-    for option in ("start",) if method == "observer" else ("states", "figure"):
+    for option in ("start", "em") if method == "observer" else ("states", "figure"):
         if options[option]:
             raise click.UsageError(f"--{option.replace('_', '-')} is not for --with {method}")
     refuse_clashes([Path(options["out"])], [robot, *logs, *options["states"]])
     check_writable(options["out"], (".yaml", ".yml"))
     told = options["report"]
     check_report(told, [robot, *logs, *options["states"], options["out"], options["figure"]])
-    tuned = (_tune_observer if method == "observer" else _tune_noise)(robot, logs, options)
-    click.echo(f"tuning: {options['out']}")
+    tuned, found = (_tune_observer if method == "observer" else _tune_noise)(robot, logs, options)
+    if found is not None:
+        found.write(options["out"])
+    click.echo(f"{'not written' if found is None else 'tuning'}: {options['out']}")
     if told is not None:
         from linkside.tuning.page import page
 
         files = [("robot", robot), *(("log", log) for log in logs), *(("states", file) for file in options["states"])]
         page(tuned, inputs([*files, ("start", options["start"]), ("tuning", options["out"])])).write(told)
         click.echo(f"report: {told}")
+    if found is None:
+        sys.exit(3)
 
 
 @main.command(epilog=example("linkside align robot.yaml log.parquet --out robot.aligned.yaml"))
@@ -88,7 +95,8 @@ def align(robot: str, log: str, tracker: str | None, free: str, out: str, no_che
     click.echo(f"robot: {out}")
 
 
-def _tune_noise(robot: str, logs: Sequence[str], options: dict[str, Any]) -> Tuning:
+def _tune_noise(robot: str, logs: Sequence[str], options: dict[str, Any]) -> tuple[Tuning, Noise | None]:
+    """What tuning found, and the noise to write, if it is accepted."""
     from linkside.tuning import noise_likelihood as module
 
     loaded = Robot.load(robot)
@@ -96,13 +104,14 @@ def _tune_noise(robot: str, logs: Sequence[str], options: dict[str, Any]) -> Tun
     recordings = [Log.read(log, loaded, check=not options["no_check"]) for log in logs]
     free = tuple((options["free"] or "transmission").split(","))
     with bar(None) as advance:
-        result = module.tune(loaded, recordings, noise, free, partial(_show_best, advance, "log-likelihood"))
-    result.after.write(options["out"])
+        shown = partial(_show_best, advance, "log-likelihood")
+        result = module.tune(loaded, recordings, noise, free, shown, method="em" if options["em"] else "search")
     click.echo(result.to_text(), nl=False)
-    return result
+    return result, result.after if result.accepted else None
 
 
-def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> Front:
+def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> tuple[Front, ObserverTuning]:
+    """The compromises that tuning found, and the one to write."""
     from linkside.tuning import observer_front as tune_observer
 
     loaded = Robot.load(robot)
@@ -114,11 +123,10 @@ def _tune_observer(robot: str, logs: Sequence[str], options: dict[str, Any]) -> 
         shown = partial(_show_best, advance, "sum of ratios")
         count = options["evaluations"]
         front = tune_observer.tune_observer(loaded, recordings, states, free, shown, evaluations=count)
-    front.best.write(options["out"])
     click.echo(front.to_text(), nl=False)
     if options["figure"] is not None:
         draw(front.figure(), options["figure"])
-    return front
+    return front, front.best
 
 
 @main.command(

@@ -55,7 +55,7 @@ class ReadingNoise(BaseModel):
     motor_velocity
         Noise of the motor velocity [rad/s].
     acceleration, rate
-        Noise of accelerometers and gyroscopes, in multiples of their ``noise_std``.
+        Noise of accelerometers and gyroscopes, in multiples of their ``noise_std``; one number or one for each.
     link
         Noise of link encoders beside their steps, ``resolution`` of ``link_encoder`` in robot.yaml [rad].
     joint_torque
@@ -86,8 +86,8 @@ class ReadingNoise(BaseModel):
 
     transmission: Std | tuple[Std, ...] = 1e-5
     motor_velocity: Std = 1e-3
-    acceleration: PositiveStd = 1.0
-    rate: PositiveStd = 1.0
+    acceleration: PositiveStd | tuple[PositiveStd, ...] = 1.0
+    rate: PositiveStd | tuple[PositiveStd, ...] = 1.0
     link: PositiveStd = 1e-5
     joint_torque: PositiveStd = 1.0
     link_velocity: PositiveStd = 1e-3
@@ -216,7 +216,8 @@ def _reading_noise(noise: ReadingNoise, channel: Channel, robot: Robot) -> Float
     if channel.carrier == "wrench":
         return np.asarray(value * reading_noise(robot.varying_wrenches))
     carriers = {"accelerometer": robot.accelerometers, "gyroscope": robot.gyroscopes, "tracker": robot.trackers}
-    return np.asarray(value * sensor_noise(carriers[channel.carrier]))
+    sensors = carriers[channel.carrier]
+    return sensor_noise(sensors, per_joint(channel.noise, value, len(sensors)))
 
 
 def motor_noise(robot: Robot, transmission: float | tuple[float, ...]) -> FloatArray:
@@ -341,6 +342,7 @@ def _without_jump(squares: FloatArray) -> FloatArray:
     return largest if few else largest[JUMP:]
 
 
-def sensor_noise(sensors: Any) -> FloatArray:
-    """Noise of each channel of ``sensors`` as robot.yaml has it."""
-    return np.concatenate([np.full(len(s.axes), s.noise_std) for s in sensors]) if sensors else np.zeros(0)
+def sensor_noise(sensors: Any, factors: FloatArray) -> FloatArray:
+    """Noise of each channel of ``sensors``: what robot.yaml has, times a factor for each sensor."""
+    each = [np.full(len(s.axes), f * s.noise_std) for s, f in zip(sensors, factors.tolist(), strict=True)]
+    return np.concatenate(each) if each else np.zeros(0)

@@ -232,8 +232,8 @@ def averaged_noise(noise: Noise) -> Noise:
     them, so one sample in place of ten must weigh as much as the ten did: its variance is a tenth.
     """
     share = 1 / np.sqrt(EVERY)
-    transmission = tuple(share * np.broadcast_to(noise.transmission, len(np.atleast_1d(noise.transmission))))
-    return noise.updated(acceleration=share * noise.acceleration, transmission=transmission)
+    smaller = {name: getattr(noise, name) for name in ("acceleration", "transmission")}
+    return noise.updated(**{name: tuple(share * np.atleast_1d(value)) for name, value in smaller.items()})
 
 
 def centred(error: FloatArray) -> FloatArray:

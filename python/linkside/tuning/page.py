@@ -30,6 +30,8 @@ def _of_noise(tuned: Tuning, inputs: Sequence[Input]) -> Page:
         verdict = Verdict("doubtful", "The most likely noise is at the edge of what was allowed", tuple(reasons))
     elif gain <= 0:
         verdict = Verdict("doubtful", "No noise makes the recordings more likely than that before", tuple(reasons))
+    if not tuned.accepted:
+        verdict = Verdict("bad", "The noise after tuning is not to be used", (*tuned.objections, *reasons))
     facts = [("NIS per reading", f"{tuned.nis_before:.3g} before, {tuned.nis_after:.3g} after")]
     steps = [TRY, *(["Calibrate the robot first: linkside calibrate robot.yaml log.parquet"] if tuned.at_bound else [])]
     return Page("Noise tuned by recordings", verdict, facts, steps, [("Values", [tuned.to_text()])], inputs)

@@ -1,7 +1,7 @@
 //! Kalman filter and smoother on the jerk-driven model.
 
-use crate::array::{Signal, rows};
-use crate::error::IntoPyErr;
+use crate::array::{Signal, rows, shaped};
+use crate::error::{IntoPyErr, outcome};
 use crate::filtering::{self, Found, Matrix, findings, into_dict};
 use crate::gil::Release;
 use crate::live::{Live, Signals, check_step};
@@ -9,7 +9,10 @@ use crate::plain::Plain;
 use crate::robot::Robot;
 use crate::state::State;
 use linkside_compiled::description;
-use linkside_core::estimate::kalman::{self, Inputs, JerkDriven, KalmanRecording, Keep, Model};
+use linkside_core::error::RunError;
+use linkside_core::estimate::kalman::{
+    self, Inputs, JerkDriven, JerkNoise, KalmanRecording, Keep, Model, NoiseEvidence,
+};
 use numpy::{PyArray1, PyReadonlyArray1, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -29,6 +32,9 @@ pub(crate) struct ExtendedKalmanFilter {
     filter: kalman::ExtendedKalmanFilter<JerkDriven>,
     live: Live,
 }
+
+/// The noise of each source alone.
+type Shares = Vec<Plain<description::JerkNoise>>;
 
 pub(crate) type Arrays<'py> = (PyReadonlyArray1<'py, f64>, Matrix<'py>, Matrix<'py>, Matrix<'py>);
 
@@ -142,6 +148,39 @@ impl ExtendedKalmanFilter {
             .collect::<PyResult<Vec<_>>>()?;
         filtering::run_all(py, &jobs, way, Keep { covariance, innovations })
     }
+
+    /// What each log says of sources of its noise, from a fresh start with the filter beside it, on all cores; of each the noise
+    /// of that source alone, and samples a stretch.
+    #[staticmethod]
+    fn noise_evidence<'py>(
+        py: Python<'py>,
+        jobs: Vec<(PyRef<'py, Self>, Arrays<'py>, Shares, usize)>,
+    ) -> PyResult<Vec<Bound<'py, PyAny>>> {
+        let shares: Vec<Vec<JerkNoise>> =
+            jobs.iter().map(|(_, _, shares, _)| shares.iter().map(|share| share.0.clone().into()).collect()).collect();
+        let each = jobs
+            .iter()
+            .zip(&shares)
+            .map(|((own, arrays, _, stretch), shares)| {
+                Ok((&own.filter, recording(own.filter.model(), arrays)?, shares.as_slice(), *stretch))
+            })
+            .collect::<PyResult<Vec<_>>>()?;
+        let found = py.release(|| Ok::<_, RunError>(kalman::ExtendedKalmanFilter::noise_evidence(&each)))?;
+        let pairs = found.into_iter().zip(&shares);
+        pairs.map(|(one, shares)| outcome(py, one, |one| evidence_into_dict(py, one, shares.len()))).collect()
+    }
+}
+
+/// What a recording says of p sources of noise, by name: one row a sample, or a stretch.
+fn evidence_into_dict<'py>(py: Python<'py>, found: NoiseEvidence, p: usize) -> PyResult<Bound<'py, PyDict>> {
+    let out = PyDict::new(py);
+    let count = found.log_likelihood.len();
+    let stretches = found.information.len() / (p * p).max(1);
+    out.set_item("log_likelihood", PyArray1::from_vec(py, found.log_likelihood))?;
+    out.set_item("scores", shaped(py, found.scores, vec![count, p])?)?;
+    out.set_item("dimensions", shaped(py, found.dimensions, vec![count, p])?)?;
+    out.set_item("information", shaped(py, found.information, vec![stretches, p, p])?)?;
+    Ok(out)
 }
 
 pub(crate) fn recording<'a>(model: &JerkDriven, arrays: &'a Arrays<'_>) -> PyResult<KalmanRecording<'a>> {

@@ -115,6 +115,25 @@ impl JerkMeasurement {
 }
 
 impl JerkMeasurement {
+    /// What `noise` adds to the variance of a channel where the channels were linearised.
+    #[inline(always)]
+    pub(super) fn noise_variance(&self, noise: &JerkNoise, i: usize) -> f64 {
+        let square = |x: f64| x * x;
+        let own = square(noise.reading[i]);
+        match self.model.channels[i] {
+            Channel::Motor(j) => own + square(noise.torsion * (self.evaluation.prediction[i] - self.reference[j])),
+            Channel::MotorVelocity(j) => own + self.jolts(j, 2, &noise.jerk),
+            _ => own,
+        }
+    }
+
+    /// What random walks of states from the `block`-th n on, of these densities, do to the rate of motor `j`'s torsion.
+    #[inline(always)]
+    fn jolts(&self, j: usize, block: usize, densities: &[f64]) -> f64 {
+        let row = &self.evaluation.jacobian[j * self.dense()..][block * self.model.joints()..];
+        row.iter().zip(densities).map(|(h, jolt)| (h * jolt) * (h * jolt)).sum::<f64>() / self.dt
+    }
+
     /// What a motor velocity that comes of positions adds to the variance of the predicted torsion, by its damping.
     #[inline(always)]
     fn velocity_variance(&self, joint: usize) -> f64 {
@@ -238,20 +257,10 @@ impl Measurement for JerkMeasurement {
     /// known does to the torsion's rate: with acceleration a random walk, that rate has no variance but over a step.
     #[inline(always)]
     fn variance(&self, i: usize) -> f64 {
-        let square = |x: f64| x * x;
-        let own = square(self.noise.reading[i]);
+        let own = self.noise_variance(&self.noise, i);
         match self.model.channels[i] {
-            Channel::Motor(j) => {
-                let torsion = self.evaluation.prediction[i] - self.reference[j];
-                own + square(self.noise.torsion * torsion) + self.velocity_variance(j)
-            }
-            Channel::MotorVelocity(j) => {
-                let (n, d) = (self.model.joints(), self.dense());
-                let by_ddq = &self.evaluation.jacobian[j * d + 2 * n..][..d - 2 * n];
-                let densities = self.noise.jerk.iter().chain(&self.model.disturbances.walk);
-                let jolts: f64 = by_ddq.iter().zip(densities).map(|(h, jolt)| square(h * jolt)).sum();
-                own + jolts / self.dt
-            }
+            Channel::Motor(j) => own + self.velocity_variance(j),
+            Channel::MotorVelocity(j) => own + self.jolts(j, 3, &self.model.disturbances.walk),
             _ => own,
         }
     }

@@ -256,10 +256,31 @@ impl JerkModel {
         big.mirror();
     }
 
+    /// Adds to `p` what `noise` does over `dt` [s] to links and biases, and gives the number of random numbers in that.
+    #[inline(always)]
+    pub(super) fn add_noise(&self, noise: &JerkNoise, dt: f64, p: &mut Symmetric) -> f64 {
+        self.add_process_noise(p, noise, dt);
+        p.mirror();
+        let moved = |all: &[f64]| all.iter().filter(|&&density| density > 0.0).count();
+        let mut count = 3 * moved(&noise.jerk) + moved(&noise.link_walk);
+        for (channel, state) in self.biases.iter().enumerate() {
+            let Some(b) = state.filter(|_| noise.bias_walk[channel] > 0.0) else { continue };
+            p.data[b * (p.stride + 1)] += noise.bias_step(channel, dt).variance;
+            count += 1;
+        }
+        count as f64
+    }
+
     /// # Errors
-    /// A length that does not fit the model, a standard deviation that is negative or not a number, and a reading
-    /// without noise.
+    /// As [`check_deviations`](Self::check_deviations), and a reading without noise.
     pub(crate) fn check(&self, noise: &JerkNoise) -> Result<(), DesignError> {
+        self.check_deviations(noise)?;
+        check_readings(&noise.reading)
+    }
+
+    /// # Errors
+    /// A length that does not fit the model, a standard deviation that is negative or not a number.
+    pub(super) fn check_deviations(&self, noise: &JerkNoise) -> Result<(), DesignError> {
         let (n, m) = (self.joints(), self.channels());
         let JerkNoise { jerk, link_walk, reading, torsion, bias_walk, bias_time, initial, initial_bias } = noise;
         let lengths = [
@@ -272,8 +293,7 @@ impl JerkModel {
             ("torsion", &vec![*torsion], 1),
         ];
         lengths.iter().try_for_each(|(what, values, expected)| check_deviations(what, values, *expected))?;
-        check_times(bias_time, m)?;
-        check_readings(reading)
+        check_times(bias_time, m)
     }
 }
 

@@ -85,6 +85,20 @@ impl<P: Process, M: Measurement> Paired<P, M> {
         }
     }
 
+    /// Columns (states × `stride`) through the step last predicted, but for what late sensors do at its end.
+    #[inline(always)]
+    pub(super) fn carry_process(&mut self, columns: &mut [f64], stride: usize, dt: f64) {
+        self.process.carry(columns, stride, dt);
+    }
+
+    /// The rest of it.
+    #[inline(always)]
+    pub(super) fn carry_sensors(&self, columns: &mut [f64], stride: usize) {
+        if let Some(late) = &self.late {
+            late.carry(columns, stride, None);
+        }
+    }
+
     /// The channels.
     pub fn measurement_mut(&mut self) -> &mut M {
         &mut self.measurement
