@@ -53,7 +53,7 @@ def test_the_likelihood_is_that_of_the_filter():
     log = log[:600]
     filtered = ExtendedKalmanFilter(robot, start="rest", tolerances=False)
     noise = filtered.noise.for_log(log, robot).arrays(robot, ("motor", "acceleration"))
-    settings = {"noise": noise, "biased": [True] * 5, "torque": False, "fixed": [], "huber": np.inf}
+    settings = {"noise": noise, "biased": [True] * 5, "fixed": [], "huber": np.inf}
     ours = _core.Likelihood(robot.core, signals(robot, log), **settings).log_likelihood([], [])
     assert ours == pytest.approx(filtered.run(log).log_likelihood.sum(), rel=1e-9)
 

@@ -161,7 +161,7 @@ def test_the_core_says_what_it_does():
         "estimate/kalman/smoother.rs: pub struct Smoother",
         "estimate/particle/filter.rs: pub struct ParticleFilter",
         "estimate/velocity/observer.rs: pub struct VelocityObserver",
-        "estimate/likelihood/evidence.rs: pub struct Likelihood {",
+        "estimate/likelihood/density.rs: pub struct Likelihood {",
         "simulate/run.rs: pub fn simulate",
     ],
 )

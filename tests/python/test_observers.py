@@ -372,4 +372,4 @@ def test_uneven_time_is_refused():
     columns["t"] = columns["t"].copy()
     columns["t"][500] += 4e-4
     with pytest.raises(LogError, match=r"row 500 .*even rate"):
-        AccelerationObserver(robot, accelerations="joints").run(Log.from_table(columns, robot))
+        AccelerationObserver(robot, accelerations="joints").run(Log.from_table(columns, robot, check=False))
