@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
@@ -221,7 +220,7 @@ def _regroup(batches: Any, rows: int) -> Iterator[pa.Table]:
     """Cut record batches of any length into tables of exactly ``rows`` rows, the last one shorter."""
     held: list[pa.RecordBatch] = []
     count = 0
-    for batch in _ahead(batches):
+    for batch in batches:
         held.append(batch)
         count += batch.num_rows
         while count >= rows:
@@ -230,16 +229,6 @@ def _regroup(batches: Any, rows: int) -> Iterator[pa.Table]:
             held, count = table.slice(rows).to_batches(), count - rows
     if count:
         yield pa.Table.from_batches(held)
-
-
-def _ahead(batches: Any) -> Iterator[pa.RecordBatch]:
-    """The same batches, each of them read in a thread while the one before is worked on."""
-    remaining = iter(batches)
-    with ThreadPoolExecutor(1, "batches") as thread:
-        coming = thread.submit(next, remaining, None)
-        while (batch := coming.result()) is not None:
-            coming = thread.submit(next, remaining, None)
-            yield batch
 
 
 def column_names(table: Any, source: str) -> list[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -32,8 +31,7 @@ class EstimateWriter:
     """Writes estimates, piece by piece, into one Parquet or CSV file in bounded memory.
 
     The file is written completely or not at all: it appears under its name, replacing an older one, when the ``with``
-    block ends without an exception. Its content does not depend on the sizes of the pieces. Groups of rows are encoded
-    and written in a thread, while the caller makes the next; an error of one is raised with the next, or at the end.
+    block ends without an exception. Its content does not depend on the sizes of the pieces.
 
     Parameters
     ----------
@@ -59,8 +57,6 @@ class EstimateWriter:
         self._schema: pa.Schema | None = None
         self._held: list[pa.Table] = []
         self._rows = 0
-        self._thread = ThreadPoolExecutor(1, "EstimateWriter")
-        self._writing: Future[None] | None = None
 
     def __enter__(self) -> EstimateWriter:
         """Open a temporary file next to the one to be."""
@@ -100,36 +96,25 @@ class EstimateWriter:
             self._discard()
 
     def _flush(self, group: int) -> None:
-        """Write whole groups in the thread, and hold the rest back."""
+        """Write whole groups, and hold the rest back."""
         rows = pa.concat_tables(self._held)
         whole = self._rows - self._rows % group
-        self._wait()  # no more than one group is in memory beside the one that is gathered
-        self._writing = self._thread.submit(self._write, rows.slice(0, whole), group)
-        self._held, self._rows = [rows.slice(whole)], self._rows - whole
-
-    def _write(self, rows: pa.Table, group: int) -> None:
         assert self._sink is not None  # it exists from the first rows on
         with writing(self._path):
-            for start in range(0, len(rows), group):
+            for start in range(0, whole, group):
                 self._sink.write_table(rows.slice(start, group).combine_chunks())
-
-    def _wait(self) -> None:
-        """Until all that was given to the thread is written; raises its error."""
-        if self._writing is not None:
-            self._writing.result()
+        self._held, self._rows = [rows.slice(whole)], self._rows - whole
 
     def _publish(self) -> None:
         if self._sink is None or self._file is None or self._part is None:
             raise OutputError(f"{self._path}: no estimate was written")
         if self._rows:
             self._flush(self._rows)
-        self._wait()
         with writing(self._path):
             self._sink.close()
             publish(self._part, self._file, self._path)
 
     def _discard(self) -> None:
-        self._thread.shutdown()  # waits for the group that is being written
         if self._sink is not None:  # before its file: it would complain when collected
             with suppress(OSError, pa.ArrowException):
                 self._sink.close()
