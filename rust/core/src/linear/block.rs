@@ -211,6 +211,28 @@ macro_rules! by_rows {
 }
 pub(super) use by_rows;
 
+/// Implements [`Kernel`](crate::simd::Kernel) by `$body`, in which `$most` is how many registers are worked on at once.
+macro_rules! kernel {
+    ($kernel:ty, |$this:ident, $most:ident| $body:expr) => {
+        impl crate::simd::Kernel for $kernel {
+            type Output = ();
+
+            #[inline(always)]
+            fn run($this) {
+                const $most: usize = crate::linear::block::WIDE;
+                $body;
+            }
+
+            #[inline(always)]
+            fn run_narrow($this) {
+                const $most: usize = crate::linear::block::NARROW;
+                $body;
+            }
+        }
+    };
+}
+pub(super) use kernel;
+
 /// `left` times `right`, from register `c` on: L rows of `inner` numbers, as many as `right` has rows.
 #[inline(always)]
 pub(super) fn product_block<const L: usize, const W: usize, X: Width>(

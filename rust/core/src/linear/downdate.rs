@@ -1,7 +1,7 @@
 //! Symmetric matrices less the squares of rows that come one after the other, each known only once those before it are taken off.
 
 use super::LANES;
-use super::block::{Lane, NARROW, WIDE, Width, accumulate, by_columns, by_width, inside, outer_block};
+use super::block::{Lane, WIDE, Width, accumulate, by_columns, by_width, inside, kernel, outer_block};
 use super::products::mirror_with;
 use crate::simd::{self, Kernel};
 
@@ -66,19 +66,7 @@ struct DowndateRest<'a> {
     stride: usize,
 }
 
-impl Kernel for DowndateRest<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        by_width!(self.stride, |width| self.run_with::<WIDE>(width));
-    }
-
-    #[inline(always)]
-    fn run_narrow(self) {
-        by_width!(self.stride, |width| self.run_with::<NARROW>(width));
-    }
-}
+kernel!(DowndateRest<'_>, |self, MOST| by_width!(self.stride, |width| self.run_with::<MOST>(width)));
 
 impl DowndateRest<'_> {
     #[inline(always)]

@@ -5,9 +5,9 @@
 
 use super::LANES;
 use super::block::{
-    Any, Block, Lane, NARROW, WIDE, Width, accumulate, add, by_columns, by_width, inside, outer_block, product_block,
+    Any, Block, Lane, WIDE, Width, accumulate, add, by_columns, by_width, inside, kernel, outer_block, product_block,
 };
-use crate::simd::{self, Kernel};
+use crate::simd;
 use core::hint::black_box;
 
 /// X of Uᵀ X = B, in place: `upper` has rows of `size` numbers, what is below its diagonal is not looked at; B has as many rows
@@ -24,19 +24,7 @@ struct Forward<'a> {
     stride: usize,
 }
 
-impl Kernel for Forward<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        by_width!(self.stride, |width| self.run_with::<WIDE>(width));
-    }
-
-    #[inline(always)]
-    fn run_narrow(self) {
-        by_width!(self.stride, |width| self.run_with::<NARROW>(width));
-    }
-}
+kernel!(Forward<'_>, |self, MOST| by_width!(self.stride, |width| self.run_with::<MOST>(width)));
 
 impl Forward<'_> {
     #[inline(always)]
@@ -105,19 +93,7 @@ struct Backward<'a> {
     stride: usize,
 }
 
-impl Kernel for Backward<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        self.run_with::<WIDE>();
-    }
-
-    #[inline(always)]
-    fn run_narrow(self) {
-        self.run_with::<NARROW>();
-    }
-}
+kernel!(Backward<'_>, |self, MOST| self.run_with::<MOST>());
 
 impl Backward<'_> {
     #[inline(always)]
@@ -161,19 +137,7 @@ struct UpperFactor<'a> {
     stride: usize,
 }
 
-impl Kernel for UpperFactor<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        by_width!(self.stride, |width| self.run_with::<WIDE>(width));
-    }
-
-    #[inline(always)]
-    fn run_narrow(self) {
-        by_width!(self.stride, |width| self.run_with::<NARROW>(width));
-    }
-}
+kernel!(UpperFactor<'_>, |self, MOST| by_width!(self.stride, |width| self.run_with::<MOST>(width)));
 
 impl UpperFactor<'_> {
     #[inline(always)]

@@ -4,7 +4,7 @@
 
 use super::LANES;
 use super::block::{
-    Any, Block, NARROW, WIDE, Width, add, by_columns, by_rows, by_width, inside, outer_block, product_block, put,
+    Any, Block, WIDE, Width, add, by_columns, by_rows, by_width, inside, kernel, outer_block, product_block, put,
     transposed,
 };
 use crate::simd::{self, Kernel};
@@ -70,19 +70,7 @@ struct Product<'a> {
     out: &'a mut [f64],
 }
 
-impl Kernel for Product<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        by_part!(self.part, |columns, to| self.run_with::<WIDE>(columns, to));
-    }
-
-    #[inline(always)]
-    fn run_narrow(self) {
-        by_part!(self.part, |columns, to| self.run_with::<NARROW>(columns, to));
-    }
-}
+kernel!(Product<'_>, |self, MOST| by_part!(self.part, |columns, to| self.run_with::<MOST>(columns, to)));
 
 impl Product<'_> {
     #[inline(always)]
@@ -122,19 +110,7 @@ struct AddOuter<'a> {
     out: &'a mut [f64],
 }
 
-impl Kernel for AddOuter<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        by_width!(self.stride, |columns| self.run_with::<WIDE>(columns));
-    }
-
-    #[inline(always)]
-    fn run_narrow(self) {
-        by_width!(self.stride, |columns| self.run_with::<NARROW>(columns));
-    }
-}
+kernel!(AddOuter<'_>, |self, MOST| by_width!(self.stride, |columns| self.run_with::<MOST>(columns)));
 
 impl AddOuter<'_> {
     #[inline(always)]
@@ -179,19 +155,7 @@ struct AddSymmetric<'a> {
     p: &'a mut [f64],
 }
 
-impl Kernel for AddSymmetric<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        by_part!(self.part, |width, to| self.run_with::<WIDE>(width, to));
-    }
-
-    #[inline(always)]
-    fn run_narrow(self) {
-        by_part!(self.part, |width, to| self.run_with::<NARROW>(width, to));
-    }
-}
+kernel!(AddSymmetric<'_>, |self, MOST| by_part!(self.part, |width, to| self.run_with::<MOST>(width, to)));
 
 impl AddSymmetric<'_> {
     #[inline(always)]
@@ -280,19 +244,7 @@ struct Congruence<'a> {
     out: &'a mut [f64],
 }
 
-impl Kernel for Congruence<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        by_width!(self.stride, |width| self.run_with::<WIDE>(width));
-    }
-
-    #[inline(always)]
-    fn run_narrow(self) {
-        by_width!(self.stride, |width| self.run_with::<NARROW>(width));
-    }
-}
+kernel!(Congruence<'_>, |self, MOST| by_width!(self.stride, |width| self.run_with::<MOST>(width)));
 
 impl Congruence<'_> {
     #[inline(always)]
