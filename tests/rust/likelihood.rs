@@ -106,6 +106,8 @@ fn what_does_not_fit_is_refused() {
     let missing = Err(RunError::Design(DesignError::NoParameter { parameter: "Damping(2)".into() }));
     let found = likelihood();
     assert_eq!(found.log_likelihood(&[Parameter::Damping(2)], &[1.0]), missing);
+    let torque = Err(RunError::Design(DesignError::NoParameter { parameter: "MotorInertia(0)".into() }));
+    assert_eq!(found.log_likelihood(&[Parameter::MotorInertia(0)], &[30.0]), torque);
     let short = RunError::Design(DesignError::Length { what: "values", found: 0, expected: 1 });
     assert_eq!(found.densities(&[Parameter::PayloadMass], &[]).unwrap_err(), short);
     let broken = found.log_likelihood(&[Parameter::SensorNoise(0)], &[f64::NAN]);

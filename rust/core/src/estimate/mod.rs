@@ -6,7 +6,7 @@
 //! | [`kalman`] | links moved by jerk; or links and motors moved by torques | extended Kalman filter and smoother |
 //! | [`particle`] | links moved by jerk | particles, a part of the state in closed form if wanted |
 //! | [`velocity`] | rigid joints | reduced-order and full-order observers |
-//! | [`likelihood`] | links moved by jerk, the robot's numbers as parameters | Kalman filter over derivative numbers |
+//! | [`likelihood`] | links moved by jerk, the robot's numbers as parameters | Kalman filter |
 //!
 //! What sensors read, [`measurement`], is written once for all of them.
 

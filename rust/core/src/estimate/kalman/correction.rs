@@ -1,8 +1,8 @@
 //! The measurement update: the channels of a sample one after the other, in padded rows that fill a processor's registers.
 //!
 //! Each channel's row of W, after those before it, is kept for the smoother. Where errors of channels depend on each other, as
-//! after a regression on sigma points, all are used by one factor of [S, e]. The likelihood has an update of its own for
-//! derivative numbers; a test holds them equal.
+//! after a regression on sigma points, all are used by one factor of [S, e]. The likelihood has an update of its own,
+//! for sensors whose delay is a parameter; a test holds them equal.
 
 use super::gaussian::{Gaussian, Innovation, Row, SHARP};
 use super::loss::{LEFT_OUT, SensorLosses};

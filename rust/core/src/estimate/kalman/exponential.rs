@@ -200,7 +200,12 @@ impl Exponential {
         if stride.is_multiple_of(linear::LANES) {
             linear::product(phi, *own, &columns[..rows], stride, &mut carried[..through]);
         } else {
-            combine((phi, *own), &columns[..rows], stride, carried);
+            for (out, factors) in carried.chunks_exact_mut(stride).zip(phi.chunks_exact(*own)) {
+                out.fill(0.0);
+                for (factor, row) in factors.iter().zip(columns[..rows].chunks_exact(stride)) {
+                    linear::add_scaled(out, *factor, row);
+                }
+            }
         }
         columns[..through].copy_from_slice(&carried[..through]);
         scale((diagonal.get(*moving..).unwrap_or_default(), *own), &mut columns[through..rows], stride);
@@ -264,17 +269,6 @@ impl Exponential {
             row[..d].copy_from_slice(&product[..d]);
         }
         big.turn_rows(d);
-    }
-}
-
-/// Sums of `columns`' rows, of `stride` numbers, by the factors that stand in each of the matrix' rows.
-#[inline(always)]
-fn combine((matrix, own): (&[f64], usize), columns: &[f64], stride: usize, out: &mut [f64]) {
-    for (out, factors) in out.chunks_exact_mut(stride).zip(matrix.chunks_exact(own)) {
-        out.fill(0.0);
-        for (factor, row) in factors.iter().zip(columns.chunks_exact(stride)) {
-            linear::add_scaled(out, *factor, row);
-        }
     }
 }
 

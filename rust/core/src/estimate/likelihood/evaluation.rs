@@ -32,7 +32,7 @@ pub(super) struct ParametricMeasurement {
     robot: Arc<Robot>,
     /// What is read, in the order of the readings.
     channels: Vec<Channel>,
-    /// The robot's numbers, those under calibration with their derivatives.
+    /// The robot's numbers.
     parameters: Parameters<f64>,
     /// Standard deviations of readings before the parameters scale them.
     noise: JerkNoise,
@@ -80,8 +80,7 @@ impl ParametricMeasurement {
         }
     }
 
-    /// Link positions at rest for motor positions `theta` (n), by the iteration q ← θ − φ⁻¹(g(q)) until it stands
-    /// still.
+    /// Link positions at rest for motor positions `theta` (n), by the iteration q ← θ − φ⁻¹(g(q)) until it stands still.
     pub(super) fn rest(&mut self, theta: &[f64]) -> Vec<f64> {
         let mut q: Vec<f64> = theta.to_vec();
         for _ in 0..200 {

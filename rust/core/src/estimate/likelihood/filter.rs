@@ -1,7 +1,8 @@
 //! The filter: what is kept is each reading's innovation.
 //!
-//! Its update differs from that of [`kalman`](crate::estimate::kalman), which defers the covariance to the end of a sample:
-//! here each reading changes it at once, so that a filter inside a sensor can take its next value between two readings. A test holds both equal.
+//! Its update differs from that of [`kalman`](crate::estimate::kalman), which leaves part of the covariance to the end
+//! of a sample: here each reading changes all of it, so that a filter inside a sensor can take its next value between two
+//! readings. A test holds both equal.
 
 use super::evaluation::{ParametricMeasurement, ParametricReading};
 use super::instants::Instant;

@@ -107,7 +107,8 @@ pub(super) struct Parameters<T> {
 }
 
 impl Parameter {
-    /// Whether the links' response to their motors has it alone: the filter takes it as the robot says.
+    /// Whether the links' response to their motors has it alone: the filter takes it as the robot says, or does not depend
+    /// on it.
     pub(super) fn of_response(self) -> bool {
         use Parameter as P;
         matches!(
@@ -118,6 +119,10 @@ impl Parameter {
                 | P::ElementStiffness(..)
                 | P::ElementLimit(..)
                 | P::TorqueScale(_)
+                | P::MotorInertia(_)
+                | P::ViscousFriction(_)
+                | P::CoulombFriction(_)
+                | P::Coupling(..)
         )
     }
 }
