@@ -4,7 +4,6 @@ import logging
 import os
 import signal
 import warnings
-from contextlib import contextmanager
 from importlib.util import find_spec
 
 import numpy as np
@@ -34,17 +33,6 @@ def _inside(folder, monkeypatch):
     monkeypatch.chdir(folder)
 
 
-@contextmanager
-def chdir(folder):
-    """As that of `contextlib`, from Python 3.11 on."""
-    before = os.getcwd()
-    os.chdir(folder)
-    try:
-        yield
-    finally:
-        os.chdir(before)
-
-
 @pytest.fixture(scope="module")
 def scheduler(folder):
     """Address of a cluster of two workers in the folder, which gives a log up when it has ended two of them."""
@@ -55,12 +43,10 @@ def scheduler(folder):
     import distributed
 
     settings = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
-    with (
-        chdir(folder),
-        dask.config.set({"distributed.scheduler.allowed-failures": 1}),
-        distributed.LocalCluster(**settings, silence_logs=logging.CRITICAL) as cluster,
-    ):
-        yield cluster.scheduler_address
+    with pytest.MonkeyPatch.context() as patch, dask.config.set({"distributed.scheduler.allowed-failures": 1}):
+        patch.chdir(folder)
+        with distributed.LocalCluster(**settings, silence_logs=logging.CRITICAL) as cluster:
+            yield cluster.scheduler_address
 
 
 def places(scheduler):
